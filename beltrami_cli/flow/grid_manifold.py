@@ -35,7 +35,7 @@ from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo, without_halo
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.coarse_levels import Squares
     from beltrami_cli.flow.embedding import Guide
@@ -199,7 +199,8 @@ class GridManifold(GridKernels):
             planes = self.pick(planes, cells)
             planes[:, part.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
-        signs = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise_covariances)
+        drawn = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise_covariances)
+        signs = np.array(drawn, np.float32)
         return SampleTrial(part, planes, signs, scored, correlated=self.noise_covariances is not None)
 
     def cut_blocks(self, cells: Int64s, core: Bools, reach: int) -> GridManifold:
@@ -269,10 +270,9 @@ class GridManifold(GridKernels):
         refresh_halo(estimates, self.atlas)
         return estimates
 
-    def perturbation(self) -> Float32s:
+    def perturbation(self) -> Array:
         """Return random planes like the noise: independent signs, or correlated as the noise is."""
-        planes: Float32s = perturbations(1, len(self.colours), self.atlas, self.noise_covariances)[0]
-        return planes
+        return perturbations(1, len(self.colours), self.atlas, self.noise_covariances)[0]
 
     def planes(self, count: int) -> Float32s:
         """Return planes of zeros."""

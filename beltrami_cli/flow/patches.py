@@ -78,7 +78,7 @@ _FIRST, _SECOND = 6, 20
 PASSES = _FIRST + _SECOND
 
 # Values that are worked on at a time.
-_AT_ONCE = 1 << 18
+_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True)

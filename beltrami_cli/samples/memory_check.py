@@ -83,7 +83,7 @@ def checked_memory(
             sizes = list(_measured((texture.name, texture.data) for texture in textures))
             left = memory - held_by_files(textures)
             on_disk |= _is_too_much(sizes, left, in_groups=painter.works_in_groups)
-    with kept_on_disk(_folder_beside(target)) if on_disk else contextlib.nullcontext():
+    with kept_on_disk(_folder_beside(target), memory) if on_disk else contextlib.nullcontext():
         yield
 
 

@@ -35,12 +35,17 @@ SCATTERED = 1 << 14
 """The same of samples that lie all over the arrays, each on a page of its own, or 64 KB that are read with it."""
 
 SMALLEST_FILE = 1 << 24
-"""Bytes; smaller arrays stay in memory."""
+"""Bytes; smaller arrays stay in memory, where there is as much as `_SHARE` suggests."""
+
+# Of the memory of a job: what the largest array may take that stays in it. Patches work on some twenty at a time.
+_SHARE = 1 / 64
+_FEWEST_BYTES = 1 << 16  # a file costs some pages
 
 
 @dataclass(frozen=True)
 class _Disk:
     folder: Path
+    smallest: int
     maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
 
 
@@ -48,9 +53,12 @@ _DISK: ContextVar[_Disk | None] = ContextVar("disk", default=None)
 
 
 @contextlib.contextmanager
-def kept_on_disk(folder: Path) -> Iterator[None]:
-    """Let large arrays that are made meanwhile, in this thread, be kept in files without a name in a folder."""
-    token = _DISK.set(_Disk(folder))
+def kept_on_disk(folder: Path, memory: int | None = None) -> Iterator[None]:
+    """Let arrays that are large for the memory, and made meanwhile in this thread, be files without a name."""
+    smallest = SMALLEST_FILE
+    if memory is not None:
+        smallest = min(smallest, max(_FEWEST_BYTES, int(_SHARE * memory)))
+    token = _DISK.set(_Disk(folder, smallest))
     try:
         yield
     finally:
@@ -73,7 +81,7 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None 
     disk = _DISK.get()
     shape = (shape,) if isinstance(shape, int) else tuple(shape)
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if disk is None or size < (SMALLEST_FILE if smallest is None else smallest):
+    if disk is None or size < (disk.smallest if smallest is None else smallest):
         return None
     import tempfile
 

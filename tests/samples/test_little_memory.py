@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import errno
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError
-from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
@@ -18,10 +20,11 @@ from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples import memory_check, tile_groups
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import build_atlas
+from beltrami_cli.surface.atlas import build_atlas, grid_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
 from beltrami_cli.surface.tiling import tile_name
 from formats.image_files import encode
@@ -212,6 +215,43 @@ def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
         build_atlas(surface, [(side, side)] * count, 3)
     # Two numbers of 4 bytes a texel would be 268 MB; every 4 million texels they leave.
     assert max(held) - held[0] < 64 << 20
+
+
+@pytest.mark.slow
+def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
+    """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
+    side, memory = 512, 8 << 20
+    random = np.random.default_rng(5)
+    colours = (0.5 + 0.1 * random.normal(size=(side * side, 3))).clip(0, 1).astype(np.float32)
+    flat = np.dstack([*np.meshgrid(np.arange(side), np.arange(side)), np.zeros((side, side))])
+    surface = ImageSurface(None, flat, np.ones((side, side), bool))
+    kernel = KernelParameters(iterations=2, beta=20, t=2.4, patches="on", threads=1)
+    with large_arrays.kept_on_disk(tmp_path, memory):
+        flow = grid_flow(surface, colours.__getitem__, kernel)
+        tracemalloc.start()
+        try:
+            flow.run()
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    # Some twenty arrays of three floats a sample, for 65,536 samples.
+    assert peak < memory + 20 * 12 * 65_536
+
+
+@pytest.mark.parametrize("covariances", [None, np.tile(0.01 * np.eye(3), (3, 1, 1))], ids=["white", "shared"])
+def test_random_planes_are_in_files_and_the_same(tmp_path, covariances):
+    shape = (610, 607)
+    atlas = grid_atlas(shape, 1, None, np.ones(shape, bool))
+    expected = perturbations(1, 3, atlas, covariances)[0]
+    with large_arrays.kept_on_disk(tmp_path, 1 << 20):
+        tracemalloc.start()
+        try:
+            planes = perturbations(1, 3, atlas, covariances)[0]
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert np.array_equal(planes, expected)
+    assert peak < 3 << 20  # as floats they are 4.4 MB, and twice that while they are made
 
 
 def test_arrays_in_files_are_like_others(tmp_path, on_disk):

@@ -17,8 +17,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.surface import large_arrays
+
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
+    from collections.abc import Sequence
+
+    from beltrami_cli.arrays import Float32s, Float64s, Int8s
+
+# Rows that are worked on at a time, where each needs memory.
+_ROWS = 64
 
 
 def covariance_of_cells(covariances: Float64s) -> Float64s:
@@ -38,30 +45,50 @@ def sigma_of_covariances(covariances: Float64s) -> Float64s:
 def draw_haar_noise(covariances: Float64s, shape: tuple[int, int], random: np.random.Generator) -> Float32s:
     """Draw noise, shape (N, *shape), of the given covariances of Haar details, shape (L, N, N)."""
     levels = len(covariances)
-    coarse = [-(-size // 2**levels) for size in shape]
-    noise = mixed_signs(covariances[-1], coarse, random) / np.float32(2**levels)
+    noise = mixed_signs(covariances[-1], [-(-size // 2**levels) for size in shape], random)
+    noise /= np.float32(2**levels)
     for level in reversed(range(levels)):
-        rows, columns = noise.shape[1:]
-        across, down, both = (
-            mixed_signs(covariances[level], (rows, columns), random) / np.float32(2 ** (level + 1))
-            for _ in range(3)
-        )
-        finer = np.empty((len(noise), rows, 2, columns, 2), np.float32)
-        finer[:, :, 0, :, 0] = noise + across + down + both
-        finer[:, :, 0, :, 1] = noise - across + down - both
-        finer[:, :, 1, :, 0] = noise + across - down - both
-        finer[:, :, 1, :, 1] = noise - across - down + both
-        noise = finer.reshape(len(noise), 2 * rows, 2 * columns)
-    return np.ascontiguousarray(noise[:, : shape[0], : shape[1]])
+        details = [mixed_signs(covariances[level], noise.shape[1:], random) for _ in range(3)]
+        noise = _with_details(noise, details, np.float32(2 ** (level + 1)))
+    if noise.shape[1:] == shape:
+        return noise
+    cropped: Float32s = large_arrays.empty((len(noise), *shape), np.float32)
+    for rows in large_arrays.blocks(shape[0], _ROWS):
+        cropped[:, rows] = noise[:, rows, : shape[1]]
+    return cropped
 
 
-def mixed_signs(
-    covariance: Float64s, shape: list[int] | tuple[int, ...], random: np.random.Generator
-) -> Float32s:
+def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) -> Float32s:
+    """Return noise on twice as many rows and columns, with details divided by a size."""
+    channels, rows, columns = noise.shape
+    finer: Float32s = large_arrays.empty((channels, 2 * rows, 2 * columns), np.float32)
+    cells = finer.reshape(channels, rows, 2, columns, 2)
+    for block in large_arrays.blocks(rows, _ROWS):
+        own = noise[:, block]
+        across, down, both = (detail[:, block] / size for detail in details)
+        cells[:, block, 0, :, 0] = own + across + down + both
+        cells[:, block, 0, :, 1] = own - across + down - both
+        cells[:, block, 1, :, 0] = own + across - down - both
+        cells[:, block, 1, :, 1] = own - across - down + both
+    return finer
+
+
+def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     values, vectors = np.linalg.eigh(covariance)
-    root = (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
-    signs = (random.integers(0, 2, (len(root), *shape), np.int8) * 2 - 1).astype(np.float32)
-    # Not by BLAS, whose threads would spin on.
-    mixed: Float32s = np.einsum("ij,jrc->irc", root.astype(np.float32), signs)
+    root = ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T).astype(np.float32)
+    signs = random_signs((len(root), *shape), random)
+    mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
+    for rows in large_arrays.blocks(shape[0], _ROWS):
+        # Not by BLAS, whose threads would spin on.
+        mixed[:, rows] = np.einsum("ij,jrc->irc", root, signs[:, rows].astype(np.float32))
     return mixed
+
+
+def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
+    """Draw independent signs: the same in blocks as at once, since a block is a multiple of what is drawn together."""
+    signs: Int8s = large_arrays.empty(shape, np.int8)
+    flat = signs.reshape(-1)
+    for block in large_arrays.blocks(len(flat)):
+        flat[block] = random.integers(0, 2, block.stop - block.start, np.int8) * 2 - 1
+    return signs

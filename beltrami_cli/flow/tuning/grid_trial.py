@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
+from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, random_signs, sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+    from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
     from beltrami_cli.surface.atlas import Atlas, Indices
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
@@ -31,7 +29,7 @@ _CORE = 64
 # Iterations spread errors from a block's border inwards; most of a kernel's weight lies within this many cells.
 _RIM = 8
 
-# Rows of signs that are drawn together.
+# Rows of planes that are worked on together.
 _ROWS = 64
 
 # Any seed is as good; a fixed one makes the choice reproducible.
@@ -64,29 +62,21 @@ def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
     )
 
 
-def perturbations(count: int, channels: int, atlas: Atlas, noise_covariances: Float64s | None) -> Float32s:
-    """Return some stacks of random planes like the noise: independent signs, or correlated as the noise is."""
+def perturbations(count: int, channels: int, atlas: Atlas, noise_covariances: Float64s | None) -> list[Array]:
+    """Return stacks of random planes like the noise: independent signs in bytes, or correlated as the noise is."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise_covariances is None:
-        drawn = (random.integers(0, 2, (count, channels, *shape), np.int8) * 2 - 1).astype(np.float32)
+        drawn = [*random_signs((count, channels, *shape), random)]
     else:
         size = np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(noise_covariances)))))
-        drawn = np.stack([draw_haar_noise(noise_covariances, shape, random) / size for _ in range(count)])
-    drawn[..., atlas.kind == EMPTY] = 0
+        drawn = [draw_haar_noise(noise_covariances, shape, random) for _ in range(count)]
     for planes in drawn:
+        for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+            if noise_covariances is not None:
+                planes[:, rows] /= size
+            planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
         refresh_halo(planes, atlas)
     return drawn
-
-
-def random_signs(channels: int, atlas: Atlas) -> NDArray[np.int8]:
-    """Return planes of independent signs, 0 in empty cells."""
-    random, kind = np.random.default_rng(_SEED), atlas.kind
-    planes: NDArray[np.int8] = large_arrays.empty((channels, *kind.shape), np.int8)
-    for rows in large_arrays.blocks(len(kind), _ROWS):
-        drawn = random.integers(0, 2, (channels, *kind[rows].shape), np.int8) * 2 - 1
-        planes[:, rows] = np.where(kind[rows] == EMPTY, 0, drawn)
-    refresh_halo(planes, atlas)
-    return planes
 
 
 def choose_blocks(atlas: Atlas, budget: int, reach: int) -> tuple[Int64s, Bools]:
