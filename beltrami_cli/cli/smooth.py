@@ -97,7 +97,7 @@ def written(
         job = replace(job, dry_run=values["dry_run"], files=files)
         report_file = _open_report(values["report_path"], job)
         preview = _open_preview(values["preview_path"], ends, settings, job)
-        report = carry_out(job)
+        report = carry_out(job if preview is None else replace(job, check=preview.check))
         if preview is not None:
             preview.draw()
         if report_file is not None:

@@ -8,6 +8,7 @@ import re
 import sys
 import time
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.output import FileSet, Output
 
     Progress = Callable[[str, int, int], None]
@@ -55,6 +57,8 @@ class Job:
         Format to write, if the name of the output does not have its extension: "ply", "obj", "glb", "gltf", "png", ...
     files : FileSet or None
         Only for callers that write further files, such as a report, together with the output.
+    check : callable, optional
+        Only for callers that do more with the document: called with it before anything is computed; may raise.
     """
 
     access: Access = EVERYTHING_INSIDE
@@ -63,6 +67,7 @@ class Job:
     dry_run: bool = False
     format: str | None = None
     files: FileSet | None = None
+    check: Callable[[Document], None] | None = None
 
     def output(self, target: str) -> Output | None:
         """Check where OUTPUT goes; None on a dry run."""
@@ -84,10 +89,14 @@ class Job:
 
 PLAIN_JOB = Job()
 
+_UNLIMITED: ContextVar[int | None] = ContextVar("unlimited", default=None)
+"""The limit of the process beside the one that `limited_memory` has set, in bytes as the system counts them."""
+
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 _LARGEST = 1 << 60  # accepted by the system as a limit
 _LEAST = 1 << 26  # bytes that a command takes in any case
+_STATUS = Path("/proc/self/status")
 _MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 # What the program itself takes: libraries, and for each processor the stacks of its threads.
 _PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
@@ -179,10 +188,37 @@ def _data_limit(size: int | None) -> Iterator[None]:
     wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
     known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
+    token = _UNLIMITED.set(before)
     try:
         yield
     finally:
+        _UNLIMITED.reset(token)
         resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+
+
+@contextlib.contextmanager
+def memory_reserved(size: int) -> Iterator[None]:
+    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left.
+
+    What it takes besides, for its threads, counts as memory of the program.
+    """
+    before = _UNLIMITED.get()
+    if before is None:
+        yield
+        return
+    import resource
+
+    bytearray(size)
+    limit, most = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+    data = _status("VmData") or 0
+    try:
+        yield
+    finally:
+        raised = limit + max(0, (_status("VmData") or 0) - data - size)
+        resource.setrlimit(
+            resource.RLIMIT_DATA, (raised if most == resource.RLIM_INFINITY else min(raised, most), most)
+        )
 
 
 class Stopwatch:
@@ -206,14 +242,20 @@ class Stopwatch:
 
 def peak_memory() -> int | None:
     """Return the largest resident size of this process so far, in bytes, or None where it is not known."""
-    status = Path("/proc/self/status")
-    if status.exists():
+    if _STATUS.exists():
         # On Linux ru_maxrss also counts what the process that started this one held at that moment.
-        fields = dict(line.split(":", 1) for line in status.read_text().splitlines())
-        return int(fields["VmHWM"].split()[0]) * 1024 if "VmHWM" in fields else None
+        return _status("VmHWM")
     if sys.platform == "win32":
         return None
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def _status(name: str) -> int | None:
+    """Return the bytes that Linux counts of this process under a name; None if it does not."""
+    if not _STATUS.exists():
+        return None
+    fields = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines())
+    return int(fields[name].split()[0]) * 1024 if name in fields else None

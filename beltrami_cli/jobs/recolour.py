@@ -80,6 +80,8 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         if not painter.changes and (kind.is_own or kind.suffix is None):
             selection = NOTHING
         painter.check(document, selection, kind)
+        if job.check is not None:
+            job.check(document)
         naming, beside = _plan_sidecars(document, selection, settings, kind, (source, target), output, access)
     place = None if output is None else target
     with checked_memory(document, selection.slots, settings.textures, access, place, painter):

@@ -108,6 +108,8 @@ def _smooth_unwrapped(
         textured = settings.on != "vertices" and has_texture
         if not textured:
             document.painted()  # raises if there are no colours at all
+        if job.check is not None:
+            job.check(document)
         kind = choose_format(document, target, job.format).name
         image_suffix = settings.textures.image_suffix or ".png"
         naming = naming_of(document, source, target, output, access)

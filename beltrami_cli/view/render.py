@@ -22,18 +22,19 @@ from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.formats.image.recognition import is_image
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.view.drawing import draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
 from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.tracing import require_embree
-from beltrami_cli.view.views import open_view
+from beltrami_cli.view.views import open_views, require_memory_to_draw
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Uint8s
+    from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.output import FileSet
     from beltrami_cli.samples.settings import SmoothSettings
 
@@ -61,7 +62,7 @@ def render_file(
         raise UsageError(f"{cause}; lower --size")
     output, progress = Output(target, overwrite=job.overwrite, what="picture", reads=sources), job.progress
     access = output.files.watching(job.access)
-    views = [open_view(source, settings, access) for source in tracked(sources, "reading", progress)]
+    views = open_views(sources, settings, access, progress=progress)
     if settings.turntable > 1 and suffix in ANIMATIONS:
         frames = draw_turns(views, labels, settings, progress)
         output.write(Written(main=[_ENCODERS[suffix](frames, settings.fps)]))
@@ -109,11 +110,16 @@ class Preview:
         if not is_image(head, source):
             require_embree()
 
+    def check(self, document: Document) -> None:
+        """Raise InputError if INPUT and OUTPUT cannot be drawn together."""
+        both = document, document
+        require_memory_to_draw(both, self._looks, self._access, ", or leave out --preview")
+
     def draw(self) -> None:
         """Draw and write the picture, after OUTPUT was written aside."""
-        before = open_view(self._source, self._looks, self._access, self._reading)
-        after = open_view(self._target, self._looks, self._output.files.with_staged(self._access))
-        picture = draw_views([before, after], ["before", "after"], self._looks)
+        before = open_views([self._source], self._looks, self._access, self._reading)
+        after = open_views([self._target], self._looks, self._output.files.with_staged(self._access))
+        picture = draw_views([*before, *after], ["before", "after"], self._looks)
         self._output.write(encoded(picture, self._output.target, self._suffix))
 
 

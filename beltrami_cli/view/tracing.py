@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from beltrami_cli.errors import ProcessingError
+from beltrami_cli.jobs.job import memory_reserved
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.view.camera import size_between
@@ -40,6 +41,7 @@ _BLOCK = 1 << 14  # rays at a time, which bounds the memory; larger blocks leave
 _ALL = 0.999  # of the light: what is behind cannot be seen any more
 _LAYERS = 16  # transparent surfaces behind each other
 _SLACK = 1e-3  # of the view around what is covered: more than single precision loses
+_FACE_BYTES = 100  # that Embree takes, besides its threads
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
 
 
@@ -61,9 +63,11 @@ class Tracer:
         # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
         self._middle = (low + high) / 2
         self.size = size_between(low, high)
-        self._scene = scenes.EmbreeScene(robust=True)
         vertices = np.ascontiguousarray(self._normalised(positions))
-        self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))
+        with memory_reserved(_FACE_BYTES * len(faces)):
+            self._scene = scenes.EmbreeScene(robust=True)
+            self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))
+            self.cast(positions[:1], np.array([[0.0, 0.0, 1.0]]))  # now the tree is built
 
     def cast(self, starts: Float64s, directions: Float64s) -> Hits:
         """Return what rays along unit directions hit first."""

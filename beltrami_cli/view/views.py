@@ -9,6 +9,8 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
+from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.jobs.job import tracked
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
@@ -17,13 +19,14 @@ from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint
 from beltrami_cli.view.tracing import SAMPLES, SurfaceView, surface_view
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.job import Progress
     from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
     from beltrami_cli.view.camera import Camera, Window
     from beltrami_cli.view.paint import Sheet
@@ -37,6 +40,7 @@ _LARGEST = 3.0  # times the median radius
 _LONE = 0.02  # radius in widths of the view of a place without neighbours
 _STAMPED = 12.0  # radius in samples, up to which discs are drawn all at once
 _SMALLEST = 0.75  # radius in samples, below which points would fall between them
+_SHEET_BYTES = 22  # of a texel: four floats, and a third more in smaller copies
 
 
 class CloudView:
@@ -103,11 +107,44 @@ class ImageView:
 Drawable = SurfaceView | CloudView | ImageView
 
 
-def open_view(
-    source: str, settings: RenderSettings, access: Access, reading: SmoothSettings = DEFAULTS
-) -> Drawable:
-    """Read a file, or "-" for standard input, as what is seen of it; `reading` says how level sets are read."""
-    return view_of(open_input(source, reading, access), settings)
+def open_views(
+    sources: Sequence[str],
+    settings: RenderSettings,
+    access: Access,
+    reading: SmoothSettings = DEFAULTS,
+    progress: Progress | None = None,
+) -> list[Drawable]:
+    """Read files, or "-" for standard input, as what is seen of them; `reading` says how level sets are read."""
+    documents = [open_input(source, reading, access) for source in sources]
+    require_memory_to_draw(documents, settings, access)
+    return [view_of(document, settings) for document in tracked(documents, "reading", progress)]
+
+
+def require_memory_to_draw(
+    documents: Sequence[Document], settings: RenderSettings, access: Access, remedy: str = ""
+) -> None:
+    """Raise InputError if the images that are seen of documents cannot be in memory together, before one is decoded."""
+    if access.memory is None:
+        return
+    texels = largest = 0
+    for document in documents:
+        for data, name in _seen_images(document, settings):
+            size = measure_image(data, name)
+            if size is not None:  # of others the decoder says what is wrong
+                texels, largest = texels + size.texels, max(largest, size.decoded)
+        if _SHEET_BYTES * texels + largest > access.memory:
+            cause = f"{texels / 1e6:.3g} million texels do not fit into memory to be drawn"
+            raise InputError(document.name, cause, f"raise --max-memory{remedy}")
+
+
+def _seen_images(document: Document, settings: RenderSettings) -> list[tuple[bytes, str]]:
+    """Return the image files of what is seen of a document."""
+    if isinstance(document, ImageDocument):
+        return [(document.data, document.name)]
+    if settings.on == "vertices" or settings.slot not in document.slots():
+        return []
+    slot: Slot = settings.slot
+    return [(texture.data, texture.name) for texture in document.textured(slot).textures]
 
 
 def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:

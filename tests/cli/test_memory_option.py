@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import re
 import resource
+import subprocess
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.jobs import job
+from beltrami_cli.jobs import job, smoothing
 from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size, show_size
-from cli.commands import SAMPLES, beltrami
+from cli.commands import COMMAND, SAMPLES, beltrami
+from formats.tile_files import tiled_model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -99,3 +102,33 @@ def test_a_traceback_comes_on_demand_only(verb: str, tmp_path) -> None:
     assert reported.returncode == 3
     assert b"Traceback" in reported.stderr
     assert reported.stderr.endswith(plain.stderr)
+
+
+def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine tiles of 48 x 48 texels take 22 bytes each as they are drawn, 456 KB for one model; smoothing takes less."""
+    model = tiled_model(tmp_path / "in", size=3)
+    cause = b"0.0415 million texels do not fit into memory to be drawn; raise --max-memory, or leave out --preview\n"
+    options = ("--preview", tmp_path / "look.png", "--max-memory", "600K", "-n", "1", "--beta", "20")
+    monkeypatch.setattr(smoothing, "smooth_samples", None)
+    monkeypatch.setattr(job, "_data_limit", lambda _: nullcontext())  # which is for a process of its own
+    for more in ((), ("--unwrap",)):
+        run = beltrami("smooth", model, tmp_path / "new.obj", *options, *more)
+        assert run.returncode == 3
+        assert run.stderr.endswith(cause)
+    assert not list(tmp_path.glob("*.*"))
+    run = beltrami("render", model, model, tmp_path / "look.png", "--max-memory", "600K")
+    assert run.returncode == 3
+    assert run.stderr.endswith(b"million texels do not fit into memory to be drawn; raise --max-memory\n")
+
+
+def test_models_are_drawn_in_little_memory(tmp_path: Path) -> None:
+    """Not so little that Embree cannot start its threads, at which it crashes."""
+    model = tiled_model(tmp_path / "in", size=1)
+    picture = tmp_path / "look.png"
+    run = subprocess.run(
+        [*COMMAND, "render", model, picture, "--max-memory", "64M"], capture_output=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert picture.exists()
