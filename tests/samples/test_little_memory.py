@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import os
 import tracemalloc
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, ProcessingError
+from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
@@ -21,7 +22,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples import memory_check, tile_groups
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, grid_atlas
@@ -150,6 +151,41 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
     for other in others:
         assert other.stabiliser is first.stabiliser
         assert np.array_equal(other.sigma, first.sigma)
+
+
+@pytest.mark.parametrize("noise", ["12", "shot:0.002,read:0.03"])
+def test_groups_take_the_noise_that_is_given(tmp_path, monkeypatch, noise):
+    model = tiled_model(tmp_path / "in", size=SIDE)
+    settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=noise))
+    whole, _, expected = tiles_of(model, tmp_path / "whole", None, settings)
+    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
+    groups, labels, done = tiles_of(model, tmp_path / "groups", 300_000, settings)
+    assert len(labels) > 3
+    assert done.noise == pytest.approx(expected.noise)
+    difference = np.abs(np.array(groups) - np.array(whole))
+    assert difference.max() <= 1
+    assert np.count_nonzero(difference) <= 10
+
+
+def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_path):
+    """There are no groups with it: all tiles are refused, and the one that is chosen fits by itself."""
+    model, noise = tiled_model(tmp_path / "in", size=SIDE), tmp_path / "noise.png"
+    deviations = np.linspace(5, 25, 48 * 48).reshape(48, 48, 1)
+    noise.write_bytes(encode(deviations.astype(np.uint8), "png"))
+    settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=str(noise)))
+    with pytest.raises(UsageError, match=r"is the noise of one of 16 textures; choose it by --texture"):
+        tiles_of(model, tmp_path / "all", None, settings)
+    with pytest.raises(InputError, match="do not fit into memory"):
+        tiles_of(model, tmp_path / "little", 300_000, settings)
+    one = dataclasses.replace(settings, textures=TextureSettings(names=("skin.1023.png",)))
+    results = []
+    for memory in (None, 300_000):
+        folder = tmp_path / f"one{memory}"
+        folder.mkdir()
+        smooth_file(model, folder / "new.obj", one, Job(access=Access(memory=memory)))
+        results.append({path.name: path.read_bytes() for path in folder.iterdir()})
+    assert results[0] == results[1]
+    assert results[0]["new_skin.1023.png"] != (tmp_path / "in" / "skin.1023.png").read_bytes()
 
 
 def test_images_inside_a_file_count_as_memory(tmp_path, on_disk):
