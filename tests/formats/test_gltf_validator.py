@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from functools import partial
 from pathlib import Path
 
@@ -95,7 +96,7 @@ def test_samples_stay_as_valid_as_they_were(tmp_path, file):
 @pytest.mark.parametrize("file", gltf_files(EXTRA) if EXTRA else [], ids=lambda file: file.name)
 def test_other_files_stay_as_valid_as_they_were(tmp_path, file):
     before, after = issues_before_and_after(file, tmp_path)
-    assert after == before
+    assert not Counter(after) - Counter(before)  # colours out of range may come into it
 
 
 def with_colours(arrangement):
