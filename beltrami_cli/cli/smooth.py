@@ -196,6 +196,9 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
     """Say that no iterations were asked for, and the warnings."""
     messages.warn_of(report.input, report.warnings)
+    if report.textures and not unwrapped:
+        messages.say(f"{report.output}: no iterations, so only the type of images is changed")
+        return
     same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
     what = "would be" if dry_run else "is"
     names = ", but for the names of the files beside it" if len(report.written) > 1 else ""

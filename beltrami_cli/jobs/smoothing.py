@@ -105,7 +105,8 @@ class Smoothing:
         self._settings = settings
         self._levelling = Levelling(LevelSettings()) if settings.level_seams else None
         self.works_in_groups = self._levelling is None and settings.fits_parts
-        self.changes = settings.kernel.iterations != 0 or settings.level_seams
+        encodes = settings.textures.image_suffix is not None
+        self.changes = settings.kernel.iterations != 0 or settings.level_seams or encodes
         self.done: list[Smoothed] = []
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:

@@ -188,6 +188,16 @@ def test_another_image_format_is_named_in_the_material_and_opens_again(source, k
     assert images(out)[0].format == {"jpg": "jpeg"}.get(kind, kind)
 
 
+@pytest.mark.parametrize("target", ["out.obj", "out.ply"])
+def test_another_image_format_is_written_without_iterations(target, tmp_path):
+    """In the same format and in another: no pixel is changed, and the line says what is."""
+    out = tmp_path / target
+    run = beltrami("smooth", MIRRORED, out, "-n", "0", "--texture-format", "tif")
+    assert run.stderr.splitlines()[-1].endswith(b"no iterations, so only the type of images is changed")
+    assert [image.format for image in images(out)] == ["tiff"]
+    assert np.array_equal(pixels(out), pixels(MIRRORED))
+
+
 @pytest.mark.parametrize(
     ("source", "on"),
     [
