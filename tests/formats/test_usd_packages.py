@@ -165,6 +165,18 @@ def test_damaged_packages_are_refused_in_one_line(scan, kind, tmp_path):
     assert not (tmp_path / "b.usdz").exists()
 
 
+@pytest.mark.parametrize(
+    ("kind", "words"), [("cut off", r"\(UsdError: [\w ]+ corrupt"), ("no text", r"\(UsdError: a.usda:2:")]
+)
+def test_what_is_wrong_with_a_layer_is_said_without_names_of_code(scan, kind, words, tmp_path):
+    """Neither functions and sources of usd-core, nor the folder that the layers lie in for a while."""
+    source = package(tmp_path / "a.usdz", damaged(scan, kind))
+    with pytest.raises(InputError, match=words) as refused:
+        smooth_file(source, tmp_path / "b.usdz")
+    assert "pxr" not in str(refused.value)
+    assert "/beltrami-" not in str(refused.value)
+
+
 def test_bombs_are_not_unpacked(tmp_path):
     source = package(tmp_path / "a.usdz", [("a.usda", b"#usda 1.0\n" + bytes(1 << 27))], zipfile.ZIP_DEFLATED)
     with pytest.raises(InputError, match="more than any model has"):

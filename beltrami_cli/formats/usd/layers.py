@@ -155,11 +155,27 @@ def layer_from(text: bytes, suffix: str, name: str) -> bytes:
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
 
 
+class UsdError(Exception):
+    """What usd-core says of a layer."""
+
+
 def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
+    from pxr import Tf
+
     from beltrami_cli.formats.usd import editing
 
     os.chdir(order["folder"])
-    return editing.TASKS[order["task"]](order, arrays)
+    try:
+        return editing.TASKS[order["task"]](order, arrays)
+    except Tf.ErrorException as error:
+        raise UsdError(_said(str(error), order["folder"])) from error
+
+
+def _said(error: str, folder: str) -> str:
+    """Return the first message of an error, without names of C++ and the folder that the layers lie in for a while."""
+    found = re.search(r" at line \d+ in file \S+ : '(.*?)'(?:\s*Error in '|\s*$)", error, re.DOTALL)
+    message = error if found is None else found[1]
+    return re.sub(r"pxrInternal_\w+::|" + re.escape(f"{folder}{os.sep}"), "", message)
 
 
 if __name__ == "__main__":
