@@ -25,6 +25,7 @@ from beltrami_cli.flow.manifold import CoarseLevel
 from beltrami_cli.flow.noise.haar_noise import mixed_signs
 from beltrami_cli.flow.patches import mixing_of, with_pilot
 from beltrami_cli.flow.regularisation import gaussian_taps
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, refresh_halo
 
 if TYPE_CHECKING:
@@ -71,7 +72,23 @@ class Squares(CoarseLevel):
         from beltrami_cli._native import means_of_squares
 
         kind, threads = self._manifold.atlas.kind, self._manifold.threads
-        return means_of_squares(kind, self.kinds, stack, self._side, threads)
+        means: Float32s = large_arrays.empty((len(stack), *self.kinds.shape), np.float32)
+        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
+            cells = self._cells(rows)
+            for plane, own in zip(stack[:, None], means, strict=True):
+                own[rows] = means_of_squares(
+                    kind[cells], self.kinds[rows], plane[:, cells], self._side, threads
+                )[0]
+        return means
+
+    @property
+    def _rows_at_once(self) -> int:
+        cells: int = self._side**2 * self.kinds.shape[1]
+        return max(1, large_arrays.BLOCK // cells)
+
+    def _cells(self, rows: slice) -> slice:
+        """Return the rows of cells of some rows of squares."""
+        return slice(rows.start * self._side, rows.stop * self._side)
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
         """Estimate means from patches; noise that cells share is no smaller where a square has more of them."""
@@ -89,12 +106,21 @@ class Squares(CoarseLevel):
         from beltrami_cli._native import add_enlarged
 
         atlas, threads = self._manifold.atlas, self._manifold.threads
-        add_enlarged(atlas.kind, self.kinds, changes, stack, self._side, threads)
+        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
+            # With those above and below, between whose changes their cells lie.
+            around = slice(max(0, rows.start - 1), min(len(self.kinds), rows.stop + 1))
+            cells, first = self._cells(rows), self._cells(around).start
+            kind, kinds = atlas.kind[self._cells(around)], self.kinds[around]
+            for plane, change in zip(stack, changes[:, None], strict=True):
+                part = plane[None, self._cells(around)].copy()
+                add_enlarged(kind, kinds, change[:, around], part, self._side, threads)
+                plane[cells] = part[0, cells.start - first : cells.stop - first]
         refresh_halo(stack, atlas)
 
     def planes(self, count: int) -> Float32s:
         """Return planes of zeros."""
-        return np.zeros((count, *self.kinds.shape), np.float32)
+        planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)
+        return planes
 
     def total(self, planes: Float32s) -> Float64s:
         """Sum planes over the owned cells."""

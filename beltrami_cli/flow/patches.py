@@ -206,18 +206,27 @@ def _improve_means(
         before /= 2
         return level.collaborate(means, before, second)
 
-    (p, near_p), axis = (level.means(own) for own in colours), level.axis
-    q, near_q = estimate(noisy.colours, p), estimate(noisy.colours + noisy.probe, near_p)
-    # Of colours at a limit, half the noise is cut off, and what is imputed is no better than the estimate of the noise.
-    trusted = np.maximum(0, 4 * noisy.within - 3)
-    q, near_q = p + trusted * (q - p), near_p + trusted * (near_q - near_p)
-    within = noisy.within
-    parts = noisy.residual, noisy.probe / noisy.size**2, within * (q - p), within * (near_q - near_p), within
-    residual, probe, difference, moved, within = (np.moveaxis(own, axis, 0) for own in parts)
-    sums = model.terms(residual, probe, difference, moved, within * level.relative)
+    (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
+    q = estimate(noisy.colours, p)
+    with _added(axis, noisy.colours, noisy.probe, np.float32(1)):
+        near_q = estimate(noisy.colours, near_p)
+    differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
+    stacks = _blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
+    for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
+        stacks, _blocks(0, sums), strict=True
+    ):
+        # Of colours at a limit, half the noise is cut off, and what is imputed is no better than the estimate of the
+        # noise.
+        trusted = np.maximum(0, 4 * within - 3)
+        d[:], near_d[:] = b + trusted * (d - b) - b, near_b + trusted * (near_d - near_b) - near_b
+        own[:] = model.terms(
+            residual, probe / noisy.size**2, within * d, within * near_d, within * relative[0]
+        )
     weights, _, gain = _weigh(level, sums, model.variance * level.noise, _OF_MEANS)
-    for own, before, after in ((colours[0], p, q), (colours[1], near_p, near_q)):
-        level.add_enlarged(own, np.moveaxis(weights, 0, axis) * (after - before))
+    for stack, difference in zip(colours, differences, strict=True):
+        for (change,), (weight,) in zip(_blocks(axis, difference), _blocks(0, weights), strict=True):
+            change *= weight[0]
+        level.add_enlarged(stack, difference)
     return gain
 
 

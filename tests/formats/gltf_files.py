@@ -150,7 +150,7 @@ def unpacked(data, files=None):
     else:
         tree, binary = json.loads(data.decode("utf-8-sig")), b""
     buffers = []
-    for buffer in tree["buffers"]:
+    for buffer in tree.get("buffers", []):
         uri = buffer.get("uri")
         if uri is None:
             if len(buffers):  # only the first is in the chunk; others stand for what is compressed

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
+from beltrami_cli.flow import patches
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
@@ -253,17 +254,22 @@ def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
     assert max(held) - held[0] < 64 << 20
 
 
-@pytest.mark.slow
-def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
-    """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
-    side, memory = 512, 8 << 20
+def flow_with_patches(side):
+    """Return a flow on a noisy grey image."""
     random = np.random.default_rng(5)
     colours = (0.5 + 0.1 * random.normal(size=(side * side, 3))).clip(0, 1).astype(np.float32)
     flat = np.dstack([*np.meshgrid(np.arange(side), np.arange(side)), np.zeros((side, side))])
     surface = ImageSurface(None, flat, np.ones((side, side), bool))
     kernel = KernelParameters(iterations=2, beta=20, t=2.4, patches="on", threads=1)
+    return grid_flow(surface, colours.__getitem__, kernel)
+
+
+@pytest.mark.slow
+def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
+    """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
+    memory = 8 << 20
     with large_arrays.kept_on_disk(tmp_path, memory):
-        flow = grid_flow(surface, colours.__getitem__, kernel)
+        flow = flow_with_patches(512)
         tracemalloc.start()
         try:
             flow.run()
@@ -272,6 +278,32 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
             tracemalloc.stop()
     # Some twenty arrays of three floats a sample, for 65,536 samples.
     assert peak < memory + 20 * 12 * 65_536
+
+
+@pytest.mark.slow
+def test_means_of_squares_are_kept_in_files(tmp_path, monkeypatch):
+    """For squares of 4 x 4 cells, colours take 0.2 MB, of which there are ten versions."""
+    monkeypatch.setattr(patches, "_AT_ONCE", 1 << 12)
+    monkeypatch.setattr(large_arrays, "BLOCK", 1 << 14)
+    improve, grown = patches._improve_means, []
+
+    def measured(*arguments):
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        gain = improve(*arguments)
+        grown.append(tracemalloc.get_traced_memory()[1] - before)
+        return gain
+
+    monkeypatch.setattr(patches, "_improve_means", measured)
+    with large_arrays.kept_on_disk(tmp_path, 1 << 20):
+        flow = flow_with_patches(512)
+        tracemalloc.start()
+        try:
+            flow.run()
+        finally:
+            tracemalloc.stop()
+    assert len(grown) == 2
+    assert max(grown) < 1 << 20
 
 
 @pytest.mark.parametrize("covariances", [None, np.tile(0.01 * np.eye(3), (3, 1, 1))], ids=["white", "shared"])
