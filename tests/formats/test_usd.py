@@ -7,6 +7,7 @@ import pytest
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
@@ -62,6 +63,19 @@ def test_of_a_binary_layer_only_the_colours_change(tmp_path):
     smooth_file(tmp_path / "a.usd", tmp_path / "c.usda", GIVEN)
     one, other = (open_document(str(tmp_path / name)).painted().colours for name in ("b.usd", "c.usda"))
     np.testing.assert_array_equal(one, other)
+
+
+def test_a_unit_in_single_precision_is_read(tmp_path):
+    """As exporters wrote it before usd-core refused that."""
+    text = scene(mesh_text(coloured(COLOURS[: len(POINTS)]))).replace(
+        "metersPerUnit = 1", "metersPerUnit = 0.625"
+    )
+    layer = layer_from(text.encode(), ".usdc", "a.usdc")
+    double, single = (b"\x20\x3f\0\0" + bytes([kind, 0x40]) for kind in (9, 8))
+    assert layer.count(double) == 1
+    (tmp_path / "a.usdc").write_bytes(layer.replace(double, single))
+    smooth_file(tmp_path / "a.usdc", tmp_path / "b.usdc", GIVEN)
+    assert check_files(tmp_path / "a.usdc", tmp_path / "b.usdc").faithful
 
 
 def test_colours_of_a_palette_get_one_of_their_own_at_each_place(tmp_path):

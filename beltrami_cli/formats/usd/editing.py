@@ -59,7 +59,8 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
         "slots": sorted(scene.slots),
         "others": sorted(others),
         "up": str(UsdGeom.GetStageUpAxis(stage)),
-        "unit": float(UsdGeom.GetStageMetersPerUnit(stage)),
+        # `UsdGeom.GetStageMetersPerUnit` refuses single precision, as old exporters wrote it.
+        "unit": float(stage.GetMetadata("metersPerUnit")),
         "variants": _variants(stage),
     }
     if order.get("text"):
