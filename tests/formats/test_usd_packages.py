@@ -15,14 +15,17 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.formats.usd.package import Package
 from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.lookup import look_up
 from cli.commands import beltrami
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
+from formats.image_files import encode
 from formats.tile_files import TILES, obj_text, painting, sheet
 from formats.usd_files import (
     BOUND,
@@ -175,6 +178,23 @@ def test_what_is_wrong_with_a_layer_is_said_without_names_of_code(scan, kind, wo
         smooth_file(source, tmp_path / "b.usdz")
     assert "pxr" not in str(refused.value)
     assert "/beltrami-" not in str(refused.value)
+
+
+def test_text_that_is_damaged_is_kept_and_compared(tmp_path):
+    """A note that is no UTF-8: `smooth` keeps it, and `check` sees where it was not kept."""
+    note = '        string note = "a wall in Koeln"\n'
+    text = scene(mesh_text(BOUND + note), material_text("a.png"))
+    layer = layer_from(text.encode(), ".usdc", "a.usdc")
+    assert layer.count(b"Koeln") == 1
+    for folder, damage in (("in", b"K\xf6eln"), ("out", b""), ("other", b"K\xe4eln")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.usdc").write_bytes(layer.replace(b"Koeln", damage or b"Koeln"))
+        (tmp_path / folder / "a.png").write_bytes(encode(painting(), "png"))
+    source, target, other = (tmp_path / folder / "a.usdc" for folder in ("in", "out", "other"))
+    smooth_file(source, target, GIVEN, Job(overwrite=True))
+    assert target.read_bytes() == source.read_bytes()
+    assert check_files(source, target).faithful
+    assert not check_files(other, target).faithful
 
 
 def test_bombs_are_not_unpacked(tmp_path):

@@ -8,6 +8,7 @@ anew. So values may be looked for by simple means.
 from __future__ import annotations
 
 import re
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,7 +177,15 @@ def _without_colours(stage: Any, words: dict[str, Any]) -> str:
         for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
             if spec.layer == stage.GetRootLayer():
                 _empty(bare, spec.path)
-    return str(bare.ExportToString())
+    return _text_of(bare)
+
+
+def _text_of(layer: Any) -> str:
+    """Return a layer as text; damaged ones may hold strings that are not UTF-8, which `ExportToString` refuses."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "layer.usda")
+        layer.Export(str(file))
+        return file.read_text("utf-8", errors="backslashreplace")
 
 
 def _empty(layer: Any, path: Any) -> None:
