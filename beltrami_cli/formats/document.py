@@ -3,8 +3,8 @@
 A format is a subclass of `Document`, in a folder of its own, and a line of `formats/registry.py`. To write one:
 
 - The constructor takes the bytes, the name for messages, the folder of sidecar files (None: there are none, as for
-  standard input) and the `Access`. It may parse lazily, and holds every count against the length of the data before it
-  allocates.
+  standard input) and the `Access`, and calls `_open` with the folder. Files may be parsed lazily, and every count is
+  held against the length of the data before anything is allocated.
 - `_painted`, `_patched`, `contents` and `facts` are required; the others have defaults for a format without textures,
   files beside it, range images, further attributes or movable vertices. With textures, `slots` and `_gathered` are
   required, too; `formats/textured_mesh.py` collects their images.
@@ -45,10 +45,6 @@ PLACEHOLDER = b"\0"
 """Replaces what may differ in a part of a fingerprint."""
 
 
-def _nothing(_: str) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class Naming:
     """How the files beside an output are named."""
@@ -56,7 +52,7 @@ class Naming:
     stem: str  # of the output, without folder and extension
     keeps: bool = False  # the output replaces its source, and new files those of the source
     copies: bool = False  # the output lies in another folder, where it needs copies of unchanged files
-    is_taken: Callable[[str], bool] = _nothing  # whether a path beside the output is of something else
+    is_taken: Callable[[str], bool] = lambda _: False  # whether a path beside the output is of something else
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))
@@ -96,6 +92,7 @@ class Changes:
     images: Mapping[tuple[Slot, str], ImageFile] = field(default_factory=dict)
     # New positions, which `require_movable` has allowed; None: unchanged. They are rounded to the stored type once.
     places: MovedVertices | None = None
+    form: str | None = None  # one of `Document.forms`; None: that of the document
 
 
 @dataclass(frozen=True)
@@ -130,16 +127,20 @@ class Document(ABC):
     """The name of its line in the registry."""
 
     forms: tuple[str, ...] = ()
-    """Formats in which it can be written with all that it holds, by `repackaged`."""
+    """Formats in which `patch` can write it with all that it holds."""
 
     def __init__(
         self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
     ) -> None:
-        del folder  # for formats that refer to files beside them
         self.data, self.access = data, access
         self.name = name  # of the file as the user named it, for messages
         self._textured: dict[Slot, TexturedSurface] = {}
         self.notices: list[str] = []  # for the user, one sentence each, without the file's name
+        self._open(folder)
+
+    def _open(self, folder: Path | None) -> None:
+        """Read what must be sound in every file of the format."""
+        del folder  # for formats that refer to files beside them
 
     def painted(self) -> PaintedVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
@@ -208,24 +209,10 @@ class Document(ABC):
         *,
         images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
         places: MovedVertices | None = None,
+        form: str | None = None,
     ) -> Written:
         """Return the document's files with other colours, images or positions, and everything else as it was."""
-        return self._patched(Changes(colours, images, places), naming)
-
-    def repackaged(
-        self,
-        colours: Float32s | None,
-        naming: Naming,
-        form: str,
-        *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
-    ) -> Written:
-        """Return the document as `patch` does, as one of its `forms`."""
-        return self._as_form(Changes(colours, images, places), naming, form)
-
-    def _as_form(self, new: Changes, naming: Naming, form: str) -> Written:
-        raise NotImplementedError
+        return self._patched(Changes(colours, images, places, form), naming)
 
     @abstractmethod
     def _patched(self, new: Changes, naming: Naming) -> Written: ...

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.recognition import format_of_suffix
-from beltrami_cli.surface.tiling import found_tiles, has_token, tile_name, token_in, usual_tiles
+from beltrami_cli.surface.tiling import Tile, found_tiles, has_token, tile_name, token_in, usual_tiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from beltrami_cli.formats.document import Naming
-    from beltrami_cli.surface.tiling import Tile
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)

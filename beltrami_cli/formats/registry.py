@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.surface.records import MeshContents, TexturedMesh
@@ -120,7 +120,7 @@ def _is_volume(data: bytes, name: str) -> bool:
 def _is_npz(data: bytes, name: str) -> bool:
     if not data.startswith(_ZIP):
         return False
-    from beltrami_cli.formats.npz import NpzArchive
+    from beltrami_cli.formats.archives import NpzArchive
 
     return NpzArchive.recognises(data)
 
@@ -133,35 +133,39 @@ def _is_usdz(data: bytes, name: str) -> bool:
 
 
 def _is_read_only(data: bytes, name: str) -> bool:
-    from beltrami_cli.formats.read_only import kind_of
+    if name.lower().endswith(".obj"):
+        return False
+    from beltrami_cli.formats.read_only.document import kind_of
 
-    return not name.lower().endswith(".obj") and kind_of(data, name) is not None
+    return kind_of(data, name) is not None
 
 
-def _usd(name: str, mark: Recogniser, form: str, **more: Any) -> Format:
-    writers = f"writer.write_{form}", f"writer.write_textured_{form}"
-    return Format(name, mark, "usd", "document.UsdDocument", *writers, **more)
+def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", **more: Any) -> Format:
+    """Return a line of a format whose writers are called after it, or after another `form`."""
+    module, _, document = reader.partition(".")
+    writers = f"writer.write_{form or name}", f"writer.write_textured_{form or name}"
+    return Format(name, mark, module, f"document.{document}", *writers, **more)
 
 
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
     Format("image", _is_image, "image", "read_image", kind="image"),
     Format("volume", _is_volume, "volume", "read_volume", kind="volume"),
-    Format("ply", _starts(rb"ply[\n\r \t]"), "ply", "PlyDocument", "write_ply", "write_textured_ply", "", ".*"),
-    Format("obj", _BY_NAME, "obj", "ObjDocument", "write_obj", "write_textured_obj", "", ".mtl .*"),
-    Format("glb", _starts(rb"glTF"), "gltf", "GltfDocument", "write_glb", "write_textured_glb", images=_COMMON),
-    Format(
-        "gltf", _starts(_JSON), "gltf", "GltfDocument",
-        "write_gltf", "write_textured_gltf", ".bin", ".bin .*", _COMMON,
+    _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*"),
+    _textured("obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*"),
+    _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
+    _textured(
+        "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON
     ),
-    _usd("usdz", _is_usdz, "usdz", images=_COMMON),
-    _usd("usda", _starts(rb"#usda"), "usda", textured_sidecars=".*"),
-    _usd("usdc", _starts(rb"PXR-USDC"), "usdc", textured_sidecars=".*"),
-    _usd("usd", _starts(rb"(?!)"), "usdc", textured_sidecars=".*"),  # it is of one of the two forms before
-    Format("xyz", _BY_NAME, "points", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
-    Format("pts", _BY_NAME, "points", "TextPointsDocument", "write_pts"),
-    Format("npz", _is_npz, "points", "NpzPointsDocument", "write_npz"),
-    Format("foreign", _is_read_only, "read_only", "ReadOnlyDocument"),
+    _textured("usdz", _is_usdz, "usd.UsdDocument", images=_COMMON),
+    _textured("usda", _starts(rb"#usda"), "usd.UsdDocument", textured_sidecars=".*"),
+    _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
+    # It is of one of the two forms before.
+    _textured("usd", _starts(rb"(?!)"), "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
+    Format("xyz", _BY_NAME, "points", "text_document.TextPointsDocument", "writer.write_xyz", aliases=("xyzrgb",)),
+    Format("pts", _BY_NAME, "points", "text_document.TextPointsDocument", "writer.write_pts"),
+    Format("npz", _is_npz, "points", "archive.NpzPointsDocument", "writer.write_npz"),
+    Format("foreign", _is_read_only, "read_only", "document.ReadOnlyDocument"),
 )  # fmt: skip
 
 _WRITERS = {line.name: line for line in FORMATS if line.writer}
@@ -198,13 +202,10 @@ def kind_of(data: bytes, name: str) -> Kind:
     return "model" if line is None else line.kind
 
 
-def _recognised(data: bytes, name: str, lines: Iterable[Format]) -> Format | None:
-    lines = list(lines)
-    for line in lines:
-        if line.mark is not None and line.mark(data, name):
-            return line
-    if not data or _archive(data) is not None:
-        return None
+def _recognised(data: bytes, name: str, lines: Sequence[Format]) -> Format | None:
+    marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
+    if marked is not None or not data or _archive(data) is not None:
+        return marked
     named = (line for line in lines if line.mark is None and name.lower().endswith(line.suffixes))
     return next(named, None)
 
@@ -220,17 +221,14 @@ def _refusal(data: bytes, name: str) -> InputError:
     if _is_image(data, name):
         return InputError(name, "it is an image, and no model", _READABLE)
     if not Path(name).suffix:  # standard input among them
-        cause = "the content has no mark of a known format"
-        return InputError(name, cause, "give OBJ files, and points in .xyz and .pts, by their names")
+        remedy = "give OBJ files, and points in .xyz and .pts, by their names"
+        return InputError(name, "the content has no mark of a known format", remedy)
     return InputError(name, "the content is of no known format", _READABLE)
 
 
 def _archive(data: bytes) -> str | None:
     """Return the kind of an archive or compressed file by its first bytes."""
-    for kind, (signature, at) in _ARCHIVES.items():
-        if data[at : at + len(signature)] == signature:
-            return kind
-    return None
+    return next((kind for kind, (mark, at) in _ARCHIVES.items() if data.startswith(mark, at)), None)
 
 
 def write_contents(contents: MeshContents, name: str, stem: str) -> Written:
@@ -245,10 +243,8 @@ def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
     line = _with_textures(name)
     for image in mesh.images:
         if line.images and image.file.suffix not in line.images:
-            raise UsageError(
-                f"a .{name} file takes PNG and JPEG textures, not {image.file.suffix}; "
-                "choose --texture-format png or jpg"
-            )
+            cause = f"a .{name} file takes PNG and JPEG textures, not {image.file.suffix}"
+            raise UsageError(f"{cause}; choose --texture-format png or jpg")
     written: Written = line.load(line.textured_writer)(mesh, stem)
     return written
 
@@ -272,9 +268,7 @@ def held_images(name: str) -> tuple[str, ...] | None:
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
     """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one."""
     suffixes = _WRITERS[name].sidecars if image_suffix is None else _with_textures(name).textured_sidecars
-    return [
-        stem + (image_suffix if image_suffix and suffix == ".*" else suffix) for suffix in suffixes.split()
-    ]
+    return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 
 
 def _with_textures(name: str) -> Format:

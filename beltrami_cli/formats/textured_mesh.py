@@ -13,7 +13,7 @@ from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.recognition import suffix_for
 from beltrami_cli.formats.model_folder import NewNames
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, Texture
-from beltrami_cli.surface.tiling import tile_name, tiles_under
+from beltrami_cli.surface.tiling import Tile, tile_name, tiles_under
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float64s, Int32s
     from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh, Wrap
-    from beltrami_cli.surface.tiling import Tile
 
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30

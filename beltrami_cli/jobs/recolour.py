@@ -210,7 +210,7 @@ def make_files(
     if kind.is_own or kind.suffix is not None:
         return document.patch(colours, naming, images=images, places=places)
     if target_format in document.forms:
-        return document.repackaged(colours, naming, target_format, images=images, places=places)
+        return document.patch(colours, naming, images=images, places=places, form=target_format)
     if is_converted_with_textures(document, kind):
         if places is not None:
             raise UsageError(

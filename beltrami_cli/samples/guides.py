@@ -1,4 +1,4 @@
-"""Guides: channels that count as distance and are not changed, of vertices, pixels and textures.
+"""Numbers for samples from files: guides, which count as distance and are not changed, and noise that is known.
 
 For vertices they are attributes, or tables in files with one row per vertex; for images, images of the same size.
 """
@@ -14,11 +14,11 @@ import numpy as np
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.formats.access import Access, is_there, read_source
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, read_npy
+from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.formats.npz import NPY_MAGIC, NpzArchive, read_npy
 from beltrami_cli.formats.registry import document_of
-from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings
+from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import TexelColours
 from beltrami_cli.surface.lookup import look_up
 
@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.formats.access import Access
+    from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
@@ -253,3 +251,63 @@ def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: I
     row, column = np.divmod(texels, size[1])
     uv = np.column_stack([(column + 0.5) / size[1], (row + 0.5) / size[0]])
     return np.asarray(look_up(image, uv, texture.wrap), np.float32)
+
+
+# Pixels a side of the squares in which the deviation of a frame is measured: with 289 it is known to 4 %.
+_AROUND = 17
+
+
+def noise_of_pixels(
+    kernel: KernelParameters, pictures: Sequence[Picture], pixels: Int64s, access: Access
+) -> Float32s | None:
+    """Read the standard deviations of all pixels, shape (H, W, K), checked at some; None if no file has them."""
+    given = kernel.given_noise
+    if given is None or not given.source:
+        return None
+    if given.kind == "attribute":
+        raise UsageError(f"noise is of the attribute {given.source}, which only vertices have; name an image")
+    if len(pictures) != 1:
+        raise UsageError(
+            f"{given.source} is the noise of one of {len(pictures)} textures; choose it by --texture"
+        )
+    image = read_map(given.source, access)
+    require_size(image, pictures[0].pixels.shape[:2], given.source, pictures[0].name)
+    if given.kind == "frame":
+        image = deviation_in_frame(image)
+    _check(image.reshape(-1, image.shape[2])[pixels], given.source, "pixel")
+    return image
+
+
+def noise_of_vertices(kernel: KernelParameters, document: Document, access: Access) -> Float32s | None:
+    """Read the standard deviations of vertices, shape (V, K); None if neither a file nor an attribute has them."""
+    given = kernel.given_noise
+    if given is None or not given.source:
+        return None
+    if given.kind == "frame":
+        raise UsageError(
+            f"{given.source} is a frame of pixels, but vertices are smoothed; name their deviations"
+        )
+    if given.kind == "attribute":
+        values = document.attribute(given.source)
+    else:
+        values = read_table(given.source, len(document.painted().positions), document.name, access)
+    _check(values, given.source, "vertex")
+    return values.astype(np.float32)
+
+
+def deviation_in_frame(frame: Float32s) -> Float32s:
+    """Return the local standard deviation of a frame without a scene, (H, W, K); light may fall off across it."""
+    from scipy.ndimage import uniform_filter
+
+    size = (_AROUND, _AROUND, 1)
+    residual = frame - uniform_filter(frame, size, mode="reflect")
+    return np.asarray(np.sqrt(uniform_filter(np.square(residual), size, mode="reflect").clip(0)), np.float32)
+
+
+def _check(deviations: Float32s | Float64s, name: str, row: str) -> None:
+    require_finite(deviations, name, row)
+    low, high = deviations.min(initial=0), deviations.max(initial=0)
+    if low < 0 or high > 1:
+        extreme = f"down to {low:g}" if low < 0 else f"up to {high:g}"
+        cause = f"its values go {extreme}, but standard deviations are from 0 to a full scale of 1"
+        raise InputError(name, cause, "divide them by 255 if they are of 255")

@@ -13,7 +13,7 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.formats.access import Access, read_source
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.samples.guides import require_size
 from beltrami_cli.surface.atlas import grid_atlas
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     Pixels = NDArray[np.int64]
 
-    from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.settings import ImageSettings
 
 # Channels that hold a depth or height, as renderers and cameras call them.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.surface.large_arrays import kept_on_disk
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image.reading import ImageSize
     from beltrami_cli.samples.settings import TextureSettings
     from beltrami_cli.surface.records import Slot, Texture
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
 from beltrami_cli.surface.grouping import group_places
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
-    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 

@@ -13,10 +13,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
-from beltrami_cli.formats.image.conversion import noise_losses
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
-from beltrami_cli.samples.given_noise import noise_of_pixels
-from beltrami_cli.samples.guides import read_guide_images
+from beltrami_cli.formats.image.writing import noise_losses
+from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface, rows_of
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.reports import ImageReport, describe_kernel

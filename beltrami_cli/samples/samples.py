@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image import Picture, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.samples.reports import describe_choice
+from beltrami_cli.samples.reports import LevelReport, SamplesReport, describe_choice
 from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS
 from beltrami_cli.surface.colour_values import store_integers
 
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.flow.records import NewColours
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.reports import LevelReport, SamplesReport
     from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Indices
     from beltrami_cli.surface.baking import Cells

@@ -123,8 +123,7 @@ def samples_of(
 
 def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
-    from beltrami_cli.samples.given_noise import noise_of_vertices
-    from beltrami_cli.samples.guides import vertex_guides
+    from beltrami_cli.samples.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.samples.range_samples import RangeSamples
     from beltrami_cli.samples.vertex_samples import LevelSetSamples, VertexSamples
     from beltrami_cli.samples.voxels import LevelSetDocument

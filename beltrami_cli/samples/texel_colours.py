@@ -14,9 +14,9 @@ from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
 from beltrami_cli.samples.samples import Change, channel_numbers, store
-from beltrami_cli.samples.settings import COLOUR_SLOTS
+from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import fill_gutter, texels_by_texture, within
+from beltrami_cli.surface.atlas import Atlas, fill_gutter, texels_by_texture, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.flow.records import NewColours
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
-    from beltrami_cli.surface.atlas import Atlas, Indices
+    from beltrami_cli.surface.atlas import Indices
     from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
-from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.image import check_writable, is_unchanged, losses, read_image
-from beltrami_cli.formats.image.conversion import noise_losses
+from beltrami_cli.formats.image import Picture, check_writable, is_unchanged, losses, read_image
+from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
-from beltrami_cli.samples.reports import SlotReport, atlas_counts, atlas_notices, describe_kernel
+from beltrami_cli.samples.reports import LevelReport, SlotReport, atlas_counts, atlas_notices, describe_kernel
 from beltrami_cli.samples.samples import (
     Change,
     Grains,
@@ -28,7 +28,7 @@ from beltrami_cli.samples.samples import (
     as_jpeg,
     encoded,
 )
-from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings
+from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import (
     Repainting,
     TexelColours,
@@ -36,26 +36,19 @@ from beltrami_cli.samples.texel_colours import (
     only_textures,
 )
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import build_atlas, texels_by_texture, without_owned
+from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells, places_of_texels
-from beltrami_cli.surface.records import ImageFile
+from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.beltrami_flow import FlowResult
-    from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
     from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.reports import LevelReport
-    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.samples.tile_groups import TileGroup
-    from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 
 class TexelSamples(Samples):
@@ -88,7 +81,7 @@ class TexelSamples(Samples):
         self._guides: list[Guide] = []
         self._noise: Float32s | None = None
         if guided is not None and settings.kernel.noise is not None:
-            from beltrami_cli.samples.given_noise import noise_of_pixels
+            from beltrami_cli.samples.guides import noise_of_pixels
 
             texels = self.atlas.owned_texels
             noise = noise_of_pixels(settings.kernel, self.pictures, texels, guided[1])

@@ -17,7 +17,7 @@ import numpy as np
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.samples.memory_check import (
     TEXEL_BYTES,
     TEXEL_BYTES_ON_DISK,
@@ -28,7 +28,7 @@ from beltrami_cli.samples.memory_check import (
 from beltrami_cli.samples.reports import describe_choice
 from beltrami_cli.samples.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import texels_by_texture
+from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
@@ -37,9 +37,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float64s, Int64s
     from beltrami_cli.flow.noise.grid_scales import GridNoise
     from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.formats.image.reading import ImageSize
     from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import TexturedSurface
 
 # Patches are looked for around each texel twice, and their weights are averaged.

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import read_source
+from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume
 from beltrami_cli.formats.volume.arrays import require_package
@@ -23,15 +23,12 @@ from beltrami_cli.surface.level_set import (
     nearest_colours,
     places,
 )
-from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Changes, Naming, Written
     from beltrami_cli.samples.settings import Inside, LevelSetSettings
     from beltrami_cli.surface.level_set import Lattice, Volume
-    from beltrami_cli.surface.records import Encoding
 
 # Other types have no full scale of their own: it is derived from their largest value.
 _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from beltrami_cli.formats.gltf import write_glb
+from beltrami_cli.formats.gltf.writer import write_glb
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.ply import write_ply
+from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.surface.records import MeshContents
 from formats.image_files import encode
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.ply import write_ply
+from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_samples import TexelSamples

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.ply import PlyDocument
-from beltrami_cli.formats.points import TextPointsDocument
+from beltrami_cli.formats.ply.document import PlyDocument
+from beltrami_cli.formats.points.text_document import TextPointsDocument
 from cli.commands import beltrami
 
 SIDE = 30

@@ -10,7 +10,7 @@ import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.noise.by_place import relative_to_mean
 from beltrami_cli.flow.noise.given import GivenNoise, file_of_noise, given_noise
-from beltrami_cli.samples.given_noise import deviation_in_frame
+from beltrami_cli.samples.guides import deviation_in_frame
 from oracles.paintings import photograph, psnr
 from oracles.surfaces import icosphere
 

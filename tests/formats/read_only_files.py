@@ -9,7 +9,7 @@ import zipfile
 import numpy as np
 
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.read_only import ReadOnlyDocument
+from beltrami_cli.formats.read_only.document import ReadOnlyDocument
 from beltrami_cli.formats.registry import open_bytes
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)

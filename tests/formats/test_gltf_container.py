@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_files import Model, joined
 
 
@@ -39,7 +39,7 @@ def everything(data):
     colours = (1 - document.painted().colours).clip(-1e30, 1e30)
     document.patch(colours, Naming("out"))
     for form in ("glb", "gltf"):
-        document.repackaged(colours, Naming("out", keeps=True), form)
+        document.patch(colours, Naming("out", keeps=True), form=form)
 
 
 GLB = small(sparse=True).glb()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_comparison import byte_differences, json_differences
 from formats.gltf_compressed import CORNERS, DRACO, GRID, UV, draco_bytes, draco_model, draco_primitive

@@ -11,7 +11,7 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_comparison import json_differences
 from formats.gltf_compressed import (
     CORNERS,
@@ -213,11 +213,11 @@ def test_compressed_views_survive_the_way_to_text_and_back(tmp_path, changed):
     model = meshopt_model(COLOURS)
     opened = document(model)
     colours = 1 - opened.painted().colours if changed else None
-    text = opened.repackaged(colours, Naming("out", keeps=True), "gltf")
+    text = opened.patch(colours, Naming("out", keeps=True), form="gltf")
     for name, octets in text.sidecars.items():
         (tmp_path / name).write_bytes(bytes(octets))
     between = GltfDocument(joined(text), "out.gltf", tmp_path)
-    tree, buffers = unpacked(joined(between.repackaged(None, Naming("out", keeps=True), "glb")))
+    tree, buffers = unpacked(joined(between.patch(None, Naming("out", keeps=True), form="glb")))
     expected = decompressed(*unpacked(model.glb()))
     if changed:
         expected[1][:, :3] = 255 - expected[1][:, :3]
@@ -237,7 +237,7 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     (tmp_path / "plain.bin").write_bytes(bytes(model.fallback))
     (tmp_path / "packed.bin").write_bytes(bytes(model.binary))
     opened = GltfDocument(json.dumps(model.tree).encode(), "model.gltf", tmp_path)
-    merged = joined(opened.repackaged(None, Naming("out", keeps=True), "glb"))
+    merged = joined(opened.patch(None, Naming("out", keeps=True), form="glb"))
     (buffer,) = unpacked(merged)[0]["buffers"]
     assert "extensions" not in buffer
     again = GltfDocument(merged, "out.glb", None)

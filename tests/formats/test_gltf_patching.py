@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_files import Model, data_uri, joined, numbers, unpacked
 
 ARRANGEMENTS = (

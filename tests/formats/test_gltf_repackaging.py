@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_files import Model, joined, numbers, unpacked
 
 
@@ -41,14 +41,14 @@ def test_binary_to_text_and_back_gives_the_same_file(tmp_path_factory, seed, ind
     document = GltfDocument(data, "a.glb", folder)
     colours = document.painted().colours
     wanted = 1 - colours if changed else colours
-    text = document.repackaged(wanted, Naming("b"), "gltf")
+    text = document.patch(wanted, Naming("b"), form="gltf")
     (folder / "b.bin").write_bytes(bytes(text.sidecars["b.bin"]))
     tree, buffers = unpacked(joined(text), text.sidecars)
     assert tree["buffers"][0] == {"byteLength": len(buffers[0]), "uri": "b.bin"}
     if not changed:
         same(decoded(*unpacked(data)), decoded(tree, buffers))
     middle = GltfDocument(joined(text), "b.gltf", folder)
-    back = joined(middle.repackaged(colours, Naming("c"), "glb"))
+    back = joined(middle.patch(colours, Naming("c"), form="glb"))
     assert unpacked(back)[0] == unpacked(data)[0]
     same(decoded(*unpacked(back)), decoded(*unpacked(data)))
     if not changed:
@@ -79,7 +79,7 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path, changed):
     data = json.dumps(tree, indent=1).encode()
     document = GltfDocument(data, "a.gltf", tmp_path)
     colours = 1 - document.painted().colours if changed else document.painted().colours
-    written = document.repackaged(colours, Naming("b", keeps=True), "glb")
+    written = document.patch(colours, Naming("b", keeps=True), form="glb")
     after, buffers = unpacked(joined(written))
     assert not written.sidecars
     assert len(after["buffers"]) == len(buffers) == 1
@@ -99,10 +99,10 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path, changed):
 def test_the_same_form_is_a_patch():
     data = model_with_colours().glb()
     document = GltfDocument(data, "a.glb", None)
-    assert joined(document.repackaged(document.painted().colours, Naming("b"), "glb")) == data
+    assert joined(document.patch(document.painted().colours, Naming("b"), form="glb")) == data
 
 
 def test_lost_chunks_are_reported():
     document = GltfDocument(model_with_colours().glb((b"XTRA", b"1234")), "a.glb", None)
-    written = document.repackaged(document.painted().colours, Naming("b"), "gltf")
+    written = document.patch(document.painted().colours, Naming("b"), form="gltf")
     assert [notice for notice in written.notices if "unknown type" in notice]

@@ -241,7 +241,7 @@ def test_images_are_replaced_on_the_way_to_the_other_form(tmp_path, place, form)
     document = open_document(str(source))
     wanted = {("baseColor", "image 1"): new_image(1, ".jpg")}
     other = "gltf" if form == "glb" else "glb"
-    written = document.repackaged(None, Naming("out"), other, images=wanted)
+    written = document.patch(None, Naming("out"), form=other, images=wanted)
     found = open_document(str(save(written, f"out.{other}", tmp_path))).textured("baseColor")
     assert [texture.data for texture in found.textures] == [picture(0, size=300), new_image(1, ".jpg").data]
     if form == "gltf":

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_compressed import draco_model, meshopt_model
 from formats.gltf_files import Model, only_input_errors
@@ -61,7 +61,7 @@ def use_all(document):
             getattr(document, name)()
     with contextlib.suppress(BeltramiError):
         document.patch(document.painted().colours * np.float32(0.5), Naming("out", keeps=True))
-        document.repackaged(None, Naming("out", keeps=True), "gltf")
+        document.patch(None, Naming("out", keeps=True), form="gltf")
     for slot in document.slots():
         with contextlib.suppress(BeltramiError):
             images = {(slot, t.key): ImageFile(b"new", ".png") for t in document.textured(slot).textures}

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf import GltfDocument, write_glb, write_gltf
+from beltrami_cli.formats.gltf.document import GltfDocument
+from beltrami_cli.formats.gltf.writer import write_glb, write_gltf
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import MeshContents
 from formats.gltf_files import Model, joined, numbers, unpacked

@@ -9,9 +9,9 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.gltf import GltfDocument
-from beltrami_cli.formats.obj import ObjDocument
-from beltrami_cli.formats.ply import PlyDocument
+from beltrami_cli.formats.gltf.document import GltfDocument
+from beltrami_cli.formats.obj.document import ObjDocument
+from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.surface.records import MovedVertices
 from formats.gltf_files import Model, joined, numbers, unpacked
 from formats.gltf_validator import issues, needs_validator

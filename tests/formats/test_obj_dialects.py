@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.obj import ObjDocument
+from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file

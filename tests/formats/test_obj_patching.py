@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.obj import ObjDocument
+from beltrami_cli.formats.obj.document import ObjDocument
 
 LINES = st.sampled_from([
     "", "# v 9 9 9 9 9 9", "vn 0 0 1", "vt 0.5 0.5", "usemtl red", "s off", "g a b", "f 1 1 1", "f -1/2/3 1//1 1/1",

@@ -11,7 +11,7 @@ import trimesh
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.obj import ObjDocument
+from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_bytes
 
 if TYPE_CHECKING:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.obj import ObjDocument, write_obj
+from beltrami_cli.formats.obj.document import ObjDocument
+from beltrami_cli.formats.obj.writer import write_obj
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import MeshContents
 

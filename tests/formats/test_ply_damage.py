@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.ply import PlyDocument
+from beltrami_cli.formats.ply.document import PlyDocument
 from formats.ply_files import ENCODINGS, build, coloured
 
 

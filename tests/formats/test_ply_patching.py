@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.ply import PlyDocument
+from beltrami_cli.formats.ply.document import PlyDocument
 from formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
 
 FAMILIES = (

@@ -9,7 +9,7 @@ import pytest
 from trimesh.exchange.ply import load_ply
 
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.ply import PlyDocument
+from beltrami_cli.formats.ply.document import PlyDocument
 from formats.ply_files import ENCODINGS, Table, build, coloured
 
 

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.formats.ply import PlyDocument, write_ply
+from beltrami_cli.formats.ply.document import PlyDocument
+from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import MeshContents
 

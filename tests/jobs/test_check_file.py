@@ -141,7 +141,7 @@ def sample_as_text(name: str, folder: Path) -> Path:
     before = folder / "before.gltf"
     if name == "nonmanifold":
         document = open_document(str(SAMPLES / f"{name}-noisy.glb"))
-        saved(document.repackaged(None, Naming("x", keeps=True), "gltf"), before)
+        saved(document.patch(None, Naming("x", keeps=True), form="gltf"), before)
     else:
         for path in SAMPLES.glob("torus-two-noisy*"):
             shutil.copy(path, folder)

@@ -142,13 +142,13 @@ def test_a_step_in_depth_is_not_smoothed_over_even_without_an_edge_in_colour_to_
     "size", ["", f"comment width {COLUMNS}\ncomment height {ROWS + 1}\n", "comment width 9\n"]
 )
 def test_without_a_grid_of_the_right_size_vertices_are_no_image(size):
-    from beltrami_cli.formats.ply import PlyDocument
+    from beltrami_cli.formats.ply.document import PlyDocument
 
     assert PlyDocument(organised(size), "a.ply").grid() is None
 
 
 def test_a_ply_file_without_vertices_has_no_grid():
-    from beltrami_cli.formats.ply import PlyDocument
+    from beltrami_cli.formats.ply.document import PlyDocument
 
     text = b"ply\nformat ascii 1.0\nelement range_grid 1\nproperty list uchar int vertex_indices\nend_header\n0\n"
     assert PlyDocument(text, "a.ply").grid() is None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.buffers import View, read_views
+from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.compression import draco_attribute, draco_mesh
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.buffers import Buffers
     from beltrami_cli.formats.gltf.entries import Entry
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -16,19 +16,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.accessors import Layout, element_bytes
-from beltrami_cli.formats.gltf.buffers import named_places, named_views
+from beltrami_cli.formats.gltf.accessors import Accessors, Layout, Stored, element_bytes
+from beltrami_cli.formats.gltf.buffers import View, named_places, named_views
 from beltrami_cli.formats.gltf.compression import DRACO, draco_extension
-from beltrami_cli.formats.gltf.entries import objects, primitives_of
+from beltrami_cli.formats.gltf.entries import Entry, objects, primitives_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from beltrami_cli.arrays import Int64s, Uint8s
-    from beltrami_cli.formats.gltf.accessors import Accessors, Stored
-    from beltrami_cli.formats.gltf.buffers import View
     from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.json_text import Tree
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import Changes, Document, Fingerprint
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
-from beltrami_cli.formats.gltf.buffers import Buffers
+from beltrami_cli.formats.gltf.buffers import Buffers, files_beside
 from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.edit import Edit, compress_again
 from beltrami_cli.formats.gltf.entries import objects, primitives_of, require_structure
@@ -31,19 +30,15 @@ from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.gltf.textured_surface import gather_textured
 from beltrami_cli.formats.gltf.textures import Images, present_slots
-from beltrami_cli.formats.gltf.uris import files_beside
 from beltrami_cli.formats.gltf.vertices import move, recolour, require_movable
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedMesh, TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.formats.document import Naming, Written
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
 
 # What conversion leaves out of a file with textures, too.
@@ -56,12 +51,9 @@ class GltfDocument(Document):
     format: str  # type: ignore[misc]  # one class reads both forms, so only an instance knows its format
     forms = ("glb", "gltf")
 
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(data, name, folder, access)
-        self._folder = ModelFolder(folder, access)
-        self.container = read_container(data, name)
+    def _open(self, folder: Path | None) -> None:
+        self._folder = ModelFolder(folder, self.access)
+        self.container = read_container(self.data, self.name)
         self.format = self.container.kind
         self.root = self.container.root
         require_structure(self.root)
@@ -71,9 +63,7 @@ class GltfDocument(Document):
         self.images = Images(self.root, self.accessors, self._folder)
         self._references, missing = files_beside(self.root, self._folder)
         if self.container.has_bom:
-            self.notices.append(
-                "The JSON starts with a byte order mark, which glTF does not allow; it is kept."
-            )
+            self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
         self.notices += missing
 
     @cached_property
@@ -119,9 +109,6 @@ class GltfDocument(Document):
         require_movable(self.accessors, self.surface.blocks)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        return self._as_form(new, naming, self.container.kind)
-
-    def _as_form(self, new: Changes, naming: Naming, form: str) -> Written:
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if new.colours is not None:
             recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, new.colours)
@@ -129,7 +116,7 @@ class GltfDocument(Document):
             move(edit, self.surface.blocks, self.painted().positions, new.places)
         compress_again(edit)
         repaint(edit, self.images, new.images)
-        return written(edit, naming, "glb" if form == "glb" else "gltf", self._folder)
+        return written(edit, naming, new.form or self.format, self._folder)
 
     def references(self) -> Sequence[str]:
         return self._references

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UnpaintedError
-from beltrami_cli.formats.gltf.accessors import fractions
+from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.geometry import (
+    Placement,
     attribute_accessor,
     drawing,
     drawn,
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s
-    from beltrami_cli.formats.gltf.accessors import Accessors, Stored
     from beltrami_cli.formats.gltf.entries import Entry
-    from beltrami_cli.formats.gltf.geometry import Placement
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _MOST_ROWS = np.iinfo(np.int32).max

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import BeltramiError, OutputError
+from beltrami_cli.formats.gltf.edit import MEDIA, Edit, ImageStorage
 from beltrami_cli.formats.gltf.entries import objects
-from beltrami_cli.formats.gltf.image_storage import MEDIA, ImageStorage
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
     SLOT_PATHS,
     WEBP,
+    Images,
     kind_of,
     media_type,
     named_images,
@@ -29,9 +30,7 @@ from beltrami_cli.formats.model_folder import UnfitReferenceError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.gltf.textures import Images
     from beltrami_cli.surface.records import ImageFile, Slot
 
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")

@@ -7,37 +7,29 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Bytes, Naming, Written
+from beltrami_cli.formats.gltf.buffers import as_uri, data_uri, is_data, named_files, read, relative_name
 from beltrami_cli.formats.gltf.compression import MESHOPT
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
-from beltrami_cli.formats.gltf.json_text import revised
+from beltrami_cli.formats.gltf.json_text import Tree, revised
 from beltrami_cli.formats.gltf.textures import media_type
-from beltrami_cli.formats.gltf.uris import as_uri, data_uri, is_data, named_files, read, relative_name
-from beltrami_cli.formats.model_folder import NewNames, UnfitReferenceError, is_outside
+from beltrami_cli.formats.model_folder import ModelFolder, NewNames, UnfitReferenceError, is_outside
 
 if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Bytes, Naming
-    from beltrami_cli.formats.gltf.container import GltfForm
     from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.surface.records import ImageFile
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 
 
-def written(edit: Edit, naming: Naming, form: GltfForm, folder: ModelFolder) -> Written:
+def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Written:
     """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
     if form == "glb" and edit.container.kind != form:
         return _as_glb(edit, folder)
-    names = _names(edit, naming, folder)
-    return (_same_form if form == edit.container.kind else _as_gltf)(edit, names, folder)
-
-
-def _names(edit: Edit, naming: Naming, folder: ModelFolder) -> NewNames:
     used = named_files(edit.container.root)
     missing = [name for name in used if folder.find(name) is None]
-    return NewNames(naming, edit.container.name, used, missing)
+    names = NewNames(naming, edit.container.name, used, missing)
+    return (_same_form if form == edit.container.kind else _as_gltf)(edit, names, folder)
 
 
 def _same_form(edit: Edit, names: NewNames, folder: ModelFolder) -> Written:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.accessors import fractions
+from beltrami_cli.formats.gltf.accessors import Accessors, fractions
 from beltrami_cli.formats.gltf.geometry import (
     TRIANGLES,
+    Placement,
     attribute_accessor,
     drawing_mode,
     drawn,
@@ -20,22 +21,18 @@ from beltrami_cli.formats.gltf.geometry import (
     turned,
 )
 from beltrami_cli.formats.gltf.textured_surface import image_key
-from beltrami_cli.formats.gltf.textured_writer import OWN_COLOURS
-from beltrami_cli.formats.gltf.textures import texture_uses
+from beltrami_cli.formats.gltf.textures import Images, TextureUse, texture_uses
+from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.textured_mesh import MeshImages, shown_materials, usable_coordinates
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.records import Material, MaterialMap, Slot, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import AlphaMode, Material, MaterialMap, Slot, TexturedMesh, VertexColours
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
-    from beltrami_cli.formats.gltf.geometry import Placement
-    from beltrami_cli.formats.gltf.textures import Images, TextureUse
-    from beltrami_cli.surface.records import AlphaMode
 
     # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
     PrimitiveColours = Mapping[tuple[int, int], Float32s]

@@ -10,6 +10,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.geometry import (
     TRIANGLES,
+    Placement,
     attribute_accessor,
     drawing,
     drawing_mode,
@@ -17,10 +18,10 @@ from beltrami_cli.formats.gltf.geometry import (
     in_world,
     position_accessor,
 )
-from beltrami_cli.formats.gltf.textures import looks, texture_uses
+from beltrami_cli.formats.gltf.textures import Images, TextureUse, looks, texture_uses
 from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
 from beltrami_cli.formats.textured_mesh import SlotImages
-from beltrami_cli.surface.records import TexturedSurface
+from beltrami_cli.surface.records import Slot, TexturedSurface
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
-    from beltrami_cli.formats.gltf.geometry import Placement
-    from beltrami_cli.formats.gltf.textures import Images, TextureUse
-    from beltrami_cli.surface.records import Slot
 
 _MOST_ROWS = np.iinfo(np.int32).max
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.uris import is_data, read, relative_name
+from beltrami_cli.formats.gltf.buffers import is_data, read, relative_name
 from beltrami_cli.formats.image import format_of, label_of
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
-from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.surface.records import Slot
+from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
+from beltrami_cli.surface.records import Slot, Wrap
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.json_text import Tree
-    from beltrami_cli.formats.model_folder import ModelFolder
-    from beltrami_cli.surface.records import Wrap
 
 WEBP = "EXT_texture_webp"
 IMAGE_EXTENSIONS = {

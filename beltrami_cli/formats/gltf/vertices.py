@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.gltf.accessors import quantised
+from beltrami_cli.formats.gltf.accessors import Accessors, Stored, quantised
 from beltrami_cli.formats.gltf.columns import Column, exchange
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.formats.gltf.accessors import Accessors, Stored
     from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.entries import Entry
     from beltrami_cli.formats.gltf.painted import Block

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, NoReturn
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Document, Written
-from beltrami_cli.formats.image.conversion import is_exact, losses
+from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.image.picture import Picture, is_unchanged, to_float, without_alpha
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.recognition import (
@@ -19,12 +18,7 @@ from beltrami_cli.formats.image.recognition import (
     label_of,
     suffix_for,
 )
-from beltrami_cli.formats.image.writing import check_writable, write_image
-
-if TYPE_CHECKING:
-    from typing import NoReturn
-
-    from beltrami_cli.formats.document import Changes, Naming
+from beltrami_cli.formats.image.writing import check_writable, is_exact, losses, write_image
 
 __all__ = [
     "WRITABLE",

@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.document import PLACEHOLDER, Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.obj.materials import Materials
+from beltrami_cli.formats.obj.materials import Library, Materials
 from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.obj.textured_mesh import read_textured_mesh
-from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates
+from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates, read_textured_mesh
 from beltrami_cli.formats.obj.vertices import Scan, among, read_normals, repainted_entries, scan_file
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, shifted, zeroed
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.document import Changes, Naming
-    from beltrami_cli.formats.obj.materials import Library
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
@@ -46,13 +43,10 @@ class ObjDocument(Document):
 
     format: ClassVar[str] = "obj"
 
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(data, name, folder, access)
-        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise InputError(name, "it is text in UTF-16", "save it as UTF-8")
-        self._folder = ModelFolder(folder, access)
+    def _open(self, folder: Path | None) -> None:
+        if self.data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise InputError(self.name, "it is text in UTF-16", "save it as UTF-8")
+        self._folder = ModelFolder(folder, self.access)
 
     @cached_property
     def _painted(self) -> PaintedVertices:

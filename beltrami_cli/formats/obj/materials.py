@@ -21,13 +21,12 @@ from beltrami_cli.formats.model_folder import (
     UnfitReferenceError,
     is_outside,
 )
-from beltrami_cli.surface.tiling import has_token
+from beltrami_cli.surface.tiling import Tile, has_token
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from beltrami_cli.surface.records import Slot
-    from beltrami_cli.surface.tiling import Tile
 
 SLOTS: dict[str, Slot] = {
     "map_kd": "baseColor",

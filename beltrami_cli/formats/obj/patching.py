@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Bytes, Naming, Written
 from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference, path_inside
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
 from beltrami_cli.surface.tiling import common_suffix, tile_name
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.formats.document import Bytes, Naming
     from beltrami_cli.formats.obj.materials import Library, Map, Materials
     from beltrami_cli.surface.records import ImageFile, Slot
 

@@ -10,10 +10,22 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import Document, Fingerprint, Written
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
-from beltrami_cli.formats.ply.header import read_header
+from beltrami_cli.formats.ply.elements import (
+    NORMAL,
+    POSITION,
+    VERTEX_LISTS,
+    attribute_names,
+    find_paint,
+    finite_columns,
+    read_attribute,
+    read_colours,
+    read_grid,
+    read_polygons,
+    store_colours,
+)
+from beltrami_cli.formats.ply.header import Header, read_header
 from beltrami_cli.formats.ply.patching import (
     Change,
     moved_changes,
@@ -22,27 +34,17 @@ from beltrami_cli.formats.ply.patching import (
     require_real,
     take_apart,
 )
-from beltrami_cli.formats.ply.polygons import VERTEX_LISTS, read_grid, read_polygons
-from beltrami_cli.formats.ply.tables import read_tables
+from beltrami_cli.formats.ply.tables import Table, read_tables
 from beltrami_cli.formats.ply.texturing import (
     COORDINATE_LISTS,
+    TextureComment,
     find_coordinates,
     gather_textured,
     mesh_of_surface,
     read_comments,
 )
-from beltrami_cli.formats.ply.vertex_properties import (
-    NORMAL,
-    POSITION,
-    attribute_names,
-    find_paint,
-    finite_columns,
-    read_attribute,
-    read_colours,
-    store_colours,
-)
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
-from beltrami_cli.formats.tokens import exchange_spans
+from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
 
@@ -50,12 +52,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.document import Changes, Naming
-    from beltrami_cli.formats.ply.header import Header
-    from beltrami_cli.formats.ply.tables import Table
-    from beltrami_cli.formats.ply.texturing import TextureComment
-    from beltrami_cli.formats.ply.vertex_properties import Colours, Paint
-    from beltrami_cli.formats.tokens import Spans
+    from beltrami_cli.formats.ply.elements import Colours, Paint
     from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
 
@@ -64,12 +61,9 @@ class PlyDocument(Document):
 
     format: ClassVar[str] = "ply"
 
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(data, name, folder, access)
-        self._folder = ModelFolder(folder, access)
-        self._header = read_header(data, name)
+    def _open(self, folder: Path | None) -> None:
+        self._folder = ModelFolder(folder, self.access)
+        self._header = read_header(self.data, self.name)
 
     @cached_property
     def _painted(self) -> PaintedVertices:

@@ -9,23 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import PLACEHOLDER, Fingerprint, NamedImage, Written
-from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference
-from beltrami_cli.formats.ply.tables import indices, values_in_bytes
-from beltrami_cli.formats.ply.vertex_properties import NORMAL, POSITION, attribute_names
-from beltrami_cli.formats.tokens import exchange_spans, exchange_tokens, find_tokens, zeroed
+from beltrami_cli.formats.document import PLACEHOLDER, Bytes, Fingerprint, NamedImage, Naming, Written
+from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
+from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
+from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
+from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, find_tokens, zeroed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-    from beltrami_cli.formats.document import Bytes, Naming
-    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.header import Header
-    from beltrami_cli.formats.ply.tables import Table
     from beltrami_cli.formats.ply.texturing import TextureComment
-    from beltrami_cli.formats.ply.vertex_properties import Paint
-    from beltrami_cli.formats.tokens import Spans
     from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
 

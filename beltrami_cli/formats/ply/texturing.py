@@ -18,11 +18,12 @@ from beltrami_cli.formats.image import suffix_for
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
     LEFT_OUTSIDE,
+    ModelFolder,
     UnfitReferenceError,
     is_outside,
     remedy_for,
 )
-from beltrami_cli.formats.ply.vertex_properties import finite_columns
+from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.textured_mesh import alpha_mode, usable_coordinates
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import (
@@ -33,15 +34,14 @@ from beltrami_cli.surface.records import (
     Texture,
     TexturedMesh,
     TexturedSurface,
+    VertexColours,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.model_folder import ModelFolder
     from beltrami_cli.formats.ply.tables import Table
-    from beltrami_cli.surface.records import VertexColours
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
 _OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))

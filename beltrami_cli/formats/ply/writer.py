@@ -13,9 +13,9 @@ import numpy as np
 
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.ply.elements import store_colours
 from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
-from beltrami_cli.formats.ply.vertex_properties import store_colours
 from beltrami_cli.formats.textured_mesh import image_names, not_converted, with_slots
 from beltrami_cli.surface.geometry import shortest_type
 

@@ -27,10 +27,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
-from beltrami_cli.formats.document import Document, Fingerprint, Written
-from beltrami_cli.formats.npz import POSITION_KEYS, NpzArchive
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.document import Changes, Naming
+    from beltrami_cli.formats.access import Access
 
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
@@ -84,11 +83,8 @@ class NpzPointsDocument(Document):
 
     format: ClassVar[str] = "npz"
 
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(data, name, folder, access)
-        self._archive = NpzArchive(data, name)
+    def _open(self, folder: Path | None) -> None:
+        self._archive = NpzArchive(self.data, self.name)
 
     @cached_property
     def _painted(self) -> PaintedVertices:

@@ -9,8 +9,8 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
-from beltrami_cli.formats.document import PLACEHOLDER, Document, Fingerprint, Written
-from beltrami_cli.formats.points.table import find_columns, read_table
+from beltrami_cli.formats.document import PLACEHOLDER, Bytes, Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
 from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.document import Bytes, Changes, Naming
-    from beltrami_cli.formats.points.table import Columns, PointTable
 
 
 _WHOLE = b"%.0f"

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.read_only.off import HEADER, read_off
 from beltrami_cli.formats.read_only.polygons import check_polygons, colours_of_vertices, joined
 from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
@@ -20,7 +19,6 @@ from beltrami_cli.surface.records import MeshContents, PaintedVertices
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from beltrami_cli.formats.document import Changes, Naming, Written
     from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 
 Kind = Literal["off", "stl", "3mf", "dae", "zae"]
@@ -49,11 +47,8 @@ class ReadOnlyDocument(Document):
 
     format: ClassVar[str] = "foreign"
 
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None = None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(data, name, folder, access)
-        kind = kind_of(data, name)
+    def _open(self, folder: Path | None) -> None:
+        kind = kind_of(self.data, self.name)
         assert kind is not None
         self._kind = kind
 
@@ -109,8 +104,8 @@ class ReadOnlyDocument(Document):
         return read_dae(self.data, self.name, self.access)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        cause = f"a {self._kind.upper()} file is not written"
-        raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
+        remedy = "name an output in .ply, .obj, .glb or .gltf"
+        raise InputError(self.name, f"a {self._kind.upper()} file is not written", remedy)
 
     def require_movable(self) -> None:
         """Check nothing: the output is written anew."""

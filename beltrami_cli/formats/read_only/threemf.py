@@ -20,7 +20,7 @@ from xml.parsers import expat
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.archive import Archive
+from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 
 if TYPE_CHECKING:

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import Document, Fingerprint, NamedImage, Written
+from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, NamedImage, Naming, Written
 from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
-from beltrami_cli.formats.usd.layers import Layers
-from beltrami_cli.formats.usd.package import IMAGES
+from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
-    from beltrami_cli.formats.document import Bytes, Changes, Naming
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
 
 _COUNTS = {
@@ -44,13 +41,10 @@ class UsdDocument(Document):
 
     format: str  # type: ignore[misc]  # one class reads all forms, so only an instance knows its format
 
-    def __init__(
-        self, data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE
-    ) -> None:
-        super().__init__(data, name, folder, access)
+    def _open(self, folder: Path | None) -> None:
         self._compared = False  # whether the scene is read for that
         self._made: dict[tuple[str, tuple[tuple[str, str], ...]], bytes] = {}
-        self._layers = Layers.of(data, name, folder, access)
+        self._layers = Layers.of(self.data, self.name, folder, self.access)
         is_package = self._layers.package is not None
         self.format = "usdz" if is_package else Path(self._layers.root).suffix[1:]
         self.forms = ("usdz",) if is_package else ("usd", "usda", "usdc")
@@ -125,13 +119,9 @@ class UsdDocument(Document):
         return [*(layer for layer in self._layers.contents if layer != self._layers.root), *images]
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        return self._as_form(new, naming, self.format)
-
-    def _as_form(self, new: Changes, naming: Naming, form: str) -> Written:
         if new.places is not None:
             self.require_movable()
-        colours = new.colours
-        package = self._layers.package
+        colours, form, package = new.colours, new.form or self.format, self._layers.package
         files, renamed, copies = self._new_images(new.images, naming)
         changes = colours is not None and not np.array_equal(colours, self._painted.colours)
         root: Bytes | None = None

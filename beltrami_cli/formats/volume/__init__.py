@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.npz import NpzArchive
+from beltrami_cli.formats.archives import NpzArchive
 
 if TYPE_CHECKING:
     from pathlib import Path

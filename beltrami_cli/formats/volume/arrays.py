@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.npz import LEVEL_SET_KEYS, NpzArchive
+from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive
 from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.samples.probes.probe import Probe, WindowView
+from beltrami_cli.samples.probes.probe import Location, Probe, WindowView
 from beltrami_cli.surface.atlas import EMPTY
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.records import SampledKernel
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.samples.probes.probe import Location
     from beltrami_cli.surface.records import PaintedVertices, Texture
 
 # Cells around the window that are shown at least.

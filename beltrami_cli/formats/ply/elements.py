@@ -1,7 +1,15 @@
-"""Which vertex properties of a PLY file are colours, what their numbers mean, and what other properties there are."""
+"""What the elements of a PLY file mean: colours and other properties of vertices, polygons, and grids of range images.
+
+References
+----------
+.. [1] The Stanford 3D Scanning Repository, on range data: the element range_grid, with obj_info num_cols and num_rows.
+.. [2] R. Rusu, S. Cousins, "3D is here: Point Cloud Library (PCL)", ICRA 2011; its files have an element camera, whose
+   viewportx and viewporty are the width and height of an organised cloud.
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,7 +22,7 @@ from beltrami_cli.surface.geometry import unit_vectors
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from beltrami_cli.arrays import Array, Float32s, Float64s
+    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.formats.ply.header import Element, Header
     from beltrami_cli.formats.ply.tables import Table
 
@@ -157,3 +165,116 @@ def read_attribute(vertices: Table, name: str, file: str) -> Float64s:
     if name != "normal":
         return finite_columns(vertices, (name,), name, file)
     return unit_vectors(finite_columns(vertices, NORMAL, name, file))
+
+
+_LISTS = ("vertex_indices", "vertex_index")
+VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
+"""The lists of vertices by element, each under its two names."""
+
+_ELEMENT = "range_grid"
+_CAMERA = ("viewportx", "viewporty")
+_COLUMNS, _ROWS = ("num_cols", "width", "columns", "cols"), ("num_rows", "height", "rows")
+_SIZE = re.compile(rb"^(?:obj_info|comment)[ \t]+(\w+)[ \t:=]+(\d{1,9})[ \t]*\r?$", re.MULTILINE)
+
+
+def read_polygons(tables: Mapping[str, Table], vertices: int, name: str) -> tuple[Int32s, Int64s]:
+    """Read the faces, and behind them the triangles of strips: (K,) corners and (P + 1,) offsets of polygons."""
+    corners, offsets = _vertex_lists(tables, "face", name)
+    _check(corners, offsets, vertices, 0, "face", name)
+    strips, ends = _vertex_lists(tables, "tristrips", name)
+    _check(strips, ends, vertices, -1, "strip", name)
+    triangles = _unroll(strips, ends)
+    return (
+        np.concatenate([corners, triangles.ravel()], dtype=np.int32, casting="unsafe"),
+        np.concatenate([offsets, offsets[-1] + 3 * np.arange(1, len(triangles) + 1)]),
+    )
+
+
+def _vertex_lists(tables: Mapping[str, Table], element: str, name: str) -> tuple[Int64s, Int64s]:
+    table = tables.get(element)
+    if table is None or table.element.count == 0:
+        return np.empty(0, np.int64), np.zeros(1, np.int64)
+    for known in table.element.lists:
+        if known.name in VERTEX_LISTS[element]:
+            if known.type[0] == "f":
+                raise InputError(name, f"the {known.name} of element '{element}' are not whole numbers")
+            return table.lists(known.name)
+    raise InputError(name, f"element '{element}' has no list vertex_indices")
+
+
+def _check(corners: Int64s, offsets: Int64s, vertices: int, least: int, what: str, name: str) -> None:
+    if corners.size and (corners.min() < least or corners.max() >= vertices):
+        bad = int(np.argmax((corners < least) | (corners >= vertices)))
+        row = int(np.searchsorted(offsets, bad, side="right")) - 1
+        raise InputError(
+            name, f"{what} {row} refers to vertex {corners[bad]}, but there are {vertices} vertices"
+        )
+
+
+def _unroll(strips: Int64s, ends: Int64s) -> Int64s:
+    """Convert strips, which -1 restarts, to triangles, with every other one of a strip reversed."""
+    if strips.size < 3:
+        return np.empty((0, 3), np.int64)
+    begins = np.zeros(len(strips), np.bool_)
+    begins[ends[:-1][ends[:-1] < len(strips)]] = True
+    begins[1:] |= strips[:-1] == -1
+    numbers = np.arange(len(strips))
+    since = numbers - np.maximum.accumulate(np.where(begins, numbers, 0))
+    triangles = np.column_stack([strips[:-2], strips[1:-1], strips[2:]])
+    odd = since[2:] % 2 == 1
+    triangles[odd] = triangles[odd][:, [1, 0, 2]]
+    a, b, c = triangles.T
+    proper = (since[2:] >= 2) & (triangles >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)
+    kept: Int64s = triangles[proper]
+    return kept
+
+
+def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s | None:
+    """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
+    if any(tables[other].element.count for other in ("face", "tristrips") if other in tables):
+        return None
+    if "vertex" not in tables:
+        return None
+    vertices = tables["vertex"].element.count
+    sizes = {word.decode().lower(): int(number) for word, number in _SIZE.findall(header)}
+    columns = next((sizes[word] for word in _COLUMNS if word in sizes), 0)
+    rows = next((sizes[word] for word in _ROWS if word in sizes), 0)
+    if _ELEMENT in tables:
+        return _listed(tables[_ELEMENT], rows, columns, vertices, name)
+    if "camera" in tables and tables["camera"].element.count == 1 and not (rows and columns):
+        columns, rows = _viewport(tables["camera"])
+    if min(rows, columns) < 2 or rows * columns != vertices:
+        return None
+    return np.arange(vertices).reshape(rows, columns)
+
+
+def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> Int64s:
+    """Read the element that lists a vertex, or none, for every place of the grid, row by row."""
+    places = table.element.count
+    if rows * columns != places:
+        raise InputError(
+            name,
+            f"element {_ELEMENT} has {places} places, but obj_info num_cols and num_rows say {columns} and {rows}",
+            "repair the header, or leave the element out",
+        )
+    known = next((p.name for p in table.element.lists if p.name in _LISTS), None)
+    if known is None:
+        raise InputError(name, f"element {_ELEMENT} has no list vertex_indices")
+    items, offsets = table.lists(known)
+    lengths = np.diff(offsets)
+    if items.size and (items.min() < 0 or items.max() >= vertices or lengths.max() > 1):
+        raise InputError(name, f"element {_ELEMENT} names vertices that are not there, or several at a place")
+    if len(np.unique(items)) < len(items):
+        raise InputError(name, f"element {_ELEMENT} has a vertex at several places")
+    grid = np.full(places, -1, np.int64)
+    grid[lengths == 1] = items
+    return grid.reshape(rows, columns)
+
+
+def _viewport(camera: Table) -> tuple[int, int]:
+    """Return width and height of the cloud, or zeros."""
+    whole = {name for name, kind in camera.element.scalars.items() if kind[0] != "f"}
+    if not whole.issuperset(_CAMERA):
+        return 0, 0
+    width, height = (int(camera.scalars(name)[0]) for name in _CAMERA)
+    return width, height
