@@ -55,9 +55,8 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
         return values
     if not exists(name):
         attributes = ", ".join(known) or "no others"
-        raise InputError(
-            name, f"no such file, and no attribute of the vertices of {document.name}, which has {attributes}"
-        )
+        cause = f"no such file, and no attribute of the vertices of {document.name}, which has {attributes}"
+        raise InputError(name, cause)
     return read_table(name, len(document.painted().positions), document.name, access)
 
 
@@ -94,11 +93,8 @@ def require_size(image: Array, size: tuple[int, int], path: str, of: str) -> Non
     """Check that an image has the size of the one that it guides."""
     if image.shape[:2] != size:
         rows, columns = image.shape[:2]
-        raise InputError(
-            path,
-            f"its {columns} x {rows} pixels do not fit the {size[1]} x {size[0]} of {of}",
-            "both must have the same size, pixel by pixel",
-        )
+        cause = f"its {columns} x {rows} pixels do not fit the {size[1]} x {size[0]} of {of}"
+        raise InputError(path, cause, "both must have the same size, pixel by pixel")
 
 
 def require_finite(table: NDArray[np.floating[Any]], name: str, what: str) -> None:
@@ -137,9 +133,8 @@ def read_guide_images(
         if not finite.all():
             row, column = np.unravel_index(int(np.argmin(finite)), finite.shape)
             remedy = "leave such pixels out with --mask"
-            raise InputError(
-                path, f"its pixel {column},{row} is not finite, so it cannot guide there", remedy
-            )
+            cause = f"its pixel {column},{row} is not finite, so it cannot guide there"
+            raise InputError(path, cause, remedy)
         guides.append(GuideImage(path, image, beta))
     return tuple(guides)
 
@@ -267,9 +262,8 @@ def noise_of_pixels(
     if given.kind == "attribute":
         raise UsageError(f"noise is of the attribute {given.source}, which only vertices have; name an image")
     if len(pictures) != 1:
-        raise UsageError(
-            f"{given.source} is the noise of one of {len(pictures)} textures; choose it by --texture"
-        )
+        cause = f"{given.source} is the noise of one of {len(pictures)} textures; choose it by --texture"
+        raise UsageError(cause)
     image = read_map(given.source, access)
     require_size(image, pictures[0].pixels.shape[:2], given.source, pictures[0].name)
     if given.kind == "frame":
@@ -284,9 +278,8 @@ def noise_of_vertices(kernel: KernelParameters, document: Document, access: Acce
     if given is None or not given.source:
         return None
     if given.kind == "frame":
-        raise UsageError(
-            f"{given.source} is a frame of pixels, but vertices are smoothed; name their deviations"
-        )
+        cause = f"{given.source} is a frame of pixels, but vertices are smoothed; name their deviations"
+        raise UsageError(cause)
     if given.kind == "attribute":
         values = document.attribute(given.source)
     else:

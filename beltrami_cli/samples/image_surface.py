@@ -107,11 +107,8 @@ def _height_of(picture: Picture) -> NDArray[np.float64]:
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
     others = [channel for channel in range(len(lower)) if channel != picture.alpha]
     if named is None and len(others) > 1 and not _are_equal(picture.pixels[..., others]):
-        raise InputError(
-            picture.name,
-            f"which of its channels {', '.join(picture.channels)} is the height is not clear",
-            "give an image of one channel, or call it Z",
-        )
+        cause = f"which of its channels {', '.join(picture.channels)} is the height is not clear"
+        raise InputError(picture.name, cause, "give an image of one channel, or call it Z")
     column = others[0] if named is None else named
     return full_scale_one(picture.pixels[..., column]).astype(np.float64)
 
@@ -123,11 +120,8 @@ def _positions_of(picture: Picture) -> NDArray[np.float64]:
     if len(columns) != 3:
         columns = list(picture.colour)
     if len(columns) != 3:
-        raise InputError(
-            picture.name,
-            f"its channels {', '.join(picture.channels)} are no positions",
-            "give an image with the three channels X, Y and Z, or red, green and blue",
-        )
+        remedy = "give an image with the three channels X, Y and Z, or red, green and blue"
+        raise InputError(picture.name, f"its channels {', '.join(picture.channels)} are no positions", remedy)
     return full_scale_one(picture.pixels[..., columns]).astype(np.float64)
 
 

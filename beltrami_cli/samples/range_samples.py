@@ -46,9 +46,8 @@ class RangeSamples(PaintedSamples):
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
         wrong = [option for option, is_given in options_of_meshes(self.settings).items() if is_given]
         if wrong:
-            raise UsageError(
-                f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
-            )
+            cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
+            raise UsageError(cause)
         measured = self.grid >= 0
         positions = np.full((*self.grid.shape, 3), np.nan)
         positions[measured] = self.painted.positions[self.grid[measured]]

@@ -187,9 +187,8 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
     cause = f"it has {kinds} to smooth"
     if present:
         remedy = f"add --slots {present[0]}"
-        return UnpaintedError(
-            document.name, f"{cause}, but textures in the slots {', '.join(present)}", remedy
-        )
+        cause = f"{cause}, but textures in the slots {', '.join(present)}"
+        return UnpaintedError(document.name, cause, remedy)
     reason = document.notices[0] if document.notices else why
     reason = reason.removesuffix(LEFT_ALONE).rstrip(".")
     return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""), remedy_for(reason))
@@ -227,9 +226,8 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         name = OUTPUT_FORMATS.get(document.format, "ply")
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
-        raise UsageError(
-            f"{target}: no format is known for .{wanted}; end the name in {known}, or say --format"
-        )
+        cause = f"{target}: no format is known for .{wanted}; end the name in {known}, or say --format"
+        raise UsageError(cause)
     return OutputFormat(name, name == document.format)
 
 

@@ -322,9 +322,8 @@ class SmoothSettings:
             raise UsageError("the space oklab mixes the channels, so --metric-channels can only be none")
         given = self.kernel.given_noise
         if given is not None and given.is_by_level and self.space != "srgb":
-            raise UsageError(
-                "--noise shot:A,read:B is the noise of sRGB colours; leave out --space, or give a number"
-            )
+            cause = "--noise shot:A,read:B is the noise of sRGB colours; leave out --space, or give a number"
+            raise UsageError(cause)
 
     def files_besides(self, source: str | None = None) -> list[str]:
         """Return the files that are named here, besides the one that is smoothed."""

@@ -82,9 +82,8 @@ class TexelColours:
         changing = channel_numbers(names, settings.channels, "the textures have")
         self._changing = [i for i in changing if names[i] in used]
         if not self._changing:
-            raise UsageError(
-                f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
-            )
+            cause = f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
+            raise UsageError(cause)
         self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
         self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
         wanted, all_names = settings.embedding.metric_channels, (*names, *(("alpha",) if self._alpha else ()))

@@ -128,9 +128,8 @@ class TexelSamples(Samples):
 
     def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         if self.slot not in COLOUR_SLOTS:
-            raise UsageError(
-                f"{self.label}: they are data, which no camera exposed; leave them out of --slots"
-            )
+            cause = f"{self.label}: they are data, which no camera exposed; leave them out of --slots"
+            raise UsageError(cause)
         planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
         found, change = level_canvas(self.atlas, planes, wanted.strength, charts.matching(wanted.reference))
         self._levelled = planes
@@ -288,9 +287,8 @@ class TexelSamples(Samples):
     def coded_as_jpeg(self, quality: int) -> Float32s:
         coded = np.empty((len(self.atlas.owned_texels), len(self.names)), np.float32)
         if self.names not in (("red", "green", "blue"), ("grey",)):
-            raise UsageError(
-                f"{self.label}: JPEG codes all channels together; leave out --channels and --alpha"
-            )
+            cause = f"{self.label}: JPEG codes all channels together; leave out --channels and --alpha"
+            raise UsageError(cause)
         for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
             picture = self.pictures[index]
             working = self.colours.working(picture, np.arange(picture.pixels[..., 0].size))

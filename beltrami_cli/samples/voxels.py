@@ -177,9 +177,8 @@ class LevelSetDocument(Document):
         return self._facts
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        raise InputError(
-            self.name, "a level set is not written", "name an output in .ply, .obj, .glb or .gltf"
-        )
+        cause = "a level set is not written"
+        raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
 
 
 def _allowed(settings: LevelSetSettings, access: Access) -> int:

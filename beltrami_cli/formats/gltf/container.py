@@ -96,9 +96,8 @@ def _glb(data: bytes, name: str) -> Container:
         raise InputError(name, f"a GLB file of {len(data)} bytes has no room for its header", _TRUNCATED)
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise InputError(
-            name, f"GLB version {version} cannot be read, only 2", "export the model as glTF 2.0"
-        )
+        cause = f"GLB version {version} cannot be read, only 2"
+        raise InputError(name, cause, "export the model as glTF 2.0")
     if length > len(data):
         raise InputError(name, f"the GLB header counts {length} bytes, the file has {len(data)}", _TRUNCATED)
     chunks: list[Chunk] = []

@@ -68,11 +68,8 @@ class Edit:
         """Add a view; return its index, which nothing in the file may name yet: it would mean this view."""
         views = self.tree.setdefault("bufferViews", [])
         if len(views) in self._named:
-            raise InputError(
-                self.container.name,
-                f"it names bufferViews[{len(views)}], which is not there, so no view can be added",
-                "repair the file",
-            )
+            cause = f"it names bufferViews[{len(views)}], which is not there, so no view can be added"
+            raise InputError(self.container.name, cause, "repair the file")
         views.append(view)
         return len(views) - 1
 

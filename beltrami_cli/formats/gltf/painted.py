@@ -162,9 +162,8 @@ class _Gathering:
         position, colour = position_accessor(primitive, self.accessors), self._colour(primitive)
         count = self.accessors[colour].count
         if self.accessors[position].count != count:
-            raise attributes.fault(
-                "COLOR_0", f"has {count} elements, but POSITION has {self.accessors[position].count}"
-            )
+            cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
+            raise attributes.fault("COLOR_0", cause)
         key, place = self.accessors.identity(colour), self.accessors.identity(position)
         if key not in self._block_of:
             normal = self._normal(primitive, count)

@@ -81,9 +81,8 @@ def _wanted(
             raise ValueError(f"there is no image called {key!r}")
         if file.suffix.lower() not in MEDIA:
             cause = f"glTF cannot hold {file.suffix} textures ({images.name(indices[key])})"
-            raise OutputError(
-                edit.container.name, cause, "choose PNG, JPEG, WebP, KTX2 or AVIF with --texture-format"
-            )
+            remedy = "choose PNG, JPEG, WebP, KTX2 or AVIF with --texture-format"
+            raise OutputError(edit.container.name, cause, remedy)
         if file.data != images.data(indices[key]):
             wanted[slot, indices[key]] = file
     return wanted

@@ -175,9 +175,8 @@ class _Reading:
         index = attribute_accessor(primitive, name, self._accessors)
         accessor = self._accessors[index]
         if (accessor.width, accessor.count) != (width, count):
-            raise attributes.fault(
-                name, f"is {accessor.count} {accessor.shape}, which do not fit {count} vertices"
-            )
+            cause = f"is {accessor.count} {accessor.shape}, which do not fit {count} vertices"
+            raise attributes.fault(name, cause)
         return self._accessors.values(index)
 
     def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> Float64s:

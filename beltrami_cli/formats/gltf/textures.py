@@ -155,9 +155,8 @@ class Images:
         known = format_of(data, "") or ""
         package = missing_package(known) if known in EXTRA_CODECS else None
         if package is not None:
-            raise UnfitReferenceError(
-                f"is a {label_of(known)} image and needs the package {package}; {INSTALL}"
-            )
+            cause = f"is a {label_of(known)} image and needs the package {package}; {INSTALL}"
+            raise UnfitReferenceError(cause)
         return data
 
 

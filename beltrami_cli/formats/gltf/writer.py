@@ -157,9 +157,8 @@ def single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
     with np.errstate(over="ignore"):
         positions = exact.astype("<f4")
     if not np.isfinite(positions).all():
-        raise InputError(
-            stem, "positions are too large for glTF, which stores float32", "scale the mesh down"
-        )
+        cause = "positions are too large for glTF, which stores float32"
+        raise InputError(stem, cause, "scale the mesh down")
     if np.any(positions != exact):
         notices.append("Positions are rounded to single precision.")
     return positions

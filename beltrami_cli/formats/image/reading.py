@@ -121,9 +121,8 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     if known == "jpeg" and is_cmyk_jpeg(data):
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
     if known not in OpenImageIO.get_string_attribute("input_format_list").split(","):
-        raise InputError(
-            name, f"this build of OpenImageIO does not read {label_of(known)}", "convert it to PNG or EXR"
-        )
+        cause = f"this build of OpenImageIO does not read {label_of(known)}"
+        raise InputError(name, cause, "convert it to PNG or EXR")
     OpenImageIO.attribute("limits:imagesize_MB", _MOST_MEGABYTES)
     config = OpenImageIO.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
@@ -144,9 +143,8 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         pixels = pixels.astype(np.float32)
         unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels))) if finite else 0
         if unfit:
-            raise InputError(
-                name, f"{unfit} of its values are not finite numbers", "repair or export it anew"
-            )
+            cause = f"{unfit} of its values are not finite numbers"
+            raise InputError(name, cause, "repair or export it anew")
     return _picture(data, name, known, spec, pixels, notices)
 
 

@@ -213,9 +213,8 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
         raise UsageError(f"{picture.name}: an image of fewer than 32 pixels a side cannot be written as JP2")
     missing = missing_package(known) if known in EXTRA_CODECS else None
     if known is not None and missing is not None:
-        raise UsageError(
-            f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {INSTALL}"
-        )
+        cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {INSTALL}"
+        raise UsageError(cause)
     if known is not None and FORMATS[known].writable:
         return known
     what = label_of(known) if known is not None else suffix

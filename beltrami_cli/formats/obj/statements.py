@@ -120,9 +120,8 @@ class Statements:
             cause = f"has no index of {of} behind its {'first' if slash == 1 else 'second'} '/'"
             values[block][given], zeros = self._whole(chosen[given], begins[given], cause)
             if zeros.any():
-                raise self.error(
-                    chosen[given][int(np.argmax(zeros))], "has the index 0; indices count from 1"
-                )
+                cause = "has the index 0; indices count from 1"
+                raise self.error(chosen[given][int(np.argmax(zeros))], cause)
         return values
 
     def _whole(self, tokens: Int64s, first: Int64s, cause: str) -> tuple[Int64s, Bools]:

@@ -117,9 +117,8 @@ def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     for begin, end in lines:
         if (end - begin) % _DIGITS or (_VALUES[text[begin:end]] > 15).any():
             line = data.count(b"\n", 0, begin) + 1
-            raise InputError(
-                name, f"line {line}: its #MRGB colours are not of {_DIGITS} hexadecimal digits each"
-            )
+            cause = f"line {line}: its #MRGB colours are not of {_DIGITS} hexadecimal digits each"
+            raise InputError(name, cause)
     digits = _VALUES[text[starts[:, None] + np.arange(2, _DIGITS)]].reshape(-1, 3, 2)
     return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
 

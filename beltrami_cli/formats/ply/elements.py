@@ -147,9 +147,8 @@ def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str
             values[:, column] = vertices.scalars(known)
     finite = np.isfinite(values).all(axis=1)
     if not finite.all():
-        raise InputError(
-            name, f"the {what} of vertex {int(np.argmin(finite))} is not finite", "repair the file"
-        )
+        cause = f"the {what} of vertex {int(np.argmin(finite))} is not finite"
+        raise InputError(name, cause, "repair the file")
     return values
 
 
@@ -206,9 +205,8 @@ def _check(corners: Int64s, offsets: Int64s, vertices: int, least: int, what: st
     if corners.size and (corners.min() < least or corners.max() >= vertices):
         bad = int(np.argmax((corners < least) | (corners >= vertices)))
         row = int(np.searchsorted(offsets, bad, side="right")) - 1
-        raise InputError(
-            name, f"{what} {row} refers to vertex {corners[bad]}, but there are {vertices} vertices"
-        )
+        cause = f"{what} {row} refers to vertex {corners[bad]}, but there are {vertices} vertices"
+        raise InputError(name, cause)
 
 
 def _unroll(strips: Int64s, ends: Int64s) -> Int64s:

@@ -187,9 +187,8 @@ class NpzPointsDocument(Document):
             return np.arange(len(finite))
         count = int(np.count_nonzero(~finite))
         if not finite.any() or self._arrays.faces:
-            raise InputError(
-                self.name, f"{count} of {len(finite)} positions are not finite", "repair the file"
-            )
+            cause = f"{count} of {len(finite)} positions are not finite"
+            raise InputError(self.name, cause, "repair the file")
         self.notices.append(f"{count} of {len(finite)} points have no place, and take no part.")
         return np.flatnonzero(finite)
 

@@ -212,13 +212,11 @@ def find_columns(table: PointTable, name: str) -> Columns:
         return _by_name(table.names, name, "")
     width = table.values.shape[1]
     if width == 3:
-        raise UnpaintedError(
-            name, "its points have 3 numbers each, so there are no colours", "add r g b to each line"
-        )
+        cause = "its points have 3 numbers each, so there are no colours"
+        raise UnpaintedError(name, cause, "add r g b to each line")
     if width not in _KNOWN:
-        raise InputError(
-            name, f"its points have {width} numbers each, and it is not clear which are colours", _REMEDY
-        )
+        cause = f"its points have {width} numbers each, and it is not clear which are colours"
+        raise InputError(name, cause, _REMEDY)
     layouts = [layout for layout in _KNOWN[width] if _fits(layout, table.values)]
     if not layouts:
         cause = (

@@ -92,9 +92,8 @@ def _corners(rows: Sequence[Sequence[bytes]], name: str) -> tuple[Int64s, Int64s
         except ValueError:
             new, size = [], -1
         if size < 1 or len(new) != size:
-            raise InputError(
-                name, f"face {number} does not name the vertices that it counts", "export it again"
-            )
+            cause = f"face {number} does not name the vertices that it counts"
+            raise InputError(name, cause, "export it again")
         sizes.append(size)
         corners += new
     try:

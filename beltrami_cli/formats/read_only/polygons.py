@@ -52,13 +52,11 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
         raise InputError(name, f"a polygon names a vertex that is none of the {vertices}", "export it again")
     finite = np.isfinite(found.positions).all(axis=1)
     if not finite.all():
-        raise InputError(
-            name, f"the position of vertex {int(np.argmin(finite))} is not finite", "repair the file"
-        )
+        cause = f"the position of vertex {int(np.argmin(finite))} is not finite"
+        raise InputError(name, cause, "repair the file")
     if not np.isfinite(found.colours).all(axis=1).any():
-        raise UnpaintedError(
-            name, "none of its polygons or vertices has a colour", "give a file with vertex colours"
-        )
+        cause = "none of its polygons or vertices has a colour"
+        raise UnpaintedError(name, cause, "give a file with vertex colours")
 
 
 def joined(found: ColouredPolygons) -> ColouredPolygons:

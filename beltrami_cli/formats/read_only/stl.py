@@ -36,9 +36,8 @@ def read_stl(data: bytes, name: str) -> ColouredPolygons:
     """Read a binary STL file; vertices at one place become one."""
     if not is_binary_stl(data):
         if data[:5].lower() == b"solid":
-            raise UnpaintedError(
-                name, "an STL file in text has no colours", "export it as PLY or OBJ with colours"
-            )
+            cause = "an STL file in text has no colours"
+            raise UnpaintedError(name, cause, "export it as PLY or OBJ with colours")
         raise InputError(name, "its length does not fit its number of triangles", "the file may be cut off")
     from trimesh.exchange.stl import load_stl_binary
 

@@ -77,9 +77,8 @@ class UsdDocument(Document):
     @cached_property
     def _painted(self) -> PaintedVertices:
         if not self.has_vertex_colours():
-            raise UnpaintedError(
-                self.name, "its meshes have no colours of vertices (displayColor)", "paint them first"
-            )
+            cause = "its meshes have no colours of vertices (displayColor)"
+            raise UnpaintedError(self.name, cause, "paint them first")
         positions = self._arrays["positions"][self._arrays["colour_vertex"]]
         colours = self._arrays["colours"].astype(np.float32)
         for values, what in ((positions, "places"), (colours, "colours")):

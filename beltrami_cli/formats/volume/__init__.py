@@ -29,11 +29,9 @@ def is_volume(data: bytes, name: str) -> bool:
 def read_volume(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
     """Read a level set of at most `most` samples; InputError if it cannot be read."""
     if data.startswith(_OPENVDB):
-        raise InputError(
-            name,
-            "it is an OpenVDB file, for which there is no Python package to read it",
-            "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd",
-        )
+        cause = "it is an OpenVDB file, for which there is no Python package to read it"
+        remedy = "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd"
+        raise InputError(name, cause, remedy)
     if data.startswith(_NRRD):
         from beltrami_cli.formats.volume.nrrd import read_nrrd
 

@@ -47,14 +47,12 @@ def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
     """Read a level set and its colours, as `read_volume`."""
     key = archive.first(LEVEL_SET_KEYS)
     if key is None:
-        raise InputError(
-            name, f"there is no array of values among {', '.join(archive.names)}", "name it values"
-        )
+        cause = f"there is no array of values among {', '.join(archive.names)}"
+        raise InputError(name, cause, "name it values")
     shape = archive.header(key).shape
     if len(shape) != 3 or min(shape) < _SIDE:
-        raise InputError(
-            name, f"the array {key} is of shape {shape}", "give 2 or more samples along x, y and z"
-        )
+        cause = f"the array {key} is of shape {shape}"
+        raise InputError(name, cause, "give 2 or more samples along x, y and z")
     mask = None
     if "mask" in archive.names:
         _require(archive.header("mask").shape == shape, name, f"the array mask is not of the shape {shape}")
@@ -88,9 +86,8 @@ def read_npz_colours(
 def _near(archive: NpzArchive, name: str, most: int) -> NearColours:
     key = archive.first((*_POINT_COLOURS, *_COLOURS))
     if key is None:
-        raise InputError(
-            name, "there are points but no array point_colours", "add it, or leave the points out"
-        )
+        cause = "there are points but no array point_colours"
+        raise InputError(name, cause, "add it, or leave the points out")
     points, colours = archive.header("points").shape, archive.header(key).shape
     fits = len(points) == len(colours) == 2 and points[1] == 3 and 1 <= colours[1] <= _CHANNELS
     _require(
@@ -152,8 +149,5 @@ def require_package(module: str, package: str, name: str, purpose: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise InputError(
-            name,
-            f"{purpose}, the package {package} is needed",
-            "install it with: pip install 'beltrami-cli[volumes]'",
-        ) from error
+        cause = f"{purpose}, the package {package} is needed"
+        raise InputError(name, cause, "install it with: pip install 'beltrami-cli[volumes]'") from error

@@ -62,9 +62,8 @@ def read_nrrd_colours(data: bytes, name: str, folder: Path | None, most: int) ->
     if kind is None:
         samples = samples[..., None]
     if samples.shape[3] > _CHANNELS:
-        raise InputError(
-            name, f"each sample is a list of {samples.shape[3]} numbers", f"give 1 to {_CHANNELS}"
-        )
+        cause = f"each sample is a list of {samples.shape[3]} numbers"
+        raise InputError(name, cause, f"give 1 to {_CHANNELS}")
     return GridColours(lattice, samples)
 
 
@@ -79,15 +78,11 @@ def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[Array
     if len(spatial) != 3 or min(sizes[axis] for axis in spatial) < 2:
         raise InputError(name, f"its sizes are {sizes}", "give 2 or more samples along x, y and z")
     if voxels > most:
-        raise InputError(
-            name,
-            f"its sizes are {sizes}, and {most} voxels are allowed",
-            "raise --max-voxels or --max-memory",
-        )
+        cause = f"its sizes are {sizes}, and {most} voxels are allowed"
+        raise InputError(name, cause, "raise --max-voxels or --max-memory")
     if listed is not None and not 1 <= sizes[listed] <= _LONGEST_LIST:
-        raise InputError(
-            name, f"each sample is a list of {sizes[listed]} numbers", f"give up to {_LONGEST_LIST}"
-        )
+        cause = f"each sample is a list of {sizes[listed]} numbers"
+        raise InputError(name, cause, f"give up to {_LONGEST_LIST}")
     lattice = _spatial_lattice(header, spatial, name)
     samples = _samples(nrrd, header, _data(header, rest, name, folder), name)
     if listed is None:
@@ -117,15 +112,13 @@ def _data(header: dict[str, Any], rest: bytes, name: str, folder: Path | None) -
     model_folder = ModelFolder(folder)
     found = model_folder.find(str(named))
     if found is None:
-        raise InputError(
-            name, f"its data are in {named}, which is no file in its folder", "put both in one folder"
-        )
+        cause = f"its data are in {named}, which is no file in its folder"
+        raise InputError(name, cause, "put both in one folder")
     try:
         return model_folder.read(found)
     except OSError as error:
-        raise InputError(
-            name, f"its data in {named} cannot be read ({error.strerror})", "check them"
-        ) from error
+        cause = f"its data in {named} cannot be read ({error.strerror})"
+        raise InputError(name, cause, "check them") from error
 
 
 def _samples(nrrd: Any, header: dict[str, Any], data: bytes, name: str) -> Array:
@@ -183,11 +176,8 @@ def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
     if count == 4 and not found:
         found = {axis for axis, size in enumerate(header["sizes"]) if size == min(header["sizes"])}
     if len(found) != 1 or count == 3:
-        raise InputError(
-            name,
-            "it is not clear which three of its axes are those of space",
-            "set the kinds of these to domain",
-        )
+        cause = "it is not clear which three of its axes are those of space"
+        raise InputError(name, cause, "set the kinds of these to domain")
     return found.pop()
 
 

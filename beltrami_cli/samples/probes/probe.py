@@ -47,9 +47,8 @@ class Location:
             )
         index = _whole(self.numbers[0], self.text)
         if not 0 <= index < len(positions):
-            raise UsageError(
-                f"--at {self.text} is no vertex; {name} has the vertices 0 to {len(positions) - 1}"
-            )
+            cause = f"--at {self.text} is no vertex; {name} has the vertices 0 to {len(positions) - 1}"
+            raise UsageError(cause)
         return index
 
     def pixel_of(self, width: int, height: int, name: str) -> tuple[int, int]:
