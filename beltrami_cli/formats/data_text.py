@@ -20,9 +20,8 @@ CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24
 
 _DEEPEST = 50  # levels of tables and lists
 _LARGEST = 1 << 64
-_LONGEST_LINE = (
-    1 << 13
-)  # characters of TOML, whose parser takes the square of the time for keys with very many dots
+# Characters of TOML, whose parser takes the square of the time for keys with very many dots.
+_LONGEST_LINE = 1 << 13
 _UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
 
 

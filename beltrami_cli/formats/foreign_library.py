@@ -57,8 +57,7 @@ class ForeignLibrary:
 
 def serve(answer: Callable[[Any, dict[str, Array]], Message], files: str, package: str) -> None:
     """Answer the question on standard input, on standard output, within the limits of the arguments."""
-    seconds, memory = map(int, sys.argv[1:])
-    _limit_process(seconds, memory)
+    _limit_process(*map(int, sys.argv[1:]))
     # What a library prints must not come between the numbers.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

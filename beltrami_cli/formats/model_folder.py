@@ -24,20 +24,16 @@ _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the lett
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _HERE = PurePosixPath()
 _MISSING, _TILES = "is missing", "stands for a set of tiles (UDIM), which are not read"
-_NO_LAYER, _LEAVES, _BESIDE_USD = (
-    "is no USD layer",
-    "leaves the model's folder",
-    "USD files there are not read",
-)
 _NOWHERE = "is a file beside the model, whose folder is not known"
 _REMEDIES = {
     _MISSING: "keep the model's files together, under the names that it has for them",
     _TILES: "give each tile a material and a name of its own",
     _NOWHERE: "give the model as a file, not through a pipe",
-    _NO_LAYER: "write the scene as one layer (usdcat --flatten), and give that",
-    _LEAVES: "copy its files into the model's folder; for other formats than USD, --allow-outside reads them as well",
+    "is no USD layer": "write the scene as one layer (usdcat --flatten), and give that",
+    "leaves the model's folder": "copy its files into the model's folder; for other formats than USD, --allow-outside "
+    "reads them as well",
     "no MaterialX surface": "bake their colours into images, or paint the vertices",
-    _BESIDE_USD: "copy all files of the scene into one folder, or write it as one package (usdzip)",
+    "USD files there are not read": "copy all files of the scene into one folder, or write it as one package (usdzip)",
 }
 
 LEFT_ALONE = ", and is left alone."  # behind the reason why a file is not read
@@ -216,9 +212,7 @@ class NewNames:
         token = token_in(whole.name)
         end = whole.name.rfind(token) if token and token in whole.name else len(whole.stem)
         files = _files(path, tiles)
-        while not may_stay and any(
-            file.casefold() in self._taken or self._naming.is_taken(file) for file in files
-        ):
+        while not may_stay and any(f.casefold() in self._taken or self._naming.is_taken(f) for f in files):
             path = str(whole.with_name(f"{whole.name[:end]}-{number}{whole.name[end:]}"))
             files = _files(path, tiles)
             number += 1

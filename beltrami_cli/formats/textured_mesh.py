@@ -94,10 +94,10 @@ class MeshImages:
         self.sets: dict[int, dict[Tile, int]] = {}
         self._index_of: dict[str, int] = {}
 
-    def take(self, key: str, name: str, read: Callable[[], bytes]) -> int:
-        """Take an image, which is read once; return its number."""
+    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> int:
+        """Take an image, or what reads it, once; return its number."""
         if key not in self._index_of:
-            data = read()
+            data = content if isinstance(content, bytes) else content()
             self._index_of[key] = len(self.images)
             self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
         return self._index_of[key]
@@ -172,10 +172,8 @@ def with_slots(mesh: TexturedMesh, slots: Collection[Slot]) -> TexturedMesh:
     """Return a mesh with the maps of some slots alone, and the others among what is left out."""
     lost = {slot for material in mesh.materials for slot in material.maps if slot not in slots}
     materials = tuple(
-        dataclasses.replace(
-            material, maps={slot: shown for slot, shown in material.maps.items() if slot in slots}
-        )
-        for material in mesh.materials
+        dataclasses.replace(each, maps={slot: shown for slot, shown in each.maps.items() if slot in slots})
+        for each in mesh.materials
     )
     left_out = (*mesh.left_out, *(f"{slot} maps" for slot in sorted(lost)))
     return _without_unused(dataclasses.replace(mesh, materials=materials, left_out=left_out))
@@ -183,16 +181,16 @@ def with_slots(mesh: TexturedMesh, slots: Collection[Slot]) -> TexturedMesh:
 
 def with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> tuple[TexturedMesh, list[str]]:
     """Return a mesh whose images have one of some suffixes, and notices; the others are written as PNG."""
-    images: list[MeshImage] = []
-    notices: list[str] = []
-    for image in mesh.images:
+    from beltrami_cli.formats.image import losses, read_image, write_image
+
+    images, notices, changed = list(mesh.images), list[str](), 0
+    for number, image in enumerate(images):
         if suffixes and image.file.suffix not in suffixes:
-            fit, lost = _as_png(image)
-            images.append(fit)
-            notices += lost
-        else:
-            images.append(image)
-    changed = sum(new is not old for new, old in zip(images, mesh.images, strict=True))
+            picture = read_image(image.file.data, image.name)
+            file = write_image(picture, picture.pixels, suffix=_FIT)
+            images[number] = dataclasses.replace(image, file=file)
+            notices += losses(picture, _FIT)
+            changed += 1
     if changed:
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {changed}.")
@@ -201,35 +199,22 @@ def with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> tuple[Textur
 
 def as_if_with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> TexturedMesh:
     """Return a mesh whose images have the suffixes that `with_suffixes` gives them, and their old bytes."""
-    images = []
-    for image in mesh.images:
-        fits = not suffixes or image.file.suffix in suffixes
-        file = dataclasses.replace(image.file, suffix=image.file.suffix if fits else _FIT)
-        images.append(dataclasses.replace(image, file=file))
+    images = list(mesh.images)
+    for number, image in enumerate(images):
+        if suffixes and image.file.suffix not in suffixes:
+            images[number] = dataclasses.replace(image, file=dataclasses.replace(image.file, suffix=_FIT))
     return dataclasses.replace(mesh, images=tuple(images))
-
-
-def _as_png(image: MeshImage) -> tuple[MeshImage, tuple[str, ...]]:
-    from beltrami_cli.formats.image import losses, read_image, write_image
-
-    picture = read_image(image.file.data, image.name)
-    new = write_image(picture, picture.pixels, suffix=_FIT)
-    return dataclasses.replace(image, file=new), losses(picture, _FIT)
 
 
 def _without_unused(mesh: TexturedMesh) -> TexturedMesh:
     used = sorted({shown.image for material in mesh.materials for shown in material.maps.values()})
     number_of = {old: new for new, old in enumerate(used)}
-    materials = tuple(
-        dataclasses.replace(
-            material,
-            maps={
-                slot: MaterialMap(number_of[shown.image], shown.wrap) for slot, shown in material.maps.items()
-            },
-        )
-        for material in mesh.materials
-    )
-    return dataclasses.replace(mesh, materials=materials, images=tuple(mesh.images[old] for old in used))
+    materials = []
+    for each in mesh.materials:
+        maps = {slot: MaterialMap(number_of[shown.image], shown.wrap) for slot, shown in each.maps.items()}
+        materials.append(dataclasses.replace(each, maps=maps))
+    images = tuple(mesh.images[old] for old in used)
+    return dataclasses.replace(mesh, materials=tuple(materials), images=images)
 
 
 def alpha_mode(data: bytes, name: str) -> AlphaMode:

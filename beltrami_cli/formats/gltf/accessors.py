@@ -260,7 +260,12 @@ def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:
         raise entry.fault("type", f"is {shape!r}, which glTF does not define")
     count = entry.integer("count", least=1)
     index = entry.integer("bufferView", below=len(views)) if "bufferView" in entry else None
-    size = _element_size(shape, component)
+    size = SHAPES[shape] * component.itemsize
+    if shape.startswith("MAT"):
+        side = int(shape[3])
+        size = side * (
+            -(-side * component.itemsize // 4) * 4
+        )  # each column starts at a multiple of four bytes
     layout = None if index is None else _layout(entry, views[index], index, size, count)
     sparse = _sparse(entry.entry("sparse"), views, size, count) if "sparse" in entry else None
     normalised = entry.flag("normalized")
@@ -272,14 +277,6 @@ def _component(entry: Entry) -> np.dtype[np.generic]:
     if kind not in COMPONENTS:
         raise entry.fault("componentType", f"is {kind}, which glTF does not define")
     return np.dtype(COMPONENTS[kind])
-
-
-def _element_size(shape: str, component: np.dtype[np.generic]) -> int:
-    if not shape.startswith("MAT"):
-        return SHAPES[shape] * component.itemsize
-    side = int(shape[3])
-    column = -(-side * component.itemsize // 4) * 4  # each column starts at a multiple of four bytes
-    return side * column
 
 
 def _layout(entry: Entry, view: View, index: int, size: int, count: int) -> Layout:

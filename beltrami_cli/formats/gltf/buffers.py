@@ -7,7 +7,7 @@ import binascii
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Literal
-from urllib.parse import quote, unquote, unquote_to_bytes
+from urllib.parse import unquote, unquote_to_bytes
 
 from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
 from beltrami_cli.formats.gltf.entries import Entry, objects
@@ -38,11 +38,6 @@ def data_uri(old: str, data: Bytes) -> str:
     head = old.partition(",")[0]
     head = head if head.lower().endswith(";base64") else head + ";base64"
     return f"{head},{base64.b64encode(data).decode('ascii')}"
-
-
-def as_uri(name: str) -> str:
-    """Return the URI of a relative path."""
-    return quote(name)
 
 
 def relative_name(uri: str, *, outside: bool = False) -> str:

@@ -24,7 +24,7 @@ from beltrami_cli.formats.gltf.entries import Entry, objects, primitives_of
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-    from beltrami_cli.arrays import Int64s, Uint8s
+    from beltrami_cli.arrays import Uint8s
     from beltrami_cli.formats.gltf.edit import Edit
     from beltrami_cli.formats.gltf.json_text import Tree
 
@@ -137,17 +137,14 @@ def _own_accessors(
     for index in sorted(named):
         if index in shared:
             own[index] = len(edit.tree["accessors"])
-            edit.tree["accessors"].append(_copied(edit.tree["accessors"][index]))
+            old = edit.tree["accessors"][index].items()
+            # Lists are copied, since bounds may be changed.
+            edit.tree["accessors"].append({k: list(v) if isinstance(v, list) else v for k, v in old})
     for place, primitive in primitives_of(edit.tree):
         attributes = primitive.get("attributes", {})
         if attributes.get(attribute) in own and (users is None or place in users):
             attributes[attribute] = own[attributes[attribute]]
     return own
-
-
-def _copied(accessor: Tree) -> Tree:
-    """Return a copy of an accessor whose bounds may be changed."""
-    return {key: list(value) if isinstance(value, list) else value for key, value in accessor.items()}
 
 
 def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
@@ -197,10 +194,10 @@ def _alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[
     members = set().union(*(column.members for column in columns))
     others = [_canonical(accessors, layout) for layout in _others(tree, accessors, members)]
     ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
-    places = np.array(ranges, np.int64).reshape(-1, 3)
-    counts = {buffer: np.zeros(_extent(accessors, buffer), np.uint8) for buffer, _, _ in ranges}
+    buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T
+    counts = {each: np.zeros(_extent(accessors, each), np.uint8) for each, _, _ in ranges}
     for layout in [*(layout for layouts in own for layout in layouts), *others]:
-        if _meets(layout, places):
+        if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any():
             uses = element_bytes(counts[layout.buffer], layout)
             uses[...] = np.minimum(uses + 1, 2)
     return [
@@ -226,7 +223,7 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
         if accessor.layout is not None and index not in members:
             yield accessor.layout
         if accessor.sparse is not None:
-            viewed |= _views_of_sparse(accessor.entry.value)
+            viewed |= {accessor.entry.value["sparse"][part]["bufferView"] for part in ("indices", "values")}
             yield accessor.sparse.indices
             if index not in members:
                 yield accessor.sparse.values
@@ -243,10 +240,6 @@ def _whole(view: View) -> Layout:
     return Layout(view.buffer, view.offset, view.length, view.length, 1)
 
 
-def _views_of_sparse(accessor: Tree) -> set[int]:
-    return {accessor["sparse"][part]["bufferView"] for part in ("indices", "values")}
-
-
 def _canonical(accessors: Accessors, layout: Layout) -> Layout:
     return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
 
@@ -257,8 +250,3 @@ def _extent(accessors: Accessors, buffer: int) -> int:
     if buffers.source(buffer) == "decoded":
         return buffers.length(buffer)
     return max(buffers.lengths[index] for index in range(len(buffers)) if buffers.canonical(index) == buffer)
-
-
-def _meets(layout: Layout, ranges: Int64s) -> bool:
-    buffer, start, end = ranges.T
-    return bool(((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any())

@@ -68,7 +68,7 @@ class Container:
 
     def rebuilt(self, tree: Tree, binary: Bytes | None) -> list[Bytes]:
         """Return the pieces of this file with another tree and BIN chunk (None: as it is), all else kept."""
-        text = encoded(("\ufeff" if self.has_bom else "") + revised(self.text, tree))
+        text = (("\ufeff" if self.has_bom else "") + revised(self.text, tree)).encode()
         if self.kind == "gltf":
             return [text]
         rest = self.chunks
@@ -117,26 +117,16 @@ def _glb(data: bytes, name: str) -> Container:
 
 
 def _container(
-    kind: GltfForm,
-    encoded_text: bytes,
-    data: bytes,
-    name: str,
-    chunks: tuple[Chunk, ...] = (),
-    tail: Bytes = b"",
+    kind: GltfForm, json: bytes, data: bytes, name: str, chunks: tuple[Chunk, ...] = (), tail: Bytes = b""
 ) -> Container:
-    has_bom = encoded_text.startswith(_BOM)
+    has_bom = json.startswith(_BOM)
     try:
-        text = encoded_text.removeprefix(_BOM).decode("utf-8")
+        text = json.removeprefix(_BOM).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(name, f"neither GLB nor UTF-8 text (byte {error.start})", "is it glTF?") from None
     if kind == "glb":
         text = text.rstrip(" \0")
     return Container(name, kind, data, text, parsed(text, name), chunks, has_bom, tail)
-
-
-def encoded(text: str) -> bytes:
-    """Return JSON text as UTF-8."""
-    return text.encode("utf-8")
 
 
 def glb_pieces(chunks: Sequence[Chunk]) -> list[Bytes]:

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.formats.gltf.json_text import Tree
 
-
 # What conversion leaves out of a file with textures, too.
 _NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")
 
@@ -98,12 +97,10 @@ class GltfDocument(Document):
         return attribute_names(self.root, self.surface.blocks)
 
     def _attribute(self, name: str) -> Float64s:
-        if name == "normal" and (normals := self._normals()) is not None:
+        blocks = self.surface.blocks
+        if name == "normal" and (normals := normals_of(blocks, self.accessors)) is not None:
             return normals.astype(np.float64)
-        return read_attribute(self.root, self.surface.blocks, self.accessors, name)
-
-    def _normals(self) -> Float32s | None:
-        return normals_of(self.surface.blocks, self.accessors)
+        return read_attribute(self.root, blocks, self.accessors, name)
 
     def require_movable(self) -> None:
         require_movable(self.accessors, self.surface.blocks)
@@ -131,7 +128,7 @@ class GltfDocument(Document):
             encoding="linear",
             stored=painted.stored,
             alpha=_opacity(self.stored_colours),
-            normals=self._normals(),
+            normals=normals_of(self.surface.blocks, self.accessors),
             left_out=tuple(_left_out(self.container.tree)),
         )
 
@@ -167,6 +164,9 @@ class GltfDocument(Document):
         root, asset = self.root, self.root.entry("asset")
         primitives = [primitive for _, primitive in primitives_of(self.container.tree)]
         named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}
+        known = (
+            (index, self.accessors[index]) for index in sorted(named) if 0 <= index < len(self.accessors)
+        )
         return {
             "generator": asset.text("generator"),
             "version": asset.text("version"),
@@ -175,7 +175,14 @@ class GltfDocument(Document):
             "meshes": len(root.entries("meshes")),
             "primitives": len(primitives),
             "colour accessors": [
-                self._colour_facts(index) for index in sorted(named) if 0 <= index < len(self.accessors)
+                {
+                    "accessor": index,
+                    "type": accessor.shape,
+                    "component": accessor.component.name,
+                    "count": accessor.count,
+                    "sparse": accessor.sparse is not None,
+                }
+                for index, accessor in known
             ],
             "materials": len(root.entries("materials")),
             "images": len(self.images),
@@ -187,29 +194,16 @@ class GltfDocument(Document):
             "extensions required": root.texts("extensionsRequired"),
         }
 
-    def _colour_facts(self, index: int) -> dict[str, object]:
-        accessor = self.accessors[index]
-        return {
-            "accessor": index,
-            "type": accessor.shape,
-            "component": accessor.component.name,
-            "count": accessor.count,
-            "sparse": accessor.sparse is not None,
-        }
-
 
 def _opacity(colours: Sequence[Stored]) -> Float32s | None:
     """Return the opacity of all rows in [0, 1], None if no block has any."""
     if all(numbers.shape[1] == 3 for numbers in colours):
         return None
-    return np.concatenate(
-        [
-            np.clip(fractions(numbers[:, 3]), 0, 1)
-            if numbers.shape[1] == 4
-            else np.ones(len(numbers), np.float32)
-            for numbers in colours
-        ]
-    )
+    opaque = [np.ones(len(numbers), np.float32) for numbers in colours]
+    for numbers, opacity in zip(colours, opaque, strict=True):
+        if numbers.shape[1] == 4:
+            opacity[:] = np.clip(fractions(numbers[:, 3]), 0, 1)
+    return np.concatenate(opaque)
 
 
 def _left_out(tree: Tree) -> Iterator[str]:

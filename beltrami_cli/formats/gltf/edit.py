@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, padded_elements
-from beltrami_cli.formats.gltf.buffers import View, data_uri, named_places, named_views
+from beltrami_cli.formats.gltf.buffers import data_uri, named_places, named_views
 from beltrami_cli.formats.gltf.compression import repacked
 
 if TYPE_CHECKING:
@@ -93,30 +93,27 @@ class Edit:
 
 def compress_again(edit: Edit) -> None:
     """Put the changed bytes of all compressed views back into the buffers of the file."""
-    for index, view in enumerate(edit.accessors.views):
-        data = edit.buffers.pop(view.buffer, None) if view.packed is not None else None
-        if data is not None:
-            _compress(edit, index, view, data)
-
-
-def _compress(edit: Edit, index: int, view: View, data: bytearray) -> None:
-    """Put new data over the old if it fits and nothing else reads that, else append it; renew uncompressed bytes."""
-    packed = view.packed
-    if packed is None or view.fallback is None:
-        raise AssertionError("only compressed views are compressed again")
+    # New data goes over the old if it fits and nothing else reads that, else to the end; plain bytes are renewed.
     buffers = edit.accessors.buffers
-    home, end = buffers.canonical(packed.buffer), packed.offset + packed.length
-    octets = repacked(packed, data, buffers.stored(packed.buffer))
-    extension = edit.tree["bufferViews"][index]["extensions"][packed.extension]
-    extension.pop("filter", None)
-    extension["byteLength"] = len(octets)
-    if len(octets) <= packed.length and _unshared(edit, (index, packed.extension), home, packed.offset, end):
-        edit.open(home)[packed.offset : end] = octets.ljust(packed.length, b"\0")
-    else:
-        extension |= {"buffer": home, "byteOffset": edit.append(home, octets)}
-    plain, start = buffers.canonical(view.fallback[0]), view.fallback[1]
-    if buffers.source(plain) != "nowhere" and _unshared(edit, (index, None), plain, start, start + len(data)):
-        edit.open(plain)[start : start + len(data)] = data
+    for index, view in enumerate(edit.accessors.views):
+        packed = view.packed
+        if packed is None or view.fallback is None or view.buffer not in edit.buffers:
+            continue
+        data = edit.buffers.pop(view.buffer)
+        home, end = buffers.canonical(packed.buffer), packed.offset + packed.length
+        octets = repacked(packed, data, buffers.stored(packed.buffer))
+        extension = edit.tree["bufferViews"][index]["extensions"][packed.extension]
+        extension.pop("filter", None)
+        extension["byteLength"] = len(octets)
+        own = index, packed.extension
+        if len(octets) <= packed.length and _unshared(edit, own, home, packed.offset, end):
+            edit.open(home)[packed.offset : end] = octets.ljust(packed.length, b"\0")
+        else:
+            extension |= {"buffer": home, "byteOffset": edit.append(home, octets)}
+        plain, start = buffers.canonical(view.fallback[0]), view.fallback[1]
+        end = start + len(data)
+        if buffers.source(plain) != "nowhere" and _unshared(edit, (index, None), plain, start, end):
+            edit.open(plain)[start:end] = data
 
 
 def _unshared(edit: Edit, own: tuple[int, str | None], buffer: int, start: int, end: int) -> bool:
@@ -166,7 +163,8 @@ class ImageStorage:
         group = self._images.same(image)
         view = self._edit.tree["images"][image].get("bufferView")
         alone = view is not None and self._named[view] == len(group)
-        self._put(group, file, view if alone and not self._extended(view) else None)
+        is_plain = alone and "extensions" not in self._edit.tree["bufferViews"][view]
+        self._put(group, file, view if is_plain else None)
         return image
 
     def add(self, image: int, file: ImageFile) -> int:
@@ -175,9 +173,6 @@ class ImageStorage:
         images.append(dict(images[image]))
         self._put((len(images) - 1,), file, None)
         return len(images) - 1
-
-    def _extended(self, view: int) -> bool:
-        return "extensions" in self._edit.tree["bufferViews"][view]
 
     def _put(self, group: tuple[int, ...], file: ImageFile, view: int | None) -> None:
         media = MEDIA[file.suffix.lower()]
@@ -191,7 +186,8 @@ class ImageStorage:
             home = self._edit.accessors.buffers.canonical(home)
             self._blobs.append(_Blob(file.data, home, view, group))
         elif image["uri"][:5].lower() == "data:":
-            image["uri"] = _embedded(image["uri"], file.data, media)
+            same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
+            image["uri"] = data_uri(image["uri"] if same else f"data:{media};base64,", file.data)
         else:
             self._edit.images |= dict.fromkeys(group, file)
 
@@ -202,12 +198,6 @@ class ImageStorage:
             by_buffer[blob.buffer].append(blob)
         for buffer, blobs in by_buffer.items():
             _store(self._edit, buffer, blobs)
-
-
-def _embedded(uri: str, data: bytes, media: str) -> str:
-    head = uri.partition(",")[0]
-    same = head[5:].partition(";")[0].lower() == media
-    return data_uri(uri if same else f"data:{media};base64,", data)
 
 
 def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:

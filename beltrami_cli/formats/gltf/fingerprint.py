@@ -51,8 +51,10 @@ def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]
             kept = [name for name in value if name not in IMAGE_EXTENSIONS]
             if kept:
                 yield key, _spelled(kept)
+        elif key not in _SHARED and isinstance(value, list):
+            yield from ((f"{key}[{index}]", _spelled(entry)) for index, entry in enumerate(value))
         elif key not in _SHARED:
-            yield from _entries(key, value)
+            yield key, _spelled(value)
     for index, buffer in enumerate(objects(tree.get("buffers"))):
         others = {key: value for key, value in buffer.items() if key not in ("uri", "byteLength")}
         if others:
@@ -61,14 +63,6 @@ def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]
         yield f"chunk {index} of type {chunk.kind:#x}", bytes(chunk.data)
     yield "what follows the last chunk", bytes(container.tail)
     yield "byte order mark", bytes([container.has_bom])
-
-
-def _entries(key: str, value: Any) -> Iterator[tuple[str, bytes]]:
-    if not isinstance(value, list):
-        yield key, _spelled(value)
-        return
-    for index, entry in enumerate(value):
-        yield f"{key}[{index}]", _spelled(entry)
 
 
 def _materials(images: Images, tree: Tree, paintings: dict[str, NamedImage]) -> dict[str, bytes]:
@@ -156,13 +150,10 @@ def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]
 
 def _view(view: Tree) -> Tree:
     """Return a view, without where its bytes are compressed, for they are compressed anew with their colours."""
-    extensions = {}
-    for name, holder in view.get("extensions", {}).items():
-        extensions[name] = (
-            {k: v for k, v in holder.items() if k not in _PACKED_PLACE}
-            if isinstance(holder, dict)
-            else holder
-        )
+    extensions = dict(view.get("extensions", {}))
+    for name, holder in extensions.items():
+        if isinstance(holder, dict):
+            extensions[name] = {k: v for k, v in holder.items() if k not in _PACKED_PLACE}
     return view | ({"extensions": extensions} if extensions else {})
 
 

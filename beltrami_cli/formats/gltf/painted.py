@@ -153,8 +153,12 @@ class _Gathering:
             return
         self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
         block = self._block(primitive, placement, number)
-        if block is not None:
-            self._take_faces(primitive, block, placement)
+        if block is None:
+            return
+        key = block.first_row, drawing(primitive, self.accessors)
+        if key not in self._faces:
+            faces = drawn(primitive, self.accessors, block.count, placement)
+            self._faces[key] = (faces + block.first_row).astype(np.int32)
 
     def _block(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
@@ -204,17 +208,8 @@ class _Gathering:
             raise attributes.fault("NORMAL", f"is {accessor.count} {accessor.shape}, not {count} normals")
         return index
 
-    def _take_faces(self, primitive: Entry, block: Block, placement: Placement) -> None:
-        key = block.first_row, drawing(primitive, self.accessors)
-        if key not in self._faces:
-            faces = drawn(primitive, self.accessors, block.count, placement)
-            self._faces[key] = (faces + block.first_row).astype(np.int32)
-
     def surface(self) -> Surface:
         faces = [np.empty((0, 3), np.int32), *self._faces.values()]
-        return Surface(self.blocks, np.concatenate(faces), self._notices())
-
-    def _notices(self) -> list[str]:
         sentences = {
             "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
             "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
@@ -224,4 +219,5 @@ class _Gathering:
             "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
             "they were.",
         }
-        return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
+        notices = [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
+        return Surface(self.blocks, np.concatenate(faces), notices)

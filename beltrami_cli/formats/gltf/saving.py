@@ -6,11 +6,12 @@ A new image or buffer never takes the name of a file that the source uses, unles
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
-from beltrami_cli.formats.gltf.buffers import as_uri, data_uri, is_data, named_files, read, relative_name
+from beltrami_cli.formats.gltf.buffers import data_uri, is_data, named_files, read, relative_name
 from beltrami_cli.formats.gltf.compression import MESHOPT
-from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.json_text import Tree, revised
 from beltrami_cli.formats.gltf.textures import media_type
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, UnfitReferenceError, is_outside
@@ -50,13 +51,13 @@ def _as_gltf(edit: Edit, names: NewNames, folder: ModelFolder) -> Written:
         length = tree["buffers"][0]["byteLength"]
         name = names.new(".bin")
         sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the chunk's padding
-        tree["buffers"][0]["uri"] = as_uri(name)
+        tree["buffers"][0]["uri"] = quote(name)
     sidecars |= _place_buffers(edit, names)
     sidecars |= _place_images(edit, names)
     copies = _place_copies(edit, names, folder)
     lost = [chunk for chunk in edit.container.chunks if chunk.kind != BIN_CHUNK]
     notices = [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
-    text = encoded(revised(edit.container.text, tree))
+    text = revised(edit.container.text, tree).encode()
     return Written([text], sidecars, (*edit.notices, *notices), copies)
 
 
@@ -69,7 +70,7 @@ def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
     if binary:
         tree["buffers"][0]["byteLength"] = len(binary)
         chunks.append(Chunk(BIN_CHUNK, binary))
-    text = encoded(revised(edit.container.text, tree).strip(" \t\r\n"))
+    text = revised(edit.container.text, tree).strip(" \t\r\n").encode()
     return Written(glb_pieces([Chunk(JSON_CHUNK, text), *chunks]), {}, tuple(notices))
 
 
@@ -87,7 +88,7 @@ def _place_buffers(edit: Edit, names: NewNames) -> dict[str, Bytes]:
             sidecars[name] = data
             for other in range(len(buffers)):
                 if buffers.canonical(other) == index and name != old:
-                    entries[other]["uri"] = as_uri(name)
+                    entries[other]["uri"] = quote(name)
     return sidecars
 
 
@@ -111,7 +112,7 @@ def _place_images(edit: Edit, names: NewNames) -> dict[str, Bytes]:
             chosen[key] = names.image(old, file.suffix, is_replaced=index < known)
             sidecars[chosen[key]] = file.data
         if chosen[key] != old:
-            entries[index]["uri"] = as_uri(chosen[key])
+            entries[index]["uri"] = quote(chosen[key])
     return sidecars
 
 
@@ -131,7 +132,7 @@ def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str,
                 continue
             if path not in new_of:
                 new_of[path] = names.image(path) if kind == "images" else names.other(path, ".bin")
-            entry["uri"] = as_uri(new_of[path])
+            entry["uri"] = quote(new_of[path])
     return {new: path for path, new in new_of.items()}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
@@ -85,7 +86,10 @@ class _Materials:
                 continue
             try:
                 image = self.images.canonical(self.images.shown(use.texture))
-                maps[slot] = MaterialMap(self._image(image), self.images.wrap(use.texture))
+                number = self.shown.take(
+                    image_key(image), self.images.name(image), partial(self.images.data, image)
+                )
+                maps[slot] = MaterialMap(number, self.images.wrap(use.texture))
                 first = first or use
             except UnfitReferenceError as error:
                 self.left_out.append(f"a {slot} image, which {error}")
@@ -103,9 +107,6 @@ class _Materials:
             roughness=base.number("roughnessFactor", default=1.0),
             alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
         )
-
-    def _image(self, image: int) -> int:
-        return self.shown.take(image_key(image), self.images.name(image), lambda: self.images.data(image))
 
 
 def _display(linear: Sequence[float]) -> tuple[float, ...]:
@@ -155,7 +156,8 @@ class _Reading:
         self._note_others(attributes, use)
         positions = in_world(self._accessors.values(index), placement, self._accessors, index)
         uv = self._coordinates(primitive, use, count)
-        normals = self._normals(primitive, placement, count)
+        given = self._values(primitive, "NORMAL", 3, count)
+        normals = np.full((count, 3), np.nan) if given is None else turned(given, placement.matrix)
         colours = self._own_colours(primitive, number, count)
         self.parts.append(_Part(positions, faces, uv[faces], normals[faces], colours, material, group))
 
@@ -185,24 +187,18 @@ class _Reading:
             return np.full((count, 2), np.nan)
         return usable_coordinates(uv if use is None else use.placed(uv))
 
-    def _normals(self, primitive: Entry, placement: Placement, count: int) -> Float64s:
-        normals = self._values(primitive, "NORMAL", 3, count)
-        return np.full((count, 3), np.nan) if normals is None else turned(normals, placement.matrix)
-
     def _own_colours(self, primitive: Entry, number: tuple[int, int], count: int) -> Float32s | None:
         if number in self._colours:
-            self._note_tint(primitive, self._colours[number])
+            material = primitive.value.get("material", len(self._materials.materials) - 1)
+            is_white = (self._colours[number][:, :3] == 1).all()
+            if "baseColor" in self._materials.materials[material].maps and not is_white:
+                self._left_out.append("the tint of textures by their vertex colours")
             return self._colours[number]
         if OWN_COLOURS not in primitive.entry("attributes"):
             return None
         index = attribute_accessor(primitive, OWN_COLOURS, self._accessors)
         colours = fractions(self._accessors.finite(index, "colour"))
         return colours if colours.shape in ((count, 3), (count, 4)) else None
-
-    def _note_tint(self, primitive: Entry, colours: Float32s) -> None:
-        material = primitive.value.get("material", len(self._materials.materials) - 1)
-        if "baseColor" in self._materials.materials[material].maps and (colours[:, :3] != 1).any():
-            self._left_out.append("the tint of textures by their vertex colours")
 
     def mesh(self, stored: str, source: str) -> TexturedMesh:
         starts = np.cumsum([0, *(len(part.positions) for part in self.parts)])[:-1]

@@ -24,7 +24,7 @@ from beltrami_cli.formats.textured_mesh import SlotImages
 from beltrami_cli.surface.records import Slot, TexturedSurface
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping, Sequence
+    from collections.abc import Hashable, Sequence
 
     from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
@@ -46,7 +46,12 @@ def gather_textured(
         bare = f"a {slot} texture, but no texture coordinates for it" if gathering.counts["bare"] else ""
         cause = shown.obstacle() or f"it has {bare or f'no {slot} texture'}"
         raise InputError(root.name, cause, remedy_for(cause))
-    return gathering.surface(), shown.notices() + _notices(gathering.counts, slot)
+    sentences = {
+        "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
+        "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
+    }
+    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := gathering.counts[key])]
+    return gathering.surface(), shown.notices() + counted
 
 
 def image_key(image: int) -> str:
@@ -59,27 +64,23 @@ class _SlotImages(SlotImages):
 
     def __init__(self, images: Images, slot: Slot) -> None:
         super().__init__()
-        self._images, self._slot = images, slot
+        self.images, self._slot = images, slot
         self._missing: dict[str, list[str]] = {}
 
     def image(self, use: TextureUse) -> str | None:
         """Return the key of the image of a texture; None, and the reason is kept, if it cannot be shown."""
-        place = self._images.textures[use.texture].place
+        place = self.images.textures[use.texture].place
         try:
-            image = self._images.canonical(self._images.shown(use.texture))
+            image = self.images.canonical(self.images.shown(use.texture))
             if image_key(image) not in self:
-                place = self._images.entries[image].place
-                self.take(image_key(image), self._images.name(image), self._images.data(image))
+                place = self.images.entries[image].place
+                self.take(image_key(image), self.images.name(image), self.images.data(image))
         except UnfitReferenceError as error:
             materials = self._missing.setdefault(f"{place}: {error}", [])
             if use.material not in materials:
                 materials.append(use.material)
             return None
         return image_key(image)
-
-    def show_use(self, key: str, use: TextureUse) -> int:
-        """Note that triangles show an image; return the texture's number."""
-        return self.show(key, use.material, self._images.wrap(use.texture), alpha_hides=use.alpha_hides)
 
     def obstacle(self) -> str | None:
         """Return why an image cannot be shown, if there is such an image."""
@@ -154,7 +155,8 @@ class _Gathering:
                 part.add(faces, np.zeros((len(faces), 3, 2)), -1)
             else:
                 uv = self._coordinates(primitive, use, count)[faces]
-                part.add(faces, uv, self.shown.show_use(image, use))
+                wrap = self.shown.images.wrap(use.texture)
+                part.add(faces, uv, self.shown.show(image, use.material, wrap, alpha_hides=use.alpha_hides))
 
     def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
         """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
@@ -198,7 +200,9 @@ class _Gathering:
     def surface(self) -> TexturedSurface:
         """Return what was gathered, without vertices that no triangle uses."""
         positions, faces, spaces, rows = [], [], [], 0
-        space_of = _spaces(self.parts.values())
+        # Triangles of different looks or spaces do not meet.
+        looks_in_spaces = dict.fromkeys((part.placement.space, part.look) for part in self.parts.values())
+        space_of = {key: number for number, key in enumerate(looks_in_spaces)}
         for part in self.parts.values():
             corners = np.concatenate(part.faces)
             used = np.zeros(self.accessors[part.position].count, bool)
@@ -218,19 +222,3 @@ class _Gathering:
             textures=self.shown.textures(),
             space_of=np.concatenate(spaces) if len(space_of) > 1 else None,
         )
-
-
-def _spaces(parts: Iterable[_Part]) -> dict[tuple[int, int], int]:
-    """Return a number for every look in every space: triangles of different ones do not meet."""
-    found: dict[tuple[int, int], int] = {}
-    for part in parts:
-        found.setdefault((part.placement.space, part.look), len(found))
-    return found
-
-
-def _notices(counts: Mapping[str, int], slot: Slot) -> list[str]:
-    sentences = {
-        "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
-        "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
-    }
-    return [sentence.format(n) for key, sentence in sentences.items() if (n := counts[key])]

@@ -66,8 +66,9 @@ def move(edit: Edit, blocks: Sequence[Block], old: Float64s, places: MovedVertic
         _exchange_shared(edit, "NORMAL", held, _turned(normals))
     elif any(block.normal is not None for block in blocks):
         stale.add("normals")
-    for primitive in _users(edit.container.root, blocks):
-        if "TANGENT" in primitive.entry("attributes"):
+    meshes = edit.container.root.entries("meshes")
+    for mesh, part in (user for block in blocks for user in block.users):
+        if "TANGENT" in meshes[mesh].entries("primitives")[part].entry("attributes"):
             stale.add("tangents")
     edit.notices += [_STALE.format(what) for what in sorted(stale)]
 
@@ -133,8 +134,3 @@ def _members(root: Entry, accessors: Accessors, attribute: str, key: Hashable) -
         if attribute in primitive.entry("attributes")
     }
     return {index for index in named if accessors.identity(index) == key}
-
-
-def _users(root: Entry, blocks: Sequence[Block]) -> list[Entry]:
-    meshes = root.entries("meshes")
-    return [meshes[mesh].entries("primitives")[part] for block in blocks for mesh, part in block.users]

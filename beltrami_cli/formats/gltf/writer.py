@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -12,8 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
-from beltrami_cli.formats.gltf.buffers import as_uri
-from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, encoded, glb_pieces
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, MEDIA, VERTEX_DATA
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, not_converted, plain_name, shown_materials
@@ -22,8 +22,6 @@ from beltrami_cli.surface.grouping import distinct_corners
 from beltrami_cli.surface.polygons import triangulate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
@@ -58,15 +56,15 @@ def binary_file(tree: Tree, arrays: Arrays, notices: list[str]) -> Written:
     """Return a file of both chunks."""
     tree["buffers"] = [{"byteLength": len(arrays.binary)}]
     text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
-    pieces = glb_pieces([Chunk(JSON_CHUNK, encoded(text)), Chunk(BIN_CHUNK, bytes(arrays.binary))])
+    pieces = glb_pieces([Chunk(JSON_CHUNK, text.encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))])
     return Written(pieces, notices=tuple(notices))
 
 
 def text_file(tree: Tree, arrays: Arrays, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
     """Return JSON text, with the numbers and images in files beside it."""
-    tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": as_uri(f"{stem}.bin")}]
+    tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": quote(f"{stem}.bin")}]
     text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
-    return Written([encoded(text)], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(notices))
+    return Written([text.encode()], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(notices))
 
 
 class Arrays:
@@ -135,17 +133,17 @@ def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tr
     }
     if contents.alpha is not None and np.any(contents.alpha < 1):
         material["alphaMode"] = "BLEND"
-    return _model(primitive, {"materials": [material]}, arrays, stem), arrays
+    return _model([{"primitives": [primitive], "name": stem}], {"materials": [material]}, arrays), arrays
 
 
-def _model(primitive: Tree, painting: Tree, arrays: Arrays, stem: str) -> Tree:
-    """Return the JSON of a file of one primitive, with the members that paint it."""
+def _model(meshes: list[Tree], painting: Tree, arrays: Arrays) -> Tree:
+    """Return the JSON of a file whose scene shows each mesh once, with the members that paint these."""
     return {
         "asset": {"version": "2.0", "generator": "beltrami"},
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": stem}],
-        "meshes": [{"primitives": [primitive], "name": stem}],
+        "scenes": [{"nodes": list(range(len(meshes)))}],
+        "nodes": [{"mesh": number, "name": each["name"]} for number, each in enumerate(meshes)],
+        "meshes": meshes,
         **painting,
         "accessors": arrays.accessors,
         "bufferViews": arrays.views,
@@ -209,7 +207,7 @@ def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
     tree, arrays = _textured(mesh, stem, notices)
     files = image_names(mesh, stem)
     named = zip(files, _names(mesh, stem), strict=True)
-    tree["images"] = [{"uri": as_uri(file), "name": name} for file, name in named]
+    tree["images"] = [{"uri": quote(file), "name": name} for file, name in named]
     images = {file: image.file.data for file, image in zip(files, mesh.images, strict=True)}
     return text_file(_without_empty(tree), arrays, stem, images, notices)
 
@@ -225,26 +223,16 @@ def _without_empty(tree: Tree) -> Tree:
 def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, Arrays]:
     mesh = _with_bare_materials(mesh)
     parts = _Parts(mesh, stem, notices)
-    meshes = [
-        {"primitives": parts.primitives(faces), "name": plain_name(name) or stem}
-        for name, faces in _groups(mesh)
-    ]
+    meshes: list[Tree] = []
+    for number, name in enumerate(mesh.groups):
+        faces = np.flatnonzero(mesh.group_numbers == number)
+        if len(faces):
+            meshes.append({"primitives": parts.primitives(faces), "name": plain_name(name) or stem})
     textures = _Textures()
     materials = [_material(material, textures, stem) for material in mesh.materials]
-    tree: Tree = {
-        "asset": {"version": "2.0", "generator": "beltrami"},
-        "scene": 0,
-        "scenes": [{"nodes": list(range(len(meshes)))}],
-        "nodes": [{"mesh": number, "name": each["name"]} for number, each in enumerate(meshes)],
-        "meshes": meshes,
-        "materials": materials,
-        "textures": textures.textures,
-        "samplers": textures.samplers,
-        "accessors": parts.arrays.accessors,
-        "bufferViews": parts.arrays.views,
-    }
+    painting = {"materials": materials, "textures": textures.textures, "samplers": textures.samplers}
     notices += not_converted(mesh)
-    return tree, parts.arrays
+    return _model(meshes, painting, parts.arrays), parts.arrays
 
 
 def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
@@ -258,14 +246,6 @@ def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
             materials.append(dataclasses.replace(materials[index], maps={}))
     shown, numbers = shown_materials(materials, numbers)
     return dataclasses.replace(mesh, materials=shown, material_of=numbers)
-
-
-def _groups(mesh: TexturedMesh) -> Iterator[tuple[str, Int64s]]:
-    """Give the names of the groups that have triangles, and these."""
-    for number, name in enumerate(mesh.groups):
-        faces = np.flatnonzero(mesh.group_numbers == number)
-        if len(faces):
-            yield name, faces
 
 
 class _Parts:
@@ -304,15 +284,12 @@ class _Parts:
         elif normals is not None and np.isfinite(normals).any():
             self._note("Not converted: normals of parts that have them at some corners only.")
         if self._colours is not None:
-            attributes[self._colour_attribute(material)] = arrays.add(self._colours[corners[first]])
+            beside = "baseColor" in mesh.materials[material].maps
+            attributes[OWN_COLOURS if beside else "COLOR_0"] = arrays.add(self._colours[corners[first]])
+            if beside:
+                self._note(_BESIDE)
         indices = arrays.add_faces(vertex_of.reshape(-1, 3), len(first))
         return {"attributes": attributes, "indices": indices, "material": material}
-
-    def _colour_attribute(self, material: int) -> str:
-        if "baseColor" not in self._mesh.materials[material].maps:
-            return "COLOR_0"
-        self._note(_BESIDE)
-        return OWN_COLOURS
 
     def _note(self, notice: str) -> None:
         if notice not in self._notices:

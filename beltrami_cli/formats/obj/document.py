@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.document import PLACEHOLDER, Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.obj.materials import Library, Materials
+from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates, read_textured_mesh
@@ -164,9 +164,8 @@ class ObjDocument(Document):
         return np.clip(alpha, 0, 1).astype(np.float32)
 
     def fingerprint(self) -> Fingerprint:
-        return _take_apart(
-            self.data, self._scan, self._colours if self.has_vertex_colours() else None, self._materials
-        )
+        colours = self._colours if self.has_vertex_colours() else None
+        return _take_apart(self.data, self._scan, colours, self._materials)
 
     def facts(self) -> dict[str, object]:
         return {
@@ -199,7 +198,9 @@ class ObjDocument(Document):
     def _scale(self) -> float:
         vertices = self._scan.vertices
         if not vertices.coloured.size:
-            raise self._unpainted()
+            cause = "there are no vertex colours on its 'v' lines"
+            cause += ", only materials" if self._scan.libraries else ""
+            raise UnpaintedError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
         if self._scan.polypaint is not None:
             return 255.0
         scale, notice = full_scale(vertices.colours, self.name)
@@ -215,12 +216,6 @@ class ObjDocument(Document):
     @cached_property
     def _coordinates(self) -> Coordinates:
         return read_coordinates(Statements(self.data, self.name), self._materials)
-
-    def _unpainted(self) -> UnpaintedError:
-        cause = "there are no vertex colours on its 'v' lines"
-        if self._scan.libraries:
-            cause += ", only materials"
-        return UnpaintedError(self.name, cause, "export the mesh with vertex colours (v x y z r g b)")
 
 
 def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Materials) -> Fingerprint:
@@ -238,7 +233,10 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
         text = b"".join(pieces)
     parts, paintings = {"statements": text}, {}
     for number, library in enumerate(materials.libraries):
-        parts[f"material library {number + 1}"] = _without_names(library)
+        names: Spans = {
+            (each.start, each.end): PLACEHOLDER for each, path in library.maps if path is not None
+        }
+        parts[f"material library {number + 1}"] = exchange_spans(library.data, names)
         for index, (found, path) in enumerate(library.maps):
             label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"
             tiles = materials.tiles.get(path or "", {})
@@ -248,9 +246,3 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             if path is not None and not tiles:
                 paintings[label] = NamedImage(found.name, partial(materials.read, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
-
-
-def _without_names(library: Library) -> bytes:
-    """Return a library with a placeholder for the names of the images that are there."""
-    spans: Spans = {(found.start, found.end): PLACEHOLDER for found, path in library.maps if path is not None}
-    return exchange_spans(library.data, spans)

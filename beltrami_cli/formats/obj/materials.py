@@ -145,7 +145,11 @@ class Materials:
         self._shown: dict[tuple[str, Slot], tuple[Map, str | None]] = {}
         known: set[str] = set()
         for library in self.libraries:
-            self._take(library, known)
+            # Of materials that no library before has, the last map of the keyword that counts most.
+            for keyword, slot in reversed(SLOTS.items()):
+                for found, file in library.maps:
+                    if found.keyword == keyword and found.material not in known:
+                        self._shown[found.material, slot] = found, file
             known |= library.materials
 
     def painting(self, material: str, slot: Slot) -> tuple[Map, str | None] | None:
@@ -184,19 +188,11 @@ class Materials:
         """Yield all maps through which an image is visible in a slot."""
         for library in self.libraries:
             painted = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
+            along = ("map_ka", "map_d") if slot == "baseColor" else ()
             for found, its_path in library.maps:
-                along = (
-                    slot == "baseColor" and found.keyword in ("map_ka", "map_d") and found.material in painted
-                )
-                if its_path == path and (along or SLOTS.get(found.keyword) == slot):
+                goes_along = found.keyword in along and found.material in painted
+                if its_path == path and (goes_along or SLOTS.get(found.keyword) == slot):
                     yield library, found
-
-    def _take(self, library: Library, known: set[str]) -> None:
-        """Note the maps of materials that no library before has: the last of the keyword that counts most."""
-        for keyword, slot in reversed(SLOTS.items()):
-            for found, path in library.maps:
-                if found.keyword == keyword and found.material not in known:
-                    self._shown[found.material, slot] = found, path
 
     def _names(self, text: bytes, start: int) -> Iterator[tuple[str, int]]:
         """Split the names of several libraries, which may hold blanks; yield each with its place."""

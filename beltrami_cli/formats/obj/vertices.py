@@ -21,8 +21,6 @@ from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.surface.geometry import unit_vectors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 
 _SIZES = (3, 4, 5, 6, 7, 8)
@@ -45,9 +43,7 @@ class Vertices:
     coloured: Int64s  # (V,) which of them have colours, in file order
     colours: Float64s  # (V, 3) the numbers in the file
     alpha: Float64s | None  # (V,) the numbers in the file, if all coloured vertices have one
-    token_starts: NDArray[
-        np.int64
-    ]  # (V, 6) where positions and colours of coloured vertices stand in the file
+    token_starts: Int64s  # (V, 6) where positions and colours of coloured vertices stand in the file
     token_ends: Int64s
     notice: str  # how numbers were understood that can mean two things, or empty
 
@@ -67,12 +63,8 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
     values = statements.finite_numbers(tokens)
     weights, notice = _weights(values, offsets, sizes)
     coloured = np.flatnonzero(sizes >= _PLAIN)
-    colour_at = (
-        offsets[coloured]
-        + 3
-        + ((sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights))
-    )
-    colour_at = colour_at[:, None] + np.arange(3)
+    weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
+    colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
     known_at = np.column_stack([offsets[coloured, None] + np.arange(3), colour_at])
     has_alpha = offsets[coloured + 1] - colour_at[:, 2] > 1
     return Vertices(
@@ -185,17 +177,14 @@ def scan_file(data: bytes, name: str) -> Scan:
         vertices = painted_by(polypaint, vertices, statements)
     corners, _, offsets = statements.corners(b"v")
     libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
-    dropped = [
-        what for what, words in _DROPPED.items() if any(statements.select(word).size for word in words)
-    ]
+    dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]
     count = len(vertices.positions)
     missing = count - len(vertices.coloured)
     if 0 < missing < count:
         notices.append(f"{missing} of {count} vertices have no colour; they and their faces take no part.")
         dropped.append("vertices without colour and their faces")
-    return Scan(
-        vertices, polypaint, corners.astype(np.int32), offsets, libraries, tuple(dropped), tuple(notices)
-    )
+    whole = corners.astype(np.int32)
+    return Scan(vertices, polypaint, whole, offsets, libraries, tuple(dropped), tuple(notices))
 
 
 def among(corners: Int32s, offsets: Int64s, vertices: Int64s, count: int) -> tuple[Int32s, Int64s]:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
+    from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _MATERIAL = "painted"
@@ -78,7 +78,16 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh with its materials, with a library and images beside it that are named after `stem`."""
     mesh = with_slots(mesh, _SLOTS)
     names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
-    vertices, notices = _textured_vertices(mesh.positions, mesh.colours)
+    vertices, notices, colours = (
+        _lines("v {} {} {}\n", shortest_type(mesh.positions)),
+        list[str](),
+        mesh.colours,
+    )
+    if colours is not None:
+        values, notices = display_colours(colours)
+        vertices = _vertex_lines(mesh.positions, values)
+        if colours.alpha is not None and (colours.alpha < 1).any():
+            notices.append("Opacity of vertices is dropped: they hold red, green and blue only.")
     coordinates, coordinate_of = _distinct(mesh.uv)
     pieces = [f"mtllib {stem}.mtl\n".encode(), *vertices]
     pieces += _lines("vt {} {}\n", (coordinates * [1, -1] + [0, 1]).astype(np.float32))
@@ -95,15 +104,6 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     mirrored = any("mirror" in shown.wrap for material in mesh.materials for shown in material.maps.values())
     lost = not_converted(mesh, ["mirrored repetition of textures"] if mirrored else [])
     return Written(pieces, {f"{stem}.mtl": library.encode(), **files}, (*notices, *lost))
-
-
-def _textured_vertices(positions: Float64s, colours: VertexColours | None) -> tuple[list[bytes], list[str]]:
-    if colours is None:
-        return [*_lines("v {} {} {}\n", shortest_type(positions))], []
-    values, notices = display_colours(colours)
-    if colours.alpha is not None and (colours.alpha < 1).any():
-        notices.append("Opacity of vertices is dropped: they hold red, green and blue only.")
-    return [*_vertex_lines(positions, values)], notices
 
 
 def _distinct(corners: Array) -> tuple[Array, Int64s]:

@@ -79,10 +79,6 @@ class PlyDocument(Document):
         )
 
     def grid(self) -> Int64s | None:
-        return self._grid
-
-    @cached_property
-    def _grid(self) -> Int64s | None:
         return read_grid(self.data[: self._header.end], self._tables, self.name)
 
     def has_vertex_colours(self) -> bool:
@@ -141,6 +137,7 @@ class PlyDocument(Document):
     def contents(self) -> MeshContents:
         corners, offsets = self._polygons
         has_normals = self._kinds.keys() >= {*NORMAL}
+        used = {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())}
         return MeshContents(
             positions=self._positions,
             corners=corners,
@@ -150,10 +147,7 @@ class PlyDocument(Document):
             stored=str(np.dtype(self._paint.type)),
             alpha=self._alpha(),
             normals=self._normals() if has_normals else None,
-            left_out=_left_out(
-                self._header,
-                {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())},
-            ),
+            left_out=_left_out(self._header, used),
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
@@ -172,9 +166,8 @@ class PlyDocument(Document):
         ]
         left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
         normals = self._normals() if has_normals else None
-        return mesh_of_surface(
-            self.textured("baseColor"), normals, shown, Path(self.name).stem, tuple(left_out)
-        )
+        surface, source = self.textured("baseColor"), Path(self.name).stem
+        return mesh_of_surface(surface, normals, shown, source, tuple(left_out))
 
     def facts(self) -> dict[str, object]:
         elements = self._header.elements
@@ -182,23 +175,15 @@ class PlyDocument(Document):
             "format": self.format,
             "encoding": self._header.encoding,
             "elements": {element.name: element.count for element in elements},
-            "properties": {
-                element.name: [known.name for known in element.properties] for element in elements
-            },
+            "properties": {each.name: [known.name for known in each.properties] for each in elements},
             "comments": self._header.comments,
         }
 
     def fingerprint(self) -> Fingerprint:
-        painted = self.has_vertex_colours()
-        return take_apart(
-            self.data,
-            self._header,
-            self._tables,
-            self._paint if painted else None,
-            self._colours.values if painted else None,
-            self._images,
-            self._folder,
-        )
+        known = self.data, self._header, self._tables
+        if not self.has_vertex_colours():
+            return take_apart(*known, None, None, self._images, self._folder)
+        return take_apart(*known, self._paint, self._colours.values, self._images, self._folder)
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
@@ -237,7 +222,7 @@ class PlyDocument(Document):
 
     @cached_property
     def _positions(self) -> Float64s:
-        return self._columns(POSITION, "position")
+        return finite_columns(self._vertices, POSITION, "position", self.name)
 
     @cached_property
     def _measured(self) -> Float64s:
@@ -249,13 +234,10 @@ class PlyDocument(Document):
     def _polygons(self) -> tuple[Int32s, Int64s]:
         return read_polygons(self._tables, self._vertices.element.count, self.name)
 
-    def _columns(self, names: tuple[str, ...], what: str) -> Float64s:
-        return finite_columns(self._vertices, names, what, self.name)
-
     def _alpha(self) -> Float32s | None:
         if not self._paint.alpha:
             return None
-        alpha = self._columns((self._paint.alpha,), "alpha")[:, 0]
+        alpha = finite_columns(self._vertices, (self._paint.alpha,), "alpha", self.name)[:, 0]
         kind = self._kinds[self._paint.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
         if kind == self._paint.type:
@@ -264,7 +246,8 @@ class PlyDocument(Document):
 
     def _normals(self) -> Float32s:
         largest = np.finfo(np.float32).max
-        return np.clip(self._columns(NORMAL, "normal"), -largest, largest).astype(np.float32)
+        normals = finite_columns(self._vertices, NORMAL, "normal", self.name)
+        return np.clip(normals, -largest, largest).astype(np.float32)
 
 
 def _left_out(

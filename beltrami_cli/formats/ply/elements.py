@@ -63,7 +63,11 @@ def find_paint(header: Header, vertices: Table, name: str) -> Paint:
             kinds = {types[known] for known in names}
             if len(kinds) > 1:
                 raise InputError(name, f"{', '.join(names)} are of several types", "store them in one type")
-            return Paint(names, alpha if alpha in types else "", _unsigned(kinds.pop(), names, name))
+            kind = kinds.pop()
+            if kind[0] == "i":
+                cause = f"{', '.join(names)} are signed ({np.dtype(kind)}), for which no full scale is agreed"
+                raise InputError(name, cause, "store colours as uchar, ushort or float")
+            return Paint(names, alpha if alpha in types else "", kind)
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY]):
         return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
     if not any(element.count for element in header.elements if element.name in ("face", "tristrips")):
@@ -71,13 +75,6 @@ def find_paint(header: Header, vertices: Table, name: str) -> Paint:
             if known in types:
                 return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
     raise _unpainted(header, vertices.element, name)
-
-
-def _unsigned(kind: str, names: tuple[str, ...], name: str) -> str:
-    if kind[0] == "i":
-        cause = f"{', '.join(names)} are signed ({np.dtype(kind)}), for which no full scale is agreed"
-        raise InputError(name, cause, "store colours as uchar, ushort or float")
-    return kind
 
 
 def _is_grey(vertices: Table, kind: str) -> bool:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import suffix_for
 from beltrami_cli.formats.model_folder import (
     LEFT_ALONE,
     LEFT_OUTSIDE,
@@ -24,13 +23,12 @@ from beltrami_cli.formats.model_folder import (
     remedy_for,
 )
 from beltrami_cli.formats.ply.elements import finite_columns
-from beltrami_cli.formats.textured_mesh import alpha_mode, usable_coordinates
+from beltrami_cli.formats.textured_mesh import MeshImages, alpha_mode, usable_coordinates
 from beltrami_cli.surface.polygons import triangulate_corners
 from beltrami_cli.surface.records import (
-    ImageFile,
     Material,
     MaterialMap,
-    MeshImage,
+    Slot,
     Texture,
     TexturedMesh,
     TexturedSurface,
@@ -186,18 +184,13 @@ def mesh_of_surface(
     left_out: tuple[str, ...],
 ) -> TexturedMesh:
     """Return a surface as a mesh with a material for each image, named after it; normals and colours by vertex."""
-    images = [
-        MeshImage(ImageFile(each.data, suffix_for(each.data, each.name) or ".png"), each.name, each.key)
-        for each in surface.textures
-    ]
-    materials = [
-        Material(
-            each.name.rpartition(".")[0],
-            {"baseColor": MaterialMap(number, each.wrap)},
-            alpha=alpha_mode(each.data, each.name),
-        )
-        for number, each in enumerate(surface.textures)
-    ]
+    shown, materials = MeshImages(), []
+    for each in surface.textures:
+        data = each.data
+        maps: dict[Slot, MaterialMap] = {
+            "baseColor": MaterialMap(shown.take(each.key, each.name, data), each.wrap)
+        }
+        materials.append(Material(each.name.rpartition(".")[0], maps, alpha=alpha_mode(data, each.name)))
     bare = surface.texture_of < 0
     uv = usable_coordinates(surface.uv)
     uv[bare] = np.nan
@@ -208,7 +201,7 @@ def mesh_of_surface(
         faces=surface.faces,
         uv=uv,
         materials=tuple(materials),
-        images=tuple(images),
+        images=tuple(shown.images),
         source=source,
         material_of=np.where(bare, len(surface.textures), surface.texture_of).astype(np.int32),
         normals=None if normals is None else normals[surface.faces],
