@@ -41,8 +41,6 @@ Bytes = bytes | bytearray | memoryview
 NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}
 # What references in some format cannot spell, or readers take for something else than the name of a file beside.
 _UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
-PLACEHOLDER = b"\0"
-"""Replaces what may differ in a part of a fingerprint."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Float64s, Int64s
 
+PLACEHOLDER = b"\0"
+"""Replaces what may differ in a part of a fingerprint."""
+
 Spans = dict[tuple[int, int], bytes]
 """New bytes by where the old ones start and end."""
 
@@ -100,6 +103,13 @@ def exchange_tokens(
         done = stops[-1]
     pieces.append(whole[done:])
     return pieces
+
+
+def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:
+    """Return a text with a placeholder for each of some tokens, as for `exchange_tokens`."""
+    return b"".join(
+        exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
+    )
 
 
 def exchange_spans(data: bytes, spans: Spans) -> bytes:

@@ -12,7 +12,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.document import PLACEHOLDER, Document, Fingerprint, NamedImage, Written
+from beltrami_cli.formats.document import Document, Fingerprint, NamedImage, Written
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import Materials
 from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
@@ -20,7 +20,7 @@ from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates, read_textured_mesh
 from beltrami_cli.formats.obj.vertices import Scan, among, read_normals, repainted_entries, scan_file
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
-from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, shifted, zeroed
+from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
 
@@ -229,8 +229,7 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             np.sort(shifted(tokens[:, 3:].ravel(), mentions))
             for tokens in (scan.vertices.token_starts, scan.vertices.token_ends)
         )
-        pieces = exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
-        text = b"".join(pieces)
+        text = without_tokens(text, starts, ends)
     parts, paintings = {"statements": text}, {}
     for number, library in enumerate(materials.libraries):
         names: Spans = {

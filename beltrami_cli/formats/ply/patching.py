@@ -9,11 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import PLACEHOLDER, Bytes, Fingerprint, NamedImage, Naming, Written
+from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
-from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens, find_tokens, zeroed
+from beltrami_cli.formats.tokens import (
+    PLACEHOLDER,
+    Spans,
+    exchange_spans,
+    exchange_tokens,
+    find_tokens,
+    without_tokens,
+    zeroed,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -163,12 +171,9 @@ def _blanked_text(text: bytes, hidden: Int64s) -> tuple[bytes, Int64s]:
     """Return a text with a placeholder for some of its tokens, and where every token starts in it."""
     starts, ends = find_tokens(text)
     order = np.sort(hidden)
-    pieces = exchange_tokens(
-        text, starts[order], ends[order], lambda block: [PLACEHOLDER] * (block.stop - block.start)
-    )
     shorter = np.zeros(len(starts) + 1, np.int64)
     shorter[order + 1] = ends[order] - starts[order] - len(PLACEHOLDER)
-    return b"".join(pieces), starts - np.cumsum(shorter)[:-1]
+    return without_tokens(text, starts[order], ends[order]), starts - np.cumsum(shorter)[:-1]
 
 
 def _paintings(images: Sequence[TextureComment], folder: ModelFolder) -> dict[str, NamedImage]:

@@ -33,13 +33,11 @@ from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.access import Access
 
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
@@ -171,7 +169,10 @@ class NpzPointsDocument(Document):
         if not arrays.count:
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         keys = (arrays.positions, arrays.colours, *([arrays.faces] if arrays.faces else []))
-        _require_room(self._archive, keys, self.access, self.name)
+        if self.access.memory is not None:
+            needed = sum(_COPIES * self._archive.header(key).count * 8 for key in keys)
+            if needed > self.access.memory:
+                raise InputError(self.name, "its arrays do not fit into memory", "raise --max-memory")
         return arrays
 
     @cached_property
@@ -216,10 +217,9 @@ class NpzPointsDocument(Document):
     def _scale(self) -> float:
         if self._stored.dtype in (np.uint8, np.uint16):
             return float(np.iinfo(self._stored.dtype).max)
-        intensities = self._arrays.is_intensity
-        scale, notice = (
-            intensity_scale(self._numbers) if intensities else point_colour_scale(self._numbers, self.name)
-        )
+        numbers = self._numbers
+        is_intensity = self._arrays.is_intensity
+        scale, notice = intensity_scale(numbers) if is_intensity else point_colour_scale(numbers, self.name)
         self.notices += [notice] if notice else []
         return scale
 
@@ -244,9 +244,8 @@ def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
     positions = _required(archive, POSITION_KEYS, "positions", name)
     colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours", name)
     shape = archive.header(positions).shape
-    _require(
-        len(shape) >= 2 and shape[-1] == 3, name, f"the array {positions} is of shape {shape}, not (..., 3)"
-    )
+    cause = f"the array {positions} is of shape {shape}, not (..., 3)"
+    _require(len(shape) >= 2 and shape[-1] == 3, name, cause)
     points, found = shape[:-1], archive.header(colours).shape
     wide = found[len(points) :]
     fits = found[: len(points)] == points and len(wide) <= 1 and 1 <= math.prod(wide) <= _CHANNELS
@@ -260,16 +259,6 @@ def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
     channels = math.prod(wide)
     has_alpha = channels in (2, 4)
     return _Arrays(positions, colours, normals, faces, points, channels - has_alpha, has_alpha, tuple(rest))
-
-
-def _require_room(archive: NpzArchive, keys: Iterable[str], access: Access, name: str) -> None:
-    """Raise InputError if the least memory that some arrays need is more than allowed."""
-    if access.memory is None:
-        return
-    headers = [archive.header(key) for key in keys]
-    needed = sum(_COPIES * header.count * 8 for header in headers)
-    if needed > access.memory:
-        raise InputError(name, "its arrays do not fit into memory", "raise --max-memory")
 
 
 def _read_faces(archive: NpzArchive, key: str, count: int, name: str) -> Int32s:

@@ -107,7 +107,7 @@ class _Reader:
         for row in range(min(2, len(self._heads))):
             first, stop = self._heads[row], self._stops[row]
             words = [self._word(t) for t in range(first, stop)]
-            if all(not _is_number(word) for word in words):
+            if not any(_is_number(word) for word in words):
                 self._heads, self._stops = np.delete(self._heads, row), np.delete(self._stops, row)
                 return _column_names(words)
         return ()
@@ -219,11 +219,8 @@ def find_columns(table: PointTable, name: str) -> Columns:
         raise InputError(name, cause, _REMEDY)
     layouts = [layout for layout in _KNOWN[width] if _fits(layout, table.values)]
     if not layouts:
-        cause = (
-            "columns 4 to 6 are normals, and no colours"
-            if width == 6
-            else "the normals cannot be distinguished from colours"
-        )
+        cause = "the normals cannot be distinguished from colours"
+        cause = "columns 4 to 6 are normals, and no colours" if width == 6 else cause
         raise InputError(name, cause, _REMEDY)
     names = ("x", "y", "z", *layouts[0])
     notice = "" if width == 6 else f"Its {width} columns are taken for {' '.join(names)}."

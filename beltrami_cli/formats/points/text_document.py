@@ -9,12 +9,14 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
-from beltrami_cli.formats.document import PLACEHOLDER, Bytes, Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
-from beltrami_cli.formats.tokens import exchange_tokens
+from beltrami_cli.formats.tokens import exchange_tokens, without_tokens
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
@@ -54,8 +56,7 @@ class TextPointsDocument(Document):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         if new.colours is None:
             return Written([self.data])
-        starts, ends = self._places()
-        return Written(_with_colours(self.data, starts, ends, self._colours, new.colours, self._scale))
+        return Written(_with_colours(self.data, *self._places(), self._colours, new.colours, self._scale))
 
     def contents(self) -> MeshContents:
         painted, columns = self.painted(), self._columns
@@ -77,10 +78,8 @@ class TextPointsDocument(Document):
         if not self.has_vertex_colours():
             return Fingerprint({"lines": self.data})
         starts, ends = (np.sort(places.ravel()) for places in self._places())
-        pieces = exchange_tokens(
-            self.data, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start)
-        )
-        return Fingerprint({"lines": b"".join(pieces)}, {"point colours": self._colours})
+        lines = without_tokens(self.data, starts, ends)
+        return Fingerprint({"lines": lines}, {"point colours": self._colours})
 
     def facts(self) -> dict[str, object]:
         names = self._table.names or self._columns.names(self._table.values.shape[1])
@@ -146,7 +145,7 @@ class TextPointsDocument(Document):
 
 def _with_colours(
     data: bytes, starts: Int64s, ends: Int64s, before: Float32s, after: Float32s, scale: float
-) -> list[Bytes]:
+) -> Sequence[Bytes]:
     """Exchange the colours, each of shape (P, C), that changed, and keep every other byte.
 
     Where all old numbers are integers the new ones are; else they have as many decimals as the old ones have at most,
@@ -161,12 +160,8 @@ def _with_colours(
     if not changed.any():
         return [data]
     order = np.argsort(starts[changed])  # blue may stand before red
-    numbers = values[changed][order]
-
-    def spell(block: slice) -> list[bytes]:
-        return [style % value for value in numbers[block].tolist()]
-
-    return [*exchange_tokens(data, starts[changed][order], ends[changed][order], spell)]
+    numbers, places = values[changed][order], (starts[changed][order], ends[changed][order])
+    return exchange_tokens(data, *places, lambda block: [style % value for value in numbers[block].tolist()])
 
 
 def _number_format(data: bytes, starts: Int64s, ends: Int64s, scale: float) -> bytes:

@@ -53,9 +53,7 @@ class UsdDocument(Document):
     def _scene(self) -> tuple[dict[str, Any], dict[str, Array]]:
         words, arrays = self._layers.scene(text=self._compared)
         counts = words["counts"]
-        self.notices += [
-            f"'{path}' {why}{LEFT_ALONE}" for path, why in dict.fromkeys(self._layers.reasons.items())
-        ]
+        self.notices += [f"'{path}' {why}{LEFT_ALONE}" for path, why in self._layers.reasons.items()]
         self.notices += [sentence.format(n) for key, sentence in _COUNTS.items() if (n := counts.get(key))]
         return words, arrays
 
@@ -136,14 +134,10 @@ class UsdDocument(Document):
         key = form, tuple(renamed.items())
         if colours is None and key in self._made:  # as when files were planned
             return self._made[key]
-        suffix = Path(self._layers.root).suffix if form == self.format else f".{form}"
-        order = {
-            "task": "edit",
-            "blocks": [] if colours is None else self._words["blocks"],
-            "files": renamed,
-            "suffix": suffix,
-            "same": form == self.format,
-        }
+        same = form == self.format
+        suffix = Path(self._layers.root).suffix if same else f".{form}"
+        blocks = [] if colours is None else self._words["blocks"]
+        order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
         arrays = {} if colours is None else {"colours": colours}
         made = self._layers.ask(order, arrays)[1]["layer"].tobytes()
         if colours is None:
@@ -159,7 +153,10 @@ class UsdDocument(Document):
         layers = [layer for layer in self._layers.contents if layer != self._layers.root]
         if naming.copies and not in_package:
             kept = [*layers, *kept]
-            self._require_free(kept, naming)
+            taken = next((file for file in kept if naming.is_taken(file)), None)
+            if taken is not None:  # other layers name the files that are copied
+                cause = f"beside OUTPUT there is another '{taken}', whose name is needed for one of its files"
+                raise InputError(self.name, cause, "choose an empty folder")
         present = self._layers.package.members if self._layers.package else self.references()
         names = NewNames(naming, self.name, present, [*shown.missing(), *kept])
         files: dict[str, Bytes] = {}
@@ -196,13 +193,6 @@ class UsdDocument(Document):
             raise UsageError(f"{self.name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}")
         tiles = self._layers.tiles.get(path, ())
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
-
-    def _require_free(self, kept: Sequence[str], naming: Naming) -> None:
-        """Raise InputError if files that other layers name cannot be copied under their names."""
-        taken = next((file for file in kept if naming.is_taken(file)), None)
-        if taken is not None:
-            cause = f"beside OUTPUT there is another '{taken}', whose name is needed for one of its files"
-            raise InputError(self.name, cause, "choose an empty folder")
 
     def contents(self) -> MeshContents:
         painted = self._painted
@@ -246,10 +236,8 @@ class UsdDocument(Document):
             others = [each for each in package.members if each not in known]
             parts |= {f"file {name}": package.read(name) for name in others}
         colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
-        images = {
-            label: NamedImage(posixpath.basename(file), partial(self._layers.image, file))
-            for label, file in named.items()
-        }
+        read = self._layers.image
+        images = {at: NamedImage(posixpath.basename(file), partial(read, file)) for at, file in named.items()}
         return Fingerprint(parts, colours, images, package.faults() if package is not None else ())
 
     def facts(self) -> dict[str, object]:

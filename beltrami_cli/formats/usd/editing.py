@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     Change = tuple[Array, Array]  # the values of an attribute before and after
 
 Arrays = dict[str, "NDArray[Any]"]
-_EMPTY = "empty"  # in place of what may differ, in fingerprints
 _MADE = "made"  # name of a layer that is written, without its suffix
 _COLOURS = re.compile(rb"primvars:displayColor\s*=\s*\[([^\]]*)\]")
 _VECTOR = re.compile(rb"\([^()]*\)")
@@ -62,20 +61,16 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
         "up": str(UsdGeom.GetStageUpAxis(stage)),
         # `UsdGeom.GetStageMetersPerUnit` refuses single precision, as old exporters wrote it.
         "unit": float(stage.GetMetadata("metersPerUnit")),
-        "variants": _variants(stage),
+        "variants": [
+            f"{prim.GetPath()}{{{name}={sets.GetVariantSelection(name)}}}"
+            for prim in stage.Traverse()
+            for sets in [prim.GetVariantSets()]
+            for name in sets.GetNames()
+        ],
     }
     if order.get("text"):
         words["text"] = _without_colours(stage, words)
     return words, scene.joined()
-
-
-def _variants(stage: Any) -> list[str]:
-    """Return the sets of variants of a stage, each with the one that is selected."""
-    found = []
-    for prim in stage.Traverse():
-        sets = prim.GetVariantSets()
-        found += [f"{prim.GetPath()}{{{name}={sets.GetVariantSelection(name)}}}" for name in sets.GetNames()]
-    return found
 
 
 def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
@@ -90,11 +85,8 @@ def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]
     if order["same"]:
         path = Path(order["root"])
         (old_colours, old_names), (new_colours, new_names) = before, _stored(stage, order)
-        changes = [
-            (old, new)
-            for old, new in zip(old_colours, new_colours, strict=True)
-            if not np.array_equal(old, new)
-        ]
+        both = zip(old_colours, new_colours, strict=True)
+        changes = [(old, new) for old, new in both if not np.array_equal(old, new)]
         names = list(dict.fromkeys(zip(old_names, new_names, strict=True)))
         patched = in_place(path.read_bytes(), path.suffix, root, changes, names)
         if patched is not None:
@@ -275,8 +267,6 @@ def _spelled(colour: Array) -> bytes:
 
 def _are_equal(layer: Any, data: bytes, suffix: str) -> bool:
     """Return whether a stored layer holds what another one does."""
-    from pxr import Sdf
-
     path = Path(f"patched{suffix}").absolute()
     path.write_bytes(data)
     made = Sdf.Layer.FindOrOpen(str(path))
@@ -284,12 +274,11 @@ def _are_equal(layer: Any, data: bytes, suffix: str) -> bool:
     if made is None:
         return False
     paths: list[Any] = []
+    others: list[Any] = []
     layer.Traverse("/", paths.append)
-    count: list[Any] = []
-    made.Traverse("/", count.append)
-    return len(paths) == len(count) and all(
-        _value(layer, path) == _value(made, path) for path in paths if path.IsPropertyPath()
-    )
+    made.Traverse("/", others.append)
+    properties = [path for path in paths if path.IsPropertyPath()]
+    return len(paths) == len(others) and all(_value(layer, path) == _value(made, path) for path in properties)
 
 
 def _value(layer: Any, path: Any) -> object:

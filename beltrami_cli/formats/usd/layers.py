@@ -29,7 +29,6 @@ from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, 
 from beltrami_cli.surface.tiling import Tile, found_tiles, has_token
 
 if TYPE_CHECKING:
-    import zipfile
     from collections.abc import Mapping
 
     from beltrami_cli.arrays import Array
@@ -59,11 +58,9 @@ class Package:
         require_ratio(name, "the package", len(data), sum(entry.file_size for entry in entries))
         wrong = next((each.filename for each in entries if _is_unfit(each.filename)), None)
         if wrong is not None or len(self._dates) != len(entries):
-            cause = (
-                f"it has a file named {wrong[:80]!r}" if wrong is not None else "it has two files of one name"
-            )
+            cause = "it has two files of one name" if wrong is None else f"it has a file named {wrong[:80]!r}"
             raise InputError(name, f"{cause}, which a package cannot have", "export it again")
-        if not is_package(entries):
+        if not entries or not entries[0].filename.lower().endswith(LAYERS):
             raise InputError(name, "its first file is no USD layer", "export it again, by a program for USDZ")
         self.members = list(self._dates)
         self.root = self.members[0]
@@ -73,10 +70,8 @@ class Package:
         """Return what readers that map packages into memory cannot do with, one sentence each."""
         found = []
         for entry in self._archive.entries:
-            sizes = _LOCAL.unpack_from(self._data, entry.header_offset)[
-                -2:
-            ]  # of the name and the extra fields
-            start = entry.header_offset + _LOCAL.size + sum(sizes)
+            *_, name, extra = _LOCAL.unpack_from(self._data, entry.header_offset)
+            start = entry.header_offset + _LOCAL.size + name + extra
             if entry.compress_type:
                 found.append(f"{entry.filename} is compressed")
             elif start % _ALIGNMENT:
@@ -93,11 +88,6 @@ class Package:
         """Return a package with other files in the place of some, and the rest behind them."""
         contents = {member: new.get(member) or self.read(member) for member in self.members}
         return packed(contents | dict(new), self._dates)
-
-
-def is_package(entries: list[zipfile.ZipInfo]) -> bool:
-    """Whether the files of an archive make a package."""
-    return bool(entries) and entries[0].filename.lower().endswith(LAYERS)
 
 
 def _is_unfit(name: str) -> bool:
@@ -184,16 +174,13 @@ class Layers:
             file = self._located(layer, path)
             if self.package is None and file not in self.contents:
                 self.contents[file] = self.folder.read(file)
-        except UnfitReferenceError as error:
-            self.reasons[path] = str(error)
+        except (UnfitReferenceError, OSError) as error:
+            self.reasons[path] = (
+                f"cannot be read ({error.strerror})" if isinstance(error, OSError) else str(error)
+            )
             self.refused.append((layer, path))
-        except OSError as error:
-            self.reasons[path] = f"cannot be read ({error.strerror})"
-            self.refused.append((layer, path))
-        most = self.access.memory
-        if len(self.contents) > _MOST_LAYERS or (
-            most is not None and sum(map(len, self.contents.values())) > most
-        ):
+        most, size = self.access.memory, sum(map(len, self.contents.values()))
+        if len(self.contents) > _MOST_LAYERS or (most is not None and size > most):
             raise InputError(self.name, "it has more layers than fit into memory", "raise --max-memory")
 
     def _located(self, layer: str, path: str) -> str:

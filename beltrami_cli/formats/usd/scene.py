@@ -132,9 +132,7 @@ class Scene:
         for subset in binding.GetMaterialBindSubsets():
             bound = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0]
             chosen = np.array(subset.GetIndicesAttr().Get() or [], np.int64)
-            parts.append(
-                (self._material(bound), chosen[(chosen >= 0) & (chosen < polygons.total)]),
-            )
+            parts.append((self._material(bound), chosen[(chosen >= 0) & (chosen < polygons.total)]))
         of_polygon = np.full(polygons.total, -1)
         for number, chosen in parts:
             of_polygon[chosen] = number
@@ -165,16 +163,12 @@ class Scene:
         path = str(material.GetPath())
         if path not in self._number_of:
             self._number_of[path] = len(self.materials)
-            self.materials.append(self._read_material(material))
+            known, uses = read_material(material)
+            self.counts["unread"] += int(known.pop("unread", False))
+            known["uses"] = {slot: len(self.uses) + number for number, slot in enumerate(uses)}
+            self.uses += [{**use, "material": known["name"]} for use in uses.values()]
+            self.materials.append(known)
         return self._number_of[path]
-
-    def _read_material(self, material: Any) -> dict[str, Any]:
-        """Read a material; its uses of textures get numbers."""
-        known, uses = read_material(material)
-        self.counts["unread"] += int(known.pop("unread", False))
-        known["uses"] = {slot: len(self.uses) + number for number, slot in enumerate(uses)}
-        self.uses += [{**use, "material": known["name"]} for use in uses.values()]
-        return known
 
     def _take_colours(self, prim: Any, polygons: _Polygons, points: int) -> None:
         """Take the colours of vertices or corners of a mesh."""
@@ -200,14 +194,9 @@ class Scene:
             self.add(colours=values, colour_vertex=vertex + self._vertices)
             self.add(opacity=opacity if opacity is not None and fit else np.ones(len(values)))
             self.counts["transparent"] += int(fit)
-            self.blocks.append(
-                {
-                    "attribute": str(primvar.GetAttr().GetPath()),
-                    "first": self._rows,
-                    "count": len(values),
-                    "type": np.array(primvar.Get(Usd.TimeCode.EarliestTime())).dtype.name,
-                }
-            )
+            stored = np.array(primvar.Get(Usd.TimeCode.EarliestTime())).dtype.name
+            place = {"attribute": str(primvar.GetAttr().GetPath()), "first": self._rows, "count": len(values)}
+            self.blocks.append({**place, "type": stored})
             self._rows += len(values)
         self.add(rows=rows)
 

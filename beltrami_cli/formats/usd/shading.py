@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import posixpath
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from beltrami_cli.arrays import Float64s
 
 # The inputs of a UsdPreviewSurface by slot; those of the last are one image's green and blue.
 INPUTS = {
@@ -145,28 +148,17 @@ def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
         reader = UsdShade.Shader(source.GetPrim())
         kind = str(reader.GetIdAttr().Get())
         names = _sources(reader, _MTLX_READERS.get(kind, ""))
-        if kind not in (*_MTLX_READERS, "ND_texcoord_vector2") or any(
-            n.Get() for n in _sources(reader, "index")
-        ):
+        is_known = kind in (*_MTLX_READERS, "ND_texcoord_vector2")
+        if not is_known or any(number.Get() for number in _sources(reader, "index")):
             return None
         varname = str(names[0].Get()) if names else varname
-    tiling, offset, image, tile = (
-        np.array(given[0].Get() if given else (usual, usual), np.float64)
-        for given, usual in (
-            (_sources(shader, "uvtiling"), 1),
-            (_sources(shader, "uvoffset"), 0),
-            (_sources(shader, "realworldimagesize"), 1),
-            (_sources(shader, "realworldtilesize"), 1),
-        )
-    )
+    inputs = {"uvtiling": 1, "uvoffset": 0, "realworldimagesize": 1, "realworldtilesize": 1}
+    tiling, offset, image, tile = (_pair(shader, name, usual) for name, usual in inputs.items())
     if (image == 0).any():
         return None
     scale = tile / image
-    return {
-        "coordinates": varname,
-        "matrix": np.diag(tiling * scale).tolist(),
-        "offset": (-offset * scale).tolist(),
-    }
+    matrix, moved = np.diag(tiling * scale), -offset * scale
+    return {"coordinates": varname, "matrix": matrix.tolist(), "offset": moved.tolist()}
 
 
 def _placing(shader: Any) -> dict[str, Any] | None:
@@ -187,19 +179,18 @@ def _placing(shader: Any) -> dict[str, Any] | None:
             return {"coordinates": varname, "matrix": matrix.tolist(), "offset": offset.tolist()}
         if kind != "UsdTransform2d":
             return None
-        scale, move = (
-            np.array(given[0].Get() if given else default, np.float64)
-            for given, default in (
-                (_sources(chain, "scale"), (1, 1)),
-                (_sources(chain, "translation"), (0, 0)),
-            )
-        )
+        scale, move = _pair(chain, "scale", 1), _pair(chain, "translation", 0)
         turns = _sources(chain, "rotation")
         angle = np.deg2rad(float(turns[0].Get())) if turns else 0.0
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         own = np.diag(scale) @ turn
         matrix, offset = own @ matrix, move @ matrix + offset
     return None
+
+
+def _pair(shader: Any, name: str, usual: int) -> Float64s:
+    given = _sources(shader, name)
+    return np.array(given[0].Get() if given else (usual, usual), np.float64)
 
 
 def _layer_of(attribute: Any) -> str:

@@ -130,19 +130,16 @@ class Textures:
             if path is not None:
                 texture_of_use[number] = self._take(shown, path, use)
             else:
-                reason = (
-                    f"The {slot} texture of '{use['material']}' is left as it is: {self._reasons[number]}."
-                )
-                self.notices.append(reason)
+                left = f"The {slot} texture of '{use['material']}' is left as it is"
+                self.notices.append(f"{left}: {self._reasons[number]}.")
         texture_of = texture_of_use[self._arrays[f"use {slot}"][polygon]]
         uv = self._arrays[f"uv {slot}"][cut]
         texture_of[~np.isfinite(uv).all(axis=(1, 2))] = -1
         if (texture_of == -1).all():
             reasons = [self._reasons[number] for number in self._uses(slot) if number in self._reasons]
             cause = f"its {slot} texture {reasons[0]}" if reasons else ""
-            raise InputError(
-                self._name, cause or f"it has no {slot} texture that is shown", remedy_for(cause)
-            )
+            absent = f"it has no {slot} texture that is shown"
+            raise InputError(self._name, cause or absent, remedy_for(cause))
         uv = np.where((texture_of == -1)[:, None, None], 0.0, uv)
         uv[..., 1] = 1 - uv[..., 1]
         faces = self._arrays["corners"][cut].astype(np.int32)
@@ -248,18 +245,16 @@ class _Materials:
         opacity = values.get("opacity", 1.0)
         mask = values.get("opacityThreshold", 0.0) > 0
         seen_through = known["alpha"] or opacity < 1
+        white, has_metal = (1.0, 1.0, 1.0), "metallicRoughness" in maps
+        colour, emission = values.get("diffuseColor", [0.18] * 3), values.get("emissiveColor", [0.0] * 3)
         return Material(
             name=known["name"],
             maps=maps,
-            colour=(1.0, 1.0, 1.0)
-            if "baseColor" in maps
-            else _display(values.get("diffuseColor", [0.18] * 3)),
-            emission=(1.0, 1.0, 1.0)
-            if "emissive" in maps
-            else _display(values.get("emissiveColor", [0.0] * 3)),
+            colour=white if "baseColor" in maps else _display(colour),
+            emission=white if "emissive" in maps else _display(emission),
             opacity=opacity,
-            metalness=1.0 if "metallicRoughness" in maps else values.get("metallic", 0.0),
-            roughness=1.0 if "metallicRoughness" in maps else values.get("roughness", 0.5),
+            metalness=1.0 if has_metal else values.get("metallic", 0.0),
+            roughness=1.0 if has_metal else values.get("roughness", 0.5),
             alpha="mask" if seen_through and mask else "blend" if seen_through else "opaque",
         )
 

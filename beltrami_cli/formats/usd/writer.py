@@ -74,8 +74,8 @@ def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
             continue
         whole = len(faces) == len(mesh.faces)
         text += [f'    def Mesh "mesh_{number}" (\n{_BOUND}    )\n    {{\n{_PLAIN}'.encode()]
-        if plain_name(group):
-            text += [f"        string ui:displayName = {_quoted(plain_name(group))}\n".encode()]
+        if shown_name := plain_name(group).replace("\\", "\\\\").replace('"', '\\"'):
+            text += [f'        string ui:displayName = "{shown_name}"\n'.encode()]
         text += _mesh(mesh, faces, shown if whole else [])
         text += _subsets(material_of[faces], names, root)
         text += [b"    }\n"]
@@ -126,13 +126,11 @@ def _mesh(mesh: TexturedMesh, faces: Int64s, shown: list[bytes]) -> Iterator[byt
     # A corner without coordinates has no texture, whatever coordinates stand there.
     uv = np.nan_to_num(mesh.uv[faces].reshape(-1, 2)) * [1, -1] + [0, 1]
     chosen, index_of = distinct_corners(*uv.T)
-    yield from _array(
-        "texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, 'interpolation = "faceVarying"'
-    )
+    on = 'interpolation = "faceVarying"'
+    yield from _array("texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, on)
     yield from _array("int[] primvars:st:indices", index_of[:, None])
     if mesh.normals is not None and not np.isnan(mesh.normals[faces]).any():
-        normals = mesh.normals[faces].reshape(-1, 3)
-        yield from _array("normal3f[] normals", normals, 3, 'interpolation = "faceVarying"')
+        yield from _array("normal3f[] normals", mesh.normals[faces].reshape(-1, 3), 3, on)
 
 
 def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes]:
@@ -232,10 +230,6 @@ def _identifier(name: str) -> str:
     """Return a name as one of a prim."""
     plain = _UNFIT.sub("_", name)
     return plain if plain[:1].isalpha() or plain[:1] == "_" else f"_{plain}"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 write_usda, write_usdc, write_usdz = (partial(_coloured, suffix) for suffix in (".usda", ".usdc", ".usdz"))
