@@ -27,18 +27,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.surface.records import (
-        ImageFile,
-        MeshContents,
-        MovedVertices,
-        PaintedVertices,
-        Slot,
-        TexturedMesh,
-        TexturedSurface,
-    )
+    from beltrami_cli.surface import records
 
 Bytes = bytes | bytearray | memoryview
-NO_IMAGES: Mapping[tuple[Slot, str], ImageFile] = {}
+NO_IMAGES: Mapping[tuple[records.Slot, str], records.ImageFile] = {}
 # What references in some format cannot spell, or readers take for something else than the name of a file beside.
 _UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
 
@@ -87,9 +79,9 @@ class Changes:
     colours: Float32s | None
     # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
     # type of file may change.
-    images: Mapping[tuple[Slot, str], ImageFile] = field(default_factory=dict)
+    images: Mapping[tuple[records.Slot, str], records.ImageFile] = field(default_factory=dict)
     # New positions, which `require_movable` has allowed; None: unchanged. They are rounded to the stored type once.
-    places: MovedVertices | None = None
+    places: records.MovedVertices | None = None
     form: str | None = None  # one of `Document.forms`; None: that of the document
 
 
@@ -132,7 +124,7 @@ class Document(ABC):
     ) -> None:
         self.data, self.access = data, access
         self.name = name  # of the file as the user named it, for messages
-        self._textured: dict[Slot, TexturedSurface] = {}
+        self._textured: dict[records.Slot, records.TexturedSurface] = {}
         self.notices: list[str] = []  # for the user, one sentence each, without the file's name
         self._open(folder)
 
@@ -140,13 +132,13 @@ class Document(ABC):
         """Read what must be sound in every file of the format."""
         del folder  # for formats that refer to files beside them
 
-    def painted(self) -> PaintedVertices:
+    def painted(self) -> records.PaintedVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
         return self._painted
 
     @property
     @abstractmethod
-    def _painted(self) -> PaintedVertices: ...
+    def _painted(self) -> records.PaintedVertices: ...
 
     def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""
@@ -187,17 +179,17 @@ class Document(ABC):
         """Raise InputError if `patch` cannot take new positions: the format or their storage does not allow it."""
         raise InputError(self.name, f"the positions of a {self.format} file cannot be replaced")
 
-    def slots(self) -> tuple[Slot, ...]:
+    def slots(self) -> tuple[records.Slot, ...]:
         """Return the material slots that have textures, the base colour first."""
         return ()
 
-    def textured(self, slot: Slot) -> TexturedSurface:
+    def textured(self, slot: records.Slot) -> records.TexturedSurface:
         """Return the textures of a slot and their surface, always the same record; InputError without usable ones."""
         if slot not in self._textured:
             self._textured[slot] = self._gathered(slot)
         return self._textured[slot]
 
-    def _gathered(self, slot: Slot) -> TexturedSurface:
+    def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
         raise InputError(self.name, f"it has no {slot} texture")
 
     def patch(
@@ -205,8 +197,8 @@ class Document(ABC):
         colours: Float32s | None,
         naming: Naming,
         *,
-        images: Mapping[tuple[Slot, str], ImageFile] = NO_IMAGES,
-        places: MovedVertices | None = None,
+        images: Mapping[tuple[records.Slot, str], records.ImageFile] = NO_IMAGES,
+        places: records.MovedVertices | None = None,
         form: str | None = None,
     ) -> Written:
         """Return the document's files with other colours, images or positions, and everything else as it was."""
@@ -220,10 +212,10 @@ class Document(ABC):
         return ()
 
     @abstractmethod
-    def contents(self) -> MeshContents:
+    def contents(self) -> records.MeshContents:
         """Return the mesh for conversion to another format; InputError as `painted`."""
 
-    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> records.TexturedMesh:
         """Return all triangles with materials and images, for conversion; `colours` as in `patch`."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
 

@@ -16,25 +16,11 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture, check_writable, is_unchanged, losses, read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
+from beltrami_cli.samples import samples
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import LevelReport, SlotReport, atlas_counts, atlas_notices, describe_kernel
-from beltrami_cli.samples.samples import (
-    Change,
-    Grains,
-    Part,
-    Repainted,
-    Samples,
-    SharedImages,
-    as_jpeg,
-    encoded,
-)
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import (
-    Repainting,
-    TexelColours,
-    choose_textures,
-    only_textures,
-)
+from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells, places_of_texels
@@ -51,10 +37,10 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.tile_groups import TileGroup
 
 
-class TexelSamples(Samples):
+class TexelSamples(samples.Samples):
     """Covered and visible texels of the chosen textures of a slot, together."""
 
-    part: ClassVar[Part] = "textures"
+    part: ClassVar[samples.Part] = "textures"
 
     def __init__(
         self,
@@ -62,7 +48,7 @@ class TexelSamples(Samples):
         slot: Slot,
         settings: SmoothSettings,
         guided: tuple[Document, Access] | None = None,
-        shared: SharedImages | None = None,
+        shared: samples.SharedImages | None = None,
         group: TileGroup | None = None,
     ) -> None:
         self.slot, self.settings, self.label = slot, settings, f"{slot} textures"
@@ -77,7 +63,7 @@ class TexelSamples(Samples):
         hidden = self.colours.transparent(self.atlas, self.surface.textures)
         if hidden.any():
             self.atlas = without_owned(self.atlas, hidden)
-        self._shared = shared or SharedImages()
+        self._shared = shared or samples.SharedImages()
         self._guides: list[Guide] = []
         self._noise: Float32s | None = None
         if guided is not None and settings.kernel.noise is not None:
@@ -233,7 +219,7 @@ class TexelSamples(Samples):
         colours = WorkingColours(self.names, self.colours.space)
         return TexelProbe(self.flow(), colours, document, self.surface.textures, self.pictures)
 
-    def repaint(self, new: NewColours) -> Repainted:
+    def repaint(self, new: NewColours) -> samples.Repainted:
         is_covered = len(self.atlas.owned_texels) > 0
         notices = list(atlas_notices(self.atlas)) if self._is_smoothed or not is_covered else []
         painter = self._painter(self._gutter)
@@ -257,13 +243,13 @@ class TexelSamples(Samples):
             images |= {(each, texture.key): file for each in slots}
             if suffix is not None:
                 notices += losses(picture, suffix)
-        return Repainted(Change.joined(changes), images=images, notices=tuple(notices))
+        return samples.Repainted(samples.Change.joined(changes), images=images, notices=tuple(notices))
 
     def painted(self, index: int, new: NewColours) -> Array:
         """Return the pixels of a texture with new colours, and nothing changed around its charts."""
         return self._painter(None).repaint(index, new)[0]
 
-    def grains(self) -> Grains:
+    def grains(self) -> samples.Grains:
         # They are numbered by their place in the textures, and not on the canvas.
         atlas = self.atlas
         number = np.empty(len(atlas.owned_texels), np.int64)
@@ -272,7 +258,7 @@ class TexelSamples(Samples):
         in_grey = grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1]
         stream = 1 + SLOTS.index(self.slot)
         space = self.colours.space
-        return Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool), space)
+        return samples.Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool), space)
 
     def cells(self) -> Cells:
         atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
@@ -293,11 +279,11 @@ class TexelSamples(Samples):
             picture = self.pictures[index]
             working = self.colours.working(picture, np.arange(picture.pixels[..., 0].size))
             shown = from_space(working, "srgb", self.colours.space).reshape(*picture.pixels.shape[:2], -1)
-            flat = as_jpeg(shown, quality).reshape(-1, len(self.names))
+            flat = samples.as_jpeg(shown, quality).reshape(-1, len(self.names))
             coded[inside] = to_space(flat[texels], "srgb", self.colours.space)
         return coded
 
-    def shift(self, grains: Grains, after: Float32s) -> Repainted:
+    def shift(self, grains: samples.Grains, after: Float32s) -> samples.Repainted:
         atlas, added = self.atlas, after - grains.colours
         planes = painted(atlas, added, threads=1)
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
@@ -313,7 +299,7 @@ class TexelSamples(Samples):
             notices += noise_losses(picture, suffix, "--texture-format png keeps all")
         if not len(added):
             notices.append("no visible texel is covered by the surface, so its textures stay as they are")
-        return Repainted(Change(), images=images, notices=tuple(notices))
+        return samples.Repainted(samples.Change(), images=images, notices=tuple(notices))
 
     def _painter(self, gutter: int | None) -> Repainting:
         threads = self.settings.kernel.thread_count
@@ -322,7 +308,7 @@ class TexelSamples(Samples):
 
     def _encoded(self, picture: Picture, pixels: Array) -> ImageFile:
         wanted, is_data = self.settings.textures, self.slot not in COLOUR_SLOTS
-        file = encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
+        file = samples.encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
         return dataclasses.replace(file, is_chosen=wanted.image_suffix is not None)
 
 

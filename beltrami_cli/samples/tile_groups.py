@@ -18,13 +18,7 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.formats.image.reading import ImageSize, measure_image
-from beltrami_cli.samples.memory_check import (
-    TEXEL_BYTES,
-    TEXEL_BYTES_ON_DISK,
-    fit_in_files,
-    held_by_files,
-    too_large,
-)
+from beltrami_cli.samples import memory_check
 from beltrami_cli.samples.reports import describe_choice
 from beltrami_cli.samples.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
@@ -129,8 +123,8 @@ class TileGroups:
             return None
         sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
         known = [size for size in sizes if size is not None]  # of others the decoder says what is wrong
-        memory -= held_by_files(surface.textures)
-        if len(known) < len(sizes) or fit_in_files(known, memory):
+        memory -= memory_check.held_by_files(surface.textures)
+        if len(known) < len(sizes) or memory_check.fit_in_files(known, memory):
             return None
         return cls(surface, known, memory)
 
@@ -153,7 +147,7 @@ class TileGroups:
         while left:
             group = {min(left)}
             if self._texels(group, near) > self._most_texels:
-                raise too_large(self.surface.textures[min(left)].name, self.sizes[min(left)])
+                raise memory_check.too_large(self.surface.textures[min(left)].name, self.sizes[min(left)])
             while candidates := set[int]().union(*(beside[index] for index in group)) & left - group:
                 # The one with the most neighbours in the group makes it the roundest.
                 new = max(candidates, key=lambda index: (len(beside[index] & group), -index))
@@ -187,14 +181,14 @@ class TileGroups:
     @property
     def _most_texels(self) -> int:
         """How many texels memory is enough for, with all large arrays in files."""
-        return (self.memory - max(size.decoded for size in self.sizes)) // TEXEL_BYTES_ON_DISK
+        return (self.memory - max(size.decoded for size in self.sizes)) // memory_check.TEXEL_BYTES_ON_DISK
 
     def _room(self) -> int:
         """Return how many texels are worth smoothing together: as pages of files, their arrays need room as well."""
         return min(
             self._most_texels,
             self.memory // _RESIDENT_BYTES,
-            int(_SHARE_OF_DISK * large_arrays.free_space() / TEXEL_BYTES),
+            int(_SHARE_OF_DISK * large_arrays.free_space() / memory_check.TEXEL_BYTES),
         )
 
 

@@ -15,20 +15,12 @@ from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume
 from beltrami_cli.formats.volume.arrays import require_package
-from beltrami_cli.surface.level_set import (
-    GridColours,
-    NearColours,
-    has_colour,
-    interpolate_colours,
-    nearest_colours,
-    places,
-)
+from beltrami_cli.surface import level_set
 from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
     from beltrami_cli.samples.settings import Inside, LevelSetSettings
-    from beltrami_cli.surface.level_set import Lattice, Volume
 
 # Other types have no full scale of their own: it is derived from their largest value.
 _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
@@ -57,8 +49,8 @@ class Paint:
 
 
 def find_colours(
-    volume: Volume, path: str | None, name: str, access: Access, max_size: int
-) -> tuple[GridColours | NearColours, str]:
+    volume: level_set.Volume, path: str | None, name: str, access: Access, max_size: int
+) -> tuple[level_set.GridColours | level_set.NearColours, str]:
     """Return the colours of a level set, from its file or the file at `path`, and the name of that file."""
     if path is None:
         if volume.colours is None:
@@ -70,41 +62,43 @@ def find_colours(
     colours = read_colours(data, path, folder, max_size)
     if colours is None:
         painted = open_bytes(data, path, folder, access).painted()
-        colours = NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
+        colours = level_set.NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
     return colours, path
 
 
 def paint(
-    source: GridColours | NearColours,
+    source: level_set.GridColours | level_set.NearColours,
     where: str,
-    lattice: Lattice,
+    lattice: level_set.Lattice,
     known: Bools,
     positions: Float64s,
     threads: int,
 ) -> Paint:
     """Return the colours of the vertices, shape (V, 3); voxels that are not `known` supply none."""
-    if isinstance(source, GridColours):
+    if isinstance(source, level_set.GridColours):
         same = source.samples.shape[:3] == known.shape and _equal(source.lattice, lattice)
-        stored = interpolate_colours(source, positions, known if same else None)
+        stored = level_set.interpolate_colours(source, positions, known if same else None)
     else:
         voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
-        stored = nearest_colours(source, positions, voxel, threads)
-    found = has_colour(stored)
+        stored = level_set.nearest_colours(source, positions, voxel, threads)
+    found = level_set.has_colour(stored)
     if not found.any():
         raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
     return _scaled(source, stored, found, where)
 
 
-def _equal(one: Lattice, other: Lattice) -> bool:
+def _equal(one: level_set.Lattice, other: level_set.Lattice) -> bool:
     return np.array_equal(one.axes, other.axes) and np.array_equal(one.origin, other.origin)
 
 
-def _scaled(source: GridColours | NearColours, stored: Float64s, found: Bools, name: str) -> Paint:
+def _scaled(
+    source: level_set.GridColours | level_set.NearColours, stored: Float64s, found: Bools, name: str
+) -> Paint:
     """Scale stored numbers to full scale 1, and separate opacity from colours."""
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name
     notices: list[str] = []
-    scale = 1.0 if isinstance(source, NearColours) and source.stored else _FULL_SCALE.get(kind, 0.0)
+    scale = 1.0 if isinstance(source, level_set.NearColours) and source.stored else _FULL_SCALE.get(kind, 0.0)
     if not scale:
         scale, notice = full_scale(stored[found, :width], name)
         notices += [notice] if notice else []
@@ -115,8 +109,8 @@ def _scaled(source: GridColours | NearColours, stored: Float64s, found: Bools, n
         notices.append(
             f"{bare} of {len(found)} vertices have no colour nearby; they are white and lend none."
         )
-    encoding = source.encoding if isinstance(source, NearColours) else "srgb"
-    stored_as = source.stored if isinstance(source, NearColours) and source.stored else kind
+    encoding = source.encoding if isinstance(source, level_set.NearColours) else "srgb"
+    stored_as = source.stored if isinstance(source, level_set.NearColours) and source.stored else kind
     return Paint(colours, alpha, found, encoding, stored_as, notices)
 
 
@@ -150,7 +144,7 @@ class LevelSetDocument(Document):
             known &= volume.known
         self._facts = _facts_of(volume, known, level)
         vertices, faces = _triangulated(volume, known, level, settings.inside, name)
-        positions = places(volume.lattice, vertices)
+        positions = level_set.places(volume.lattice, vertices)
         source, where = find_colours(volume, settings.colours, name, access, max_voxels)
         painted = paint(source, where, volume.lattice, known, positions, threads)
         self.notices += painted.notices
@@ -189,21 +183,19 @@ def _allowed(settings: LevelSetSettings, access: Access) -> int:
 
 
 def _triangulated(
-    volume: Volume, known: Bools, level: float, inside: Inside, name: str
+    volume: level_set.Volume, known: Bools, level: float, inside: Inside, name: str
 ) -> tuple[Float64s, Int32s]:
     """Return the surface, in units of the grid, facing outwards in space."""
-    from beltrami_cli.surface.level_set import find_crossings, triangulate_level_set
-
     values = volume.values
     if values.shape[1] * values.shape[2] >= _LARGEST_PLANE:
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
-    crossings = find_crossings(values, level, known)
+    crossings = level_set.find_crossings(values, level, known)
     if crossings.count > MAX_CROSSINGS:
         cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
         raise InputError(name, cause, "choose another --level, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
     if crossings.count:
-        vertices, faces = triangulate_level_set(values, level, crossings, known)
+        vertices, faces = level_set.triangulate_level_set(values, level, crossings, known)
     if not len(faces):
         low, high = _range(values, known)
         cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
@@ -213,7 +205,7 @@ def _triangulated(
     return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
 
 
-def _facts_of(volume: Volume, known: Bools, level: float) -> dict[str, object]:
+def _facts_of(volume: level_set.Volume, known: Bools, level: float) -> dict[str, object]:
     return {
         "grid": list(volume.values.shape),
         "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),

@@ -9,16 +9,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 from urllib.parse import unquote, unquote_to_bytes
 
+from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
 from beltrami_cli.formats.gltf.entries import Entry, objects
-from beltrami_cli.formats.model_folder import (
-    LEFT_OUTSIDE,
-    ModelFolder,
-    UnfitReferenceError,
-    checked_path,
-    is_outside,
-    remedy_for,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -45,59 +38,59 @@ def relative_name(uri: str, *, outside: bool = False) -> str:
     name = unquote(uri)
     try:
         if "\\" in name or "\0" in name:
-            raise UnfitReferenceError("is not a path as glTF spells it")
-        return checked_path(name, outside=outside)
-    except UnfitReferenceError as error:
-        raise UnfitReferenceError(f"{_short(uri)} {error}") from None
+            raise model_folder.UnfitReferenceError("is not a path as glTF spells it")
+        return model_folder.checked_path(name, outside=outside)
+    except model_folder.UnfitReferenceError as error:
+        raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
 
 
-def read(uri: str, folder: ModelFolder) -> bytes:
+def read(uri: str, folder: model_folder.ModelFolder) -> bytes:
     """Return the bytes that a URI stands for, its own or those of a file; UnfitReferenceError if there are none."""
     if is_data(uri):
         return _embedded(uri)
     try:
         return folder.read(_located(uri, folder))
     except OSError as error:
-        raise UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
+        raise model_folder.UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
 
 
 def _embedded(uri: str) -> bytes:
     head, comma, payload = uri.partition(",")
     if not comma:
-        raise UnfitReferenceError("is a data URI without a comma")
+        raise model_folder.UnfitReferenceError("is a data URI without a comma")
     octets = unquote_to_bytes(payload)
     if not head.lower().endswith(";base64"):
         return octets
     try:
         return base64.b64decode(octets + b"=" * (-len(octets) % 4), validate=True)
     except binascii.Error as error:
-        raise UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
+        raise model_folder.UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
 
 
-def _located(uri: str, folder: ModelFolder) -> str:
+def _located(uri: str, folder: model_folder.ModelFolder) -> str:
     name = relative_name(uri, outside=folder.access.outside)
     try:
         return folder.locate(name)
-    except UnfitReferenceError as error:
-        raise UnfitReferenceError(f"{_short(uri)} {error}") from None
+    except model_folder.UnfitReferenceError as error:
+        raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
 
 
 def _short(uri: str) -> str:
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
 
-def files_beside(root: Entry, folder: ModelFolder) -> tuple[list[str], list[str]]:
+def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[str], list[str]]:
     """Return the relative paths of named files that exist inside the folder, and a notice for every other."""
     names: dict[str, None] = {}
     notices: dict[str, None] = {}
     for entry, uri in _external(root):
         try:
             path = _located(uri, folder)
-            if is_outside(path):
-                notices[f"{entry.place}: {uri!r} {LEFT_OUTSIDE}"] = None
+            if model_folder.is_outside(path):
+                notices[f"{entry.place}: {uri!r} {model_folder.LEFT_OUTSIDE}"] = None
             else:
                 names[path] = None
-        except UnfitReferenceError as error:
+        except model_folder.UnfitReferenceError as error:
             notices[f"{entry.place}: {error}."] = None
     return list(names), list(notices)
 
@@ -108,7 +101,7 @@ def named_files(root: Entry) -> set[str]:
     for _, uri in _external(root):
         try:
             names.add(relative_name(uri))
-        except UnfitReferenceError:
+        except model_folder.UnfitReferenceError:
             continue  # not a name beside the file, so no output can overwrite it
     return names
 
@@ -128,7 +121,7 @@ Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
 class Buffers:
     """All buffers of one file, and after them those that are decoded; missing bytes are an error when asked for."""
 
-    def __init__(self, container: Container, folder: ModelFolder) -> None:
+    def __init__(self, container: Container, folder: model_folder.ModelFolder) -> None:
         self._container, self._folder = container, folder
         self._entries = container.root.entries("buffers")
         self._loaded: dict[int, Bytes] = {}
@@ -154,7 +147,7 @@ class Buffers:
         try:
             if uri is not None and not is_data(uri):
                 return relative_name(uri, outside=self._folder.access.outside)
-        except UnfitReferenceError:
+        except model_folder.UnfitReferenceError:
             pass  # an error when its bytes are asked for
         return f"\0{index}"
 
@@ -183,8 +176,8 @@ class Buffers:
         if uri is not None:
             try:
                 data: Bytes = read(uri, self._folder)
-            except UnfitReferenceError as error:
-                raise entry.fault("uri", str(error), remedy_for(str(error))) from None
+            except model_folder.UnfitReferenceError as error:
+                raise entry.fault("uri", str(error), model_folder.remedy_for(str(error))) from None
         elif self.source(index) == "chunk":
             data = self._container.binary or b""
         else:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.gltf import painted
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers, files_beside
 from beltrami_cli.formats.gltf.container import read_container
@@ -17,14 +18,6 @@ from beltrami_cli.formats.gltf.edit import Edit, compress_again
 from beltrami_cli.formats.gltf.entries import objects, primitives_of, require_structure
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
 from beltrami_cli.formats.gltf.geometry import placements
-from beltrami_cli.formats.gltf.painted import (
-    Surface,
-    attribute_names,
-    gather,
-    normals_of,
-    painted_vertices,
-    read_attribute,
-)
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
@@ -66,9 +59,9 @@ class GltfDocument(Document):
         self.notices += missing
 
     @cached_property
-    def surface(self) -> Surface:
+    def surface(self) -> painted.Surface:
         """Painted primitives; notices say what was left out of them when this is first asked for."""
-        surface = gather(self.root, self.accessors, self.places)
+        surface = painted.gather(self.root, self.accessors, self.places)
         self.notices += surface.notices
         return surface
 
@@ -79,7 +72,7 @@ class GltfDocument(Document):
 
     @cached_property
     def _painted(self) -> PaintedVertices:
-        return painted_vertices(self.surface, self.accessors, self.stored_colours)
+        return painted.painted_vertices(self.surface, self.accessors, self.stored_colours)
 
     def has_vertex_colours(self) -> bool:
         primitives = primitives_of(self.container.tree)
@@ -94,13 +87,13 @@ class GltfDocument(Document):
         return surface
 
     def attributes(self) -> tuple[str, ...]:
-        return attribute_names(self.root, self.surface.blocks)
+        return painted.attribute_names(self.root, self.surface.blocks)
 
     def _attribute(self, name: str) -> Float64s:
         blocks = self.surface.blocks
-        if name == "normal" and (normals := normals_of(blocks, self.accessors)) is not None:
+        if name == "normal" and (normals := painted.normals_of(blocks, self.accessors)) is not None:
             return normals.astype(np.float64)
-        return read_attribute(self.root, blocks, self.accessors, name)
+        return painted.read_attribute(self.root, blocks, self.accessors, name)
 
     def require_movable(self) -> None:
         require_movable(self.accessors, self.surface.blocks)
@@ -119,16 +112,16 @@ class GltfDocument(Document):
         return self._references
 
     def contents(self) -> MeshContents:
-        painted = self.painted()
+        shown = self.painted()
         return MeshContents(
-            positions=painted.positions,
-            corners=painted.faces.reshape(-1),
-            offsets=np.arange(0, 3 * len(painted.faces) + 1, 3, dtype=np.int64),
-            colours=painted.colours,
+            positions=shown.positions,
+            corners=shown.faces.reshape(-1),
+            offsets=np.arange(0, 3 * len(shown.faces) + 1, 3, dtype=np.int64),
+            colours=shown.colours,
             encoding="linear",
-            stored=painted.stored,
+            stored=shown.stored,
             alpha=_opacity(self.stored_colours),
-            normals=normals_of(self.surface.blocks, self.accessors),
+            normals=painted.normals_of(self.surface.blocks, self.accessors),
             left_out=tuple(_left_out(self.container.tree)),
         )
 
@@ -136,8 +129,8 @@ class GltfDocument(Document):
         stored = "float32"
         by_primitive: dict[tuple[int, int], Float32s] = {}
         if self.has_vertex_colours():
-            painted = self.painted()
-            stored, values = painted.stored, painted.colours if colours is None else colours
+            shown = self.painted()
+            stored, values = shown.stored, shown.colours if colours is None else colours
             alpha = _opacity(self.stored_colours)
             rows = values if alpha is None else np.column_stack([values, alpha])
             for block in self.surface.blocks:

@@ -12,16 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import UnpaintedError
+from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
-from beltrami_cli.formats.gltf.geometry import (
-    Placement,
-    attribute_accessor,
-    drawing,
-    drawn,
-    in_world,
-    position_accessor,
-    turned,
-)
 from beltrami_cli.surface.records import PaintedVertices
 
 if TYPE_CHECKING:
@@ -42,7 +34,7 @@ class Block:
 
     position: int
     colour: int
-    placement: Placement  # of the mesh that uses the pair first
+    placement: geometry.Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
     normal: int | None  # accessor of the normals of the first primitive
@@ -63,7 +55,7 @@ class Surface:
     notices: list[str]
 
 
-def gather(root: Entry, accessors: Accessors, places: Sequence[Placement]) -> Surface:
+def gather(root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> Surface:
     """Gather all primitives that have COLOR_0, in file order; UnpaintedError if there are none."""
     gathering = _Gathering(accessors)
     for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
@@ -82,7 +74,7 @@ def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[S
     spaces = np.concatenate([np.full(block.count, block.placement.space, np.int32) for block in blocks])
     fraction = np.concatenate([fractions(numbers[:, :3]) for numbers in colours])
     positions = [
-        in_world(accessors.values(block.position), block.placement, accessors, block.position)
+        geometry.in_world(accessors.values(block.position), block.placement, accessors, block.position)
         for block in blocks
     ]
     return PaintedVertices(
@@ -102,7 +94,7 @@ def normals_of(blocks: Sequence[Block], accessors: Accessors) -> Float32s | None
     for block in blocks:
         if block.normal is None:
             return None
-        parts.append(turned(accessors.values(block.normal), block.placement.matrix))
+        parts.append(geometry.turned(accessors.values(block.normal), block.placement.matrix))
     return np.concatenate(parts).astype(np.float32)
 
 
@@ -119,7 +111,7 @@ def read_attribute(root: Entry, blocks: Sequence[Block], accessors: Accessors, n
     parts: list[Float64s] = []
     for block in blocks:
         primitive = _first_user(root, block)
-        values = accessors.values(attribute_accessor(primitive, name, accessors))
+        values = accessors.values(geometry.attribute_accessor(primitive, name, accessors))
         if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
             cause = f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
             if parts and len(values) == block.count:
@@ -146,7 +138,7 @@ class _Gathering:
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
         self._instanced: set[int] = set()
 
-    def take(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> None:
+    def take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
         """Take one primitive: its rows if they are new, and its triangles."""
         if "COLOR_0" not in primitive.entry("attributes"):
             self._counts["uncoloured"] += 1
@@ -155,15 +147,17 @@ class _Gathering:
         block = self._block(primitive, placement, number)
         if block is None:
             return
-        key = block.first_row, drawing(primitive, self.accessors)
+        key = block.first_row, geometry.drawing(primitive, self.accessors)
         if key not in self._faces:
-            faces = drawn(primitive, self.accessors, block.count, placement)
+            faces = geometry.drawn(primitive, self.accessors, block.count, placement)
             self._faces[key] = (faces + block.first_row).astype(np.int32)
 
-    def _block(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> Block | None:
+    def _block(
+        self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]
+    ) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
         attributes = primitive.entry("attributes")
-        position, colour = position_accessor(primitive, self.accessors), self._colour(primitive)
+        position, colour = geometry.position_accessor(primitive, self.accessors), self._colour(primitive)
         count = self.accessors[colour].count
         if self.accessors[position].count != count:
             cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
@@ -190,7 +184,7 @@ class _Gathering:
         return block
 
     def _colour(self, primitive: Entry) -> int:
-        index = attribute_accessor(primitive, "COLOR_0", self.accessors)
+        index = geometry.attribute_accessor(primitive, "COLOR_0", self.accessors)
         accessor = self.accessors[index]
         if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
             cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
@@ -202,7 +196,7 @@ class _Gathering:
         attributes = primitive.entry("attributes")
         if "NORMAL" not in attributes:
             return None
-        index = attribute_accessor(primitive, "NORMAL", self.accessors)
+        index = geometry.attribute_accessor(primitive, "NORMAL", self.accessors)
         accessor = self.accessors[index]
         if accessor.shape != "VEC3" or accessor.count != count:
             raise attributes.fault("NORMAL", f"is {accessor.count} {accessor.shape}, not {count} normals")

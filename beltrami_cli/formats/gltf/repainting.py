@@ -271,8 +271,8 @@ def _declare(tree: Tree, before: set[str]) -> None:
         after & {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
     ):
         _enlist(tree, "extensionsUsed", extension)
-        textures = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
-        if any("source" not in texture for texture in textures):
+        holders = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
+        if any("source" not in texture for texture in holders):
             _enlist(tree, "extensionsRequired", extension)
     for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
         kept = [name for name in tree.get(key, []) if name not in before - after]

@@ -9,18 +9,8 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, fractions
-from beltrami_cli.formats.gltf.geometry import (
-    TRIANGLES,
-    Placement,
-    attribute_accessor,
-    drawing_mode,
-    drawn,
-    in_world,
-    instances,
-    position_accessor,
-    turned,
-)
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import Images, TextureUse, texture_uses
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
@@ -48,7 +38,7 @@ def read_textured_mesh(
 ) -> TexturedMesh:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
     reading = _Reading(accessors, _Materials(root, images), colours)
-    for mesh, placement, name in instances(root):
+    for mesh, placement, name in geometry.instances(root):
         for number, primitive in enumerate(root.entries("meshes")[mesh].entries("primitives")):
             reading.take(primitive, placement, name, (mesh, number))
     if not reading.parts:
@@ -136,15 +126,17 @@ class _Reading:
         self._rows = 0
         self._left_out: list[str] = []
 
-    def take(self, primitive: Entry, placement: Placement, group: str, number: tuple[int, int]) -> None:
+    def take(
+        self, primitive: Entry, placement: geometry.Placement, group: str, number: tuple[int, int]
+    ) -> None:
         """Take the triangles of a primitive."""
         attributes = primitive.entry("attributes")
-        if drawing_mode(primitive) < TRIANGLES or "POSITION" not in attributes:
+        if geometry.drawing_mode(primitive) < geometry.TRIANGLES or "POSITION" not in attributes:
             self._left_out += ["points and lines"] if "POSITION" in attributes else []
             return
-        index = position_accessor(primitive, self._accessors)
+        index = geometry.position_accessor(primitive, self._accessors)
         count = self._accessors[index].count
-        faces = drawn(primitive, self._accessors, count, placement)
+        faces = geometry.drawn(primitive, self._accessors, count, placement)
         if not len(faces):
             return
         self._rows += count
@@ -154,10 +146,10 @@ class _Reading:
         material = primitive.integer("material", below=last) if "material" in primitive else last
         use = self._materials.placed[material]
         self._note_others(attributes, use)
-        positions = in_world(self._accessors.values(index), placement, self._accessors, index)
+        positions = geometry.in_world(self._accessors.values(index), placement, self._accessors, index)
         uv = self._coordinates(primitive, use, count)
         given = self._values(primitive, "NORMAL", 3, count)
-        normals = np.full((count, 3), np.nan) if given is None else turned(given, placement.matrix)
+        normals = np.full((count, 3), np.nan) if given is None else geometry.turned(given, placement.matrix)
         colours = self._own_colours(primitive, number, count)
         self.parts.append(_Part(positions, faces, uv[faces], normals[faces], colours, material, group))
 
@@ -174,7 +166,7 @@ class _Reading:
         attributes = primitive.entry("attributes")
         if name not in attributes:
             return None
-        index = attribute_accessor(primitive, name, self._accessors)
+        index = geometry.attribute_accessor(primitive, name, self._accessors)
         accessor = self._accessors[index]
         if (accessor.width, accessor.count) != (width, count):
             cause = f"is {accessor.count} {accessor.shape}, which do not fit {count} vertices"
@@ -196,7 +188,7 @@ class _Reading:
             return self._colours[number]
         if OWN_COLOURS not in primitive.entry("attributes"):
             return None
-        index = attribute_accessor(primitive, OWN_COLOURS, self._accessors)
+        index = geometry.attribute_accessor(primitive, OWN_COLOURS, self._accessors)
         colours = fractions(self._accessors.finite(index, "colour"))
         return colours if colours.shape in ((count, 3), (count, 4)) else None
 

@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.geometry import (
-    TRIANGLES,
-    Placement,
-    attribute_accessor,
-    drawing,
-    drawing_mode,
-    drawn,
-    in_world,
-    position_accessor,
-)
+from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.textures import Images, TextureUse, looks, texture_uses
 from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
 from beltrami_cli.formats.textured_mesh import SlotImages
@@ -34,7 +25,7 @@ _MOST_ROWS = np.iinfo(np.int32).max
 
 
 def gather_textured(
-    root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
+    root: Entry, accessors: Accessors, places: Sequence[geometry.Placement], images: Images, slot: Slot
 ) -> tuple[TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
     shown = _SlotImages(images, slot)
@@ -105,7 +96,7 @@ class _Part:
     """Triangles over one accessor of positions in one place and one look."""
 
     position: int
-    placement: Placement
+    placement: geometry.Placement
     look: int
     faces: list[Int64s] = field(default_factory=list)
     uv: list[Float64s] = field(default_factory=list)
@@ -130,15 +121,15 @@ class _Gathering:
         self._seen: set[Hashable] = set()
         self._decoded: dict[int, Float64s] = {}
 
-    def take(self, primitive: Entry, placement: Placement) -> None:
+    def take(self, primitive: Entry, placement: geometry.Placement) -> None:
         """Take one primitive: its triangles where they stand first, with all textures that they can have."""
-        if drawing_mode(primitive) < TRIANGLES:
+        if geometry.drawing_mode(primitive) < geometry.TRIANGLES:
             return
         if "POSITION" not in primitive.entry("attributes"):
             return  # it draws nothing
-        position = position_accessor(primitive, self.accessors)
+        position = geometry.position_accessor(primitive, self.accessors)
         count = self.accessors[position].count
-        faces = drawn(primitive, self.accessors, count, placement)
+        faces = geometry.drawn(primitive, self.accessors, count, placement)
         if not len(faces):
             return
         for look, use in looks(primitive, self.materials):
@@ -160,11 +151,11 @@ class _Gathering:
 
     def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
         """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
-        key: list[Hashable] = [self.accessors.identity(position), drawing(primitive, self.accessors)]
+        key: list[Hashable] = [self.accessors.identity(position), geometry.drawing(primitive, self.accessors)]
         if use is not None:
             key += [use.texture, use.transform]
             if use.coordinates in primitive.entry("attributes"):
-                coordinates = attribute_accessor(primitive, use.coordinates, self.accessors)
+                coordinates = geometry.attribute_accessor(primitive, use.coordinates, self.accessors)
                 key.append(self.accessors.identity(coordinates))
         repeated = tuple(key) in self._seen
         self._seen.add(tuple(key))
@@ -181,7 +172,7 @@ class _Gathering:
 
     def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
-        index = attribute_accessor(primitive, use.coordinates, self.accessors)
+        index = geometry.attribute_accessor(primitive, use.coordinates, self.accessors)
         accessor = self.accessors[index]
         if accessor.shape != "VEC2" or accessor.component.name == "uint32" or accessor.count != count:
             cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}"
@@ -212,7 +203,7 @@ class _Gathering:
             if rows > _MOST_ROWS:
                 raise self.accessors[part.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
             values = self._values(part.position)[used]
-            positions.append(in_world(values, part.placement, self.accessors, part.position))
+            positions.append(geometry.in_world(values, part.placement, self.accessors, part.position))
             spaces.append(np.full(len(values), space_of[part.placement.space, part.look], np.int32))
         return TexturedSurface(
             positions=np.concatenate(positions),

@@ -7,21 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import ProcessingError, UsageError
-from beltrami_cli.formats.image.extra_codecs import (
-    EXTRA_CODECS,
-    INSTALL,
-    encoded,
-    encoding_cost,
-    missing_package,
-)
-from beltrami_cli.formats.image.metadata import (
-    carry_over,
-    encode_with_palette,
-    has_palette,
-    is_lossless_webp,
-    is_progressive_jpeg,
-    without_additions,
-)
+from beltrami_cli.formats.image import extra_codecs, metadata
 from beltrami_cli.formats.image.picture import Picture, as_stored, full_scale_one, without_alpha
 from beltrami_cli.formats.image.reading import TYPES, scratch_file
 from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
@@ -69,9 +55,9 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
 def is_exact(picture: Picture) -> bool:
     """Whether a picture written in its own format keeps the values that are not changed."""
     if picture.format == "webp":
-        return is_lossless_webp(picture.source)
+        return metadata.is_lossless_webp(picture.source)
     return (
-        picture.format not in ("jpeg", *EXTRA_CODECS)
+        picture.format not in ("jpeg", *extra_codecs.EXTRA_CODECS)
         and picture.spec.get_string_attribute("compression") not in _LOSSY
     )
 
@@ -184,26 +170,26 @@ def write_image(
     """Encode pixels like those of a picture as the file that it came from, or in another format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
     known = check_writable(picture, suffix)
-    if known in EXTRA_CODECS:
+    if known in extra_codecs.EXTRA_CODECS:
         return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
         _set_options(spec, known, "", jpeg_quality, small=small)
-        data = without_additions(_encode(spec, values, known, picture.name), known)
+        data = metadata.without_additions(_encode(spec, values, known, picture.name), known)
         return ImageFile(data, FORMATS[known].suffixes[0])
     notices = list[str]()
-    if known == "png" and has_palette(picture.source, known):
-        kept = encode_with_palette(pixels, picture.source, small=small)
+    if known == "png" and metadata.has_palette(picture.source, known):
+        kept = metadata.encode_with_palette(pixels, picture.source, small=small)
         if kept is not None:
-            return ImageFile(carry_over(picture.source, kept, known), picture.suffix)
+            return ImageFile(metadata.carry_over(picture.source, kept, known), picture.suffix)
         notices.append(
             f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."
         )
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
-    compression = "lossless" if known == "webp" and is_lossless_webp(picture.source) else ""
+    compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)
     data = _encode(spec, pixels, known, picture.name)
-    return ImageFile(carry_over(picture.source, data, known), picture.suffix, tuple(notices))
+    return ImageFile(metadata.carry_over(picture.source, data, known), picture.suffix, tuple(notices))
 
 
 def check_writable(picture: Picture, suffix: str | None) -> str:
@@ -211,9 +197,9 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
     known = picture.format if suffix is None else format_of_suffix(suffix)
     if known in _NEEDS_SUFFIX and min(picture.pixels.shape[:2]) < _LEAST_JPEG_2000:
         raise UsageError(f"{picture.name}: an image of fewer than 32 pixels a side cannot be written as JP2")
-    missing = missing_package(known) if known in EXTRA_CODECS else None
+    missing = extra_codecs.missing_package(known) if known in extra_codecs.EXTRA_CODECS else None
     if known is not None and missing is not None:
-        cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {INSTALL}"
+        cause = f"{picture.name}: to write {label_of(known)} the package {missing} is needed; {extra_codecs.INSTALL}"
         raise UsageError(cause)
     if known is not None and FORMATS[known].writable:
         return known
@@ -227,8 +213,8 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
     if is_new:
         values, _ = converted(picture, pixels, known, as_data=as_data)
     quality = min(max(quality, 1), 100)
-    data = encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
-    cost = encoding_cost(known, values, data, picture.name)
+    data = extra_codecs.encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
+    cost = extra_codecs.encoding_cost(known, values, data, picture.name)
     return ImageFile(data, FORMATS[known].suffixes[0], (cost,))
 
 
@@ -241,7 +227,7 @@ def _bare_spec(picture: Picture) -> Any:
     spec.attribute("oiio:UnassociatedAlpha", 1)
     subsampling = picture.spec.get_string_attribute("jpeg:subsampling")
     spec.attribute("jpeg:subsampling", subsampling or "4:4:4")
-    if picture.format == "jpeg" and is_progressive_jpeg(picture.source):
+    if picture.format == "jpeg" and metadata.is_progressive_jpeg(picture.source):
         spec.attribute("jpeg:progressive", 1)
     return spec
 

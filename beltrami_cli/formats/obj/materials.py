@@ -14,13 +14,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.model_folder import (
-    LEFT_ALONE,
-    LEFT_OUTSIDE,
-    ModelFolder,
-    UnfitReferenceError,
-    is_outside,
-)
+from beltrami_cli.formats import model_folder
 from beltrami_cli.surface.tiling import Tile, has_token
 
 if TYPE_CHECKING:
@@ -128,7 +122,7 @@ class Library:
 class Materials:
     """Existing files that an OBJ file names, directly or through its materials, from its `mtllib` statements."""
 
-    def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
+    def __init__(self, folder: model_folder.ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
         self.notices: list[str] = []  # one sentence for each file that is missing or lies elsewhere
         self.tiles: dict[str, dict[Tile, str]] = {}  # the files of each set of tiles, by the set's path
@@ -212,10 +206,10 @@ class Materials:
         try:
             data = self._folder.read(path, _LARGEST + 1)
         except OSError as error:
-            self.notices.append(f"'{path}' cannot be read ({error.strerror}){LEFT_ALONE}")
+            self.notices.append(f"'{path}' cannot be read ({error.strerror}){model_folder.LEFT_ALONE}")
             data = b""
         if len(data) > _LARGEST:
-            self.notices.append(f"'{path}' has more than {_LARGEST} bytes{LEFT_ALONE}")
+            self.notices.append(f"'{path}' has more than {_LARGEST} bytes{model_folder.LEFT_ALONE}")
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
@@ -230,11 +224,11 @@ class Materials:
                 self.tiles[path] = tiles
             else:
                 path = self._folder.locate(name, within)
-        except UnfitReferenceError as error:
-            self._notice(name, str(error), LEFT_ALONE)
+        except model_folder.UnfitReferenceError as error:
+            self._notice(name, str(error), model_folder.LEFT_ALONE)
             return None
-        if is_outside(path):
-            self._notice(name, LEFT_OUTSIDE)
+        if model_folder.is_outside(path):
+            self._notice(name, model_folder.LEFT_OUTSIDE)
             return path
         for file in self.files(path):
             if file not in self._listed:

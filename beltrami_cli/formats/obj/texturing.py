@@ -11,29 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.model_folder import ModelFolder, remedy_for
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
-from beltrami_cli.formats.textured_mesh import (
-    MeshImages,
-    SlotImages,
-    alpha_mode,
-    on_tiles,
-    shown_materials,
-    usable_coordinates,
-)
-from beltrami_cli.surface import tiling
+from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.records import (
-    AlphaMode,
-    Material,
-    MaterialMap,
-    Slot,
-    TexturedMesh,
-    TexturedSurface,
-    Wrap,
-)
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
@@ -84,9 +68,9 @@ def gather_textured(
     coordinates: Coordinates,
     materials: Materials,
     folder: ModelFolder,
-    slot: Slot,
+    slot: records.Slot,
     name: str,
-) -> tuple[TexturedSurface, list[str]]:
+) -> tuple[records.TexturedSurface, list[str]]:
     """Return all triangles, the images of one slot of their materials, and notices."""
     positions, corners, offsets = mesh
     palette = _Palette(materials, folder, slot, len(coordinates.names))
@@ -108,7 +92,7 @@ def gather_textured(
     lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] != -1)))
     if lost:
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
-    surface = TexturedSurface(
+    surface = records.TexturedSurface(
         positions, corners[cut], uv, texture_of.astype(np.int32), palette.shown.textures()
     )
     try:
@@ -120,9 +104,9 @@ def gather_textured(
 class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
-    def __init__(self, materials: Materials, folder: ModelFolder, slot: Slot, count: int) -> None:
+    def __init__(self, materials: Materials, folder: ModelFolder, slot: records.Slot, count: int) -> None:
         self._materials, self._folder, self.slot = materials, folder, slot
-        self.shown = SlotImages()
+        self.shown = textured_mesh.SlotImages()
         self._missing: dict[str, list[str]] = {}
         self.texture_of = np.full(count + 1, -1, np.int64)
         self.scale, self.offset = np.ones((count + 1, 2)), np.zeros((count + 1, 2))
@@ -140,7 +124,7 @@ class _Palette:
             self._missing.setdefault(found.name, []).append(material)
             return
         tiles = self._materials.tiles.get(path or "")
-        wrap: Wrap = "clamp" if found.clamped or tiles else "repeat"
+        wrap: records.Wrap = "clamp" if found.clamped or tiles else "repeat"
         number_of = {file: self.shown.show(file, material, (wrap, wrap)) for file in files}
         self.texture_of[number] = number_of[files[0]]
         if tiles:
@@ -181,7 +165,7 @@ class _Palette:
         return found
 
 
-_SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
+_SLOTS: tuple[records.Slot, ...] = ("baseColor", "emissive", "normal")
 _VALUE = re.compile(rb"^[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE)
 _ALONG = ("map_ka", "map_d")  # which show the image of the base colour
 _Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
@@ -189,7 +173,7 @@ _Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of
 
 def read_textured_mesh(
     statements: Statements, scan: Scan, coordinates: Coordinates, materials: Materials, source: str
-) -> TexturedMesh:
+) -> records.TexturedMesh:
     """Return all triangles of a file, with their materials, groups, normals and texture coordinates."""
     cut, polygon = triangulate_corners(scan.vertices.positions, scan.corners, scan.offsets)
     if not len(cut):
@@ -202,12 +186,12 @@ def read_textured_mesh(
     uv = np.append(coordinates.values, [[np.nan, np.nan]], axis=0)[coordinates.corners[cut]]
     scale, offset = (np.array(values)[numbers] for values in zip(*reading.placed, strict=True))
     with np.errstate(over="ignore", invalid="ignore"):
-        uv = usable_coordinates(uv * scale[:, None] + offset[:, None])
+        uv = textured_mesh.usable_coordinates(uv * scale[:, None] + offset[:, None])
     uv[..., 1] = 1 - uv[..., 1]
-    shown, material_of = shown_materials(reading.materials, numbers)
+    shown, material_of = textured_mesh.shown_materials(reading.materials, numbers)
     groups, group_of, lost = _groups(statements, polygon)
     lost += ["lines and points"] if "lines and points" in scan.dropped else []
-    mesh = TexturedMesh(
+    mesh = records.TexturedMesh(
         positions=scan.vertices.positions,
         faces=scan.corners[cut],
         uv=uv,
@@ -220,7 +204,7 @@ def read_textured_mesh(
         normals=_normals(statements)[cut] if "normals" in scan.dropped else None,
         left_out=(*lost, *reading.left_out),
     )
-    return on_tiles(mesh, reading.shown.sets)
+    return textured_mesh.on_tiles(mesh, reading.shown.sets)
 
 
 class _Reading:
@@ -229,15 +213,15 @@ class _Reading:
     def __init__(self, materials: Materials) -> None:
         self._materials = materials
         self._values = _read_values(materials)
-        self.materials: list[Material] = []
+        self.materials: list[records.Material] = []
         self.placed: list[_Placed] = []
-        self.shown = MeshImages()
+        self.shown = textured_mesh.MeshImages()
         self.left_out: list[str] = []
 
     def take(self, name: str) -> None:
         """Take a material, and the images that it shows."""
         found = {slot: painting for slot in _SLOTS if (painting := self._materials.painting(name, slot))}
-        maps: dict[Slot, MaterialMap] = {}
+        maps: dict[records.Slot, records.MaterialMap] = {}
         placed: _Placed | None = None
         for slot, (shown, path) in found.items():
             if path is None:
@@ -248,11 +232,11 @@ class _Reading:
                 self.left_out.append("bump maps, which are heights and no normals")
             else:
                 placed = shown.scale, shown.offset
-                maps[slot] = MaterialMap(self._image(path), _wrap(shown))
+                maps[slot] = records.MaterialMap(self._image(path), _wrap(shown))
         maps |= self._metal(name)
         base = maps.get("baseColor")
         image = None if base is None else self.shown.images[base.image]
-        alpha = "opaque" if image is None else alpha_mode(image.file.data, image.name)
+        alpha = "opaque" if image is None else textured_mesh.alpha_mode(image.file.data, image.name)
         self.materials.append(_material(name, self._values.get(name, {}), maps, alpha))
         self.placed.append(placed or ((1.0, 1.0), (0.0, 0.0)))
 
@@ -265,7 +249,7 @@ class _Reading:
             if shown.material == name and path is not None
         }
 
-    def _metal(self, name: str) -> dict[Slot, MaterialMap]:
+    def _metal(self, name: str) -> dict[records.Slot, records.MaterialMap]:
         """Return the map of metalness and roughness, if one image has both; other maps are left out."""
         maps = self._maps(name)
         rough, metal = maps.pop("map_pr", None), maps.pop("map_pm", None)
@@ -277,7 +261,7 @@ class _Reading:
             if keyword not in known and not (keyword in _ALONG and path == base)
         ]
         if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):
-            return {"metallicRoughness": MaterialMap(self._image(rough[1]), _wrap(rough[0]))}
+            return {"metallicRoughness": records.MaterialMap(self._image(rough[1]), _wrap(rough[0]))}
         lost = {"map_pr": rough, "map_pm": metal}
         self.left_out += [f"{keyword} maps in images of their own" for keyword, each in lost.items() if each]
         return {}
@@ -295,19 +279,22 @@ class _Reading:
         return bool((colours == colours[..., :1]).all())
 
 
-def _wrap(shown: Map) -> tuple[Wrap, Wrap]:
+def _wrap(shown: Map) -> tuple[records.Wrap, records.Wrap]:
     return ("clamp", "clamp") if shown.clamped else ("repeat", "repeat")
 
 
 def _material(
-    name: str, values: dict[str, list[float]], maps: dict[Slot, MaterialMap], alpha: AlphaMode
-) -> Material:
+    name: str,
+    values: dict[str, list[float]],
+    maps: dict[records.Slot, records.MaterialMap],
+    alpha: records.AlphaMode,
+) -> records.Material:
     """Return a material; beside a map its colour counts as white, as programs have it whatever exporters write."""
     dark = [0.0, 0.0, 0.0]
     transparency = values.get("tr", [0.0])[0]
     # Some exporters write "Tr 1" for what is opaque; nobody exports what cannot be seen.
     opacity = min(max(values.get("d", [1 - transparency])[0], 0.0), 1.0) or 1.0
-    return Material(
+    return records.Material(
         name=name,
         maps=maps,
         colour=(1.0, 1.0, 1.0) if "baseColor" in maps else _colour(values.get("kd", [1.0, 1.0, 1.0])),

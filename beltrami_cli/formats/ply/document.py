@@ -12,37 +12,9 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
-from beltrami_cli.formats.ply.elements import (
-    NORMAL,
-    POSITION,
-    VERTEX_LISTS,
-    attribute_names,
-    find_paint,
-    finite_columns,
-    read_attribute,
-    read_colours,
-    read_grid,
-    read_polygons,
-    store_colours,
-)
+from beltrami_cli.formats.ply import elements, patching, texturing
 from beltrami_cli.formats.ply.header import Header, read_header
-from beltrami_cli.formats.ply.patching import (
-    Change,
-    moved_changes,
-    patch_body,
-    renamed_images,
-    require_real,
-    take_apart,
-)
 from beltrami_cli.formats.ply.tables import Table, read_tables
-from beltrami_cli.formats.ply.texturing import (
-    COORDINATE_LISTS,
-    TextureComment,
-    find_coordinates,
-    gather_textured,
-    mesh_of_surface,
-    read_comments,
-)
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.surface.polygons import triangulate
@@ -52,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.ply.elements import Colours, Paint
     from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
 
@@ -79,7 +50,7 @@ class PlyDocument(Document):
         )
 
     def grid(self) -> Int64s | None:
-        return read_grid(self.data[: self._header.end], self._tables, self.name)
+        return elements.read_grid(self.data[: self._header.end], self._tables, self.name)
 
     def has_vertex_colours(self) -> bool:
         try:
@@ -88,14 +59,16 @@ class PlyDocument(Document):
             return False
 
     def slots(self) -> tuple[Slot, ...]:
-        there = self._images and self._header.element("vertex") and find_coordinates(self._tables)
+        there = self._images and self._header.element("vertex") and texturing.find_coordinates(self._tables)
         return ("baseColor",) if there else ()
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
         if slot != "baseColor":
             return super()._gathered(slot)
         mesh = self._positions, *self._polygons
-        surface, notices = gather_textured(mesh, self._tables, self._images, self._folder, self.name)
+        surface, notices = texturing.gather_textured(
+            mesh, self._tables, self._images, self._folder, self.name
+        )
         self.notices += notices
         return surface
 
@@ -103,32 +76,34 @@ class PlyDocument(Document):
         beside = Written([])
         spans: Spans = {}
         if new.images or naming.copies:
-            beside, spans = renamed_images(self._images, new.images, self.name, naming)
+            beside, spans = patching.renamed_images(self._images, new.images, self.name, naming)
         header = exchange_spans(self.data[: self._header.end], spans)
         changes = [] if new.colours is None else self._recoloured(new.colours)
-        changes += [] if new.places is None else moved_changes(self._vertices, self._kinds, new.places)
+        changes += (
+            [] if new.places is None else patching.moved_changes(self._vertices, self._kinds, new.places)
+        )
         if any(change.rows.any() for change in changes):
-            pieces = [header, *patch_body(self.data, self._header, self._vertices, changes)]
+            pieces = [header, *patching.patch_body(self.data, self._header, self._vertices, changes)]
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(beside, main=pieces)
 
-    def _recoloured(self, colours: Float32s) -> list[Change]:
+    def _recoloured(self, colours: Float32s) -> list[patching.Change]:
         changed = colours != self._colours.values
         stored = [
-            store_colours(colours[rows, channel], self._colours.scale, self._paint.type)
+            elements.store_colours(colours[rows, channel], self._colours.scale, self._paint.type)
             for channel, rows in enumerate(changed.T)
         ]
-        return [Change(*change) for change in zip(self._paint.names, changed.T, stored, strict=True)]
+        return [patching.Change(*change) for change in zip(self._paint.names, changed.T, stored, strict=True)]
 
     def attributes(self) -> tuple[str, ...]:
-        return attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
+        return elements.attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
     def _attribute(self, name: str) -> Float64s:
-        return read_attribute(self._vertices, name, self.name)
+        return elements.read_attribute(self._vertices, name, self.name)
 
     def require_movable(self) -> None:
-        require_real(self._kinds, POSITION, self.name)
+        patching.require_real(self._kinds, elements.POSITION, self.name)
 
     def references(self) -> Sequence[str]:
         paths = (image.path for image in self._images)
@@ -136,8 +111,13 @@ class PlyDocument(Document):
 
     def contents(self) -> MeshContents:
         corners, offsets = self._polygons
-        has_normals = self._kinds.keys() >= {*NORMAL}
-        used = {*POSITION, *self._paint.names, self._paint.alpha, *(NORMAL if has_normals else ())}
+        has_normals = self._kinds.keys() >= {*elements.NORMAL}
+        used = {
+            *elements.POSITION,
+            *self._paint.names,
+            self._paint.alpha,
+            *(elements.NORMAL if has_normals else ()),
+        }
         return MeshContents(
             positions=self._positions,
             corners=corners,
@@ -152,46 +132,48 @@ class PlyDocument(Document):
 
     def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         shown = None
-        used: set[str | None] = {*POSITION, *find_coordinates(self._tables)}
+        used: set[str | None] = {*elements.POSITION, *texturing.find_coordinates(self._tables)}
         if self.has_vertex_colours():
             values = self._colours.values if colours is None else colours
             used |= {*self._paint.names, self._paint.alpha}
             shown = VertexColours(values, "srgb", str(np.dtype(self._paint.type)), self._alpha())
-        has_normals = self._kinds.keys() >= {*NORMAL}
-        used |= set(NORMAL) if has_normals else set()
+        has_normals = self._kinds.keys() >= {*elements.NORMAL}
+        used |= set(elements.NORMAL) if has_normals else set()
         left_out = [
             what
-            for what in _left_out(self._header, used, COORDINATE_LISTS)
+            for what in _left_out(self._header, used, texturing.COORDINATE_LISTS)
             if what != "comments" or self._header.comments > len(self._images)
         ]
         left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
         normals = self._normals() if has_normals else None
         surface, source = self.textured("baseColor"), Path(self.name).stem
-        return mesh_of_surface(surface, normals, shown, source, tuple(left_out))
+        return texturing.mesh_of_surface(surface, normals, shown, source, tuple(left_out))
 
     def facts(self) -> dict[str, object]:
-        elements = self._header.elements
         return {
             "format": self.format,
             "encoding": self._header.encoding,
-            "elements": {element.name: element.count for element in elements},
-            "properties": {each.name: [known.name for known in each.properties] for each in elements},
+            "elements": {element.name: element.count for element in self._header.elements},
+            "properties": {
+                element.name: [known.name for known in element.properties]
+                for element in self._header.elements
+            },
             "comments": self._header.comments,
         }
 
     def fingerprint(self) -> Fingerprint:
         known = self.data, self._header, self._tables
         if not self.has_vertex_colours():
-            return take_apart(*known, None, None, self._images, self._folder)
-        return take_apart(*known, self._paint, self._colours.values, self._images, self._folder)
+            return patching.take_apart(*known, None, None, self._images, self._folder)
+        return patching.take_apart(*known, self._paint, self._colours.values, self._images, self._folder)
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
         return dict(read_tables(self.data, self._header, self.name))
 
     @cached_property
-    def _images(self) -> list[TextureComment]:
-        comments = read_comments(self.data[: self._header.end], self._folder)
+    def _images(self) -> list[texturing.TextureComment]:
+        comments = texturing.read_comments(self.data[: self._header.end], self._folder)
         self.notices += [f"'{comment.name}' {comment.reason}" for comment in comments if comment.reason]
         return comments
 
@@ -200,7 +182,7 @@ class PlyDocument(Document):
         element = self._header.element("vertex")
         if element is None or element.count == 0:
             raise InputError(self.name, "there are no vertices", "nothing in it can be smoothed")
-        missing = set(POSITION) - element.scalars.keys()
+        missing = set(elements.POSITION) - element.scalars.keys()
         if missing:
             raise InputError(self.name, f"vertices have no property {', '.join(sorted(missing))}")
         return self._tables["vertex"]
@@ -211,33 +193,35 @@ class PlyDocument(Document):
         return self._vertices.element.scalars
 
     @cached_property
-    def _paint(self) -> Paint:
-        return find_paint(self._header, self._vertices, self.name)
+    def _paint(self) -> elements.Paint:
+        return elements.find_paint(self._header, self._vertices, self.name)
 
     @cached_property
-    def _colours(self) -> Colours:
-        colours = read_colours(self._vertices, self._paint, self.name)
+    def _colours(self) -> elements.Colours:
+        colours = elements.read_colours(self._vertices, self._paint, self.name)
         self.notices += [colours.notice] if colours.notice else []
         return colours
 
     @cached_property
     def _positions(self) -> Float64s:
-        return finite_columns(self._vertices, POSITION, "position", self.name)
+        return elements.finite_columns(self._vertices, elements.POSITION, "position", self.name)
 
     @cached_property
     def _measured(self) -> Float64s:
         """Positions of a range image or of points, in which what was not measured is not finite."""
         with np.errstate(invalid="ignore"):
-            return np.column_stack([self._vertices.scalars(name) for name in POSITION]).astype(np.float64)
+            return np.column_stack([self._vertices.scalars(name) for name in elements.POSITION]).astype(
+                np.float64
+            )
 
     @cached_property
     def _polygons(self) -> tuple[Int32s, Int64s]:
-        return read_polygons(self._tables, self._vertices.element.count, self.name)
+        return elements.read_polygons(self._tables, self._vertices.element.count, self.name)
 
     def _alpha(self) -> Float32s | None:
         if not self._paint.alpha:
             return None
-        alpha = finite_columns(self._vertices, (self._paint.alpha,), "alpha", self.name)[:, 0]
+        alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha", self.name)[:, 0]
         kind = self._kinds[self._paint.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
         if kind == self._paint.type:
@@ -246,7 +230,7 @@ class PlyDocument(Document):
 
     def _normals(self) -> Float32s:
         largest = np.finfo(np.float32).max
-        normals = finite_columns(self._vertices, NORMAL, "normal", self.name)
+        normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal", self.name)
         return np.clip(normals, -largest, largest).astype(np.float32)
 
 
@@ -256,9 +240,11 @@ def _left_out(
     """Return what is in a file but some properties of the vertices, and the vertices and others of faces."""
     dropped = []
     for element in header.elements:
-        known = used if element.name == "vertex" else (*VERTEX_LISTS.get(element.name, ()), *of_faces)
+        known = (
+            used if element.name == "vertex" else (*elements.VERTEX_LISTS.get(element.name, ()), *of_faces)
+        )
         others = [other.name for other in element.properties if other.name not in known]
-        if element.name != "vertex" and element.name not in VERTEX_LISTS:
+        if element.name != "vertex" and element.name not in elements.VERTEX_LISTS:
             dropped.append(f"element {element.name}")
         elif others:
             dropped.append(f"{element.name} properties {', '.join(others)}")

@@ -9,19 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats import tokens
 from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
-from beltrami_cli.formats.tokens import (
-    PLACEHOLDER,
-    Spans,
-    exchange_spans,
-    exchange_tokens,
-    find_tokens,
-    without_tokens,
-    zeroed,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -57,10 +49,10 @@ def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[C
 
 
 def _patch_text(text: bytes, vertices: Table, changes: Sequence[Change]) -> list[bytes | memoryview]:
-    starts, ends = find_tokens(text)
-    tokens = np.concatenate([indices(vertices.places(change.name))[change.rows] for change in changes])
+    starts, ends = tokens.find_tokens(text)
+    places = np.concatenate([indices(vertices.places(change.name))[change.rows] for change in changes])
     # Properties may stand in any order; tokens are exchanged from first to last.
-    order = np.argsort(tokens)
+    order = np.argsort(places)
     firsts = np.cumsum([0] + [len(change.values) for change in changes])
 
     def spell(block: slice) -> list[bytes]:
@@ -71,8 +63,8 @@ def _patch_text(text: bytes, vertices: Table, changes: Sequence[Change]) -> list
             spelled[mine] = _spelled(change.values[wanted[mine] - first])
         return list(spelled)
 
-    there = tokens[order]
-    return exchange_tokens(text, starts[there], ends[there], spell)
+    there = places[order]
+    return tokens.exchange_tokens(text, starts[there], ends[there], spell)
 
 
 def _spelled(values: Array) -> list[bytes]:
@@ -112,7 +104,7 @@ def renamed_images(
     images: Mapping[tuple[Slot, str], ImageFile],
     source: str,
     naming: Naming,
-) -> tuple[Written, Spans]:
+) -> tuple[Written, tokens.Spans]:
     """Return the files beside a PLY file, without the file itself, and new names by their place in the header."""
     present = [comment.path for comment in comments if comment.path is not None]
     missing = [comment.name for comment in comments if comment.path is None]
@@ -127,7 +119,7 @@ def renamed_images(
         if path not in new_of and not is_outside(path):
             new_of[path] = names.image(path)
             copies[new_of[path]] = path
-    spans: Spans = {}
+    spans: tokens.Spans = {}
     for comment in comments:
         if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
             new = new_reference(comment.name, comment.path, new_of[comment.path])
@@ -145,14 +137,14 @@ def take_apart(
     folder: ModelFolder,
 ) -> Fingerprint:
     """Take a PLY file apart: header, elements, and what stands behind them."""
-    spans = {(image.start, image.end): PLACEHOLDER for image in images if image.path is not None}
-    parts = {"header": exchange_spans(data[: header.end], spans)}
+    spans = {(image.start, image.end): tokens.PLACEHOLDER for image in images if image.path is not None}
+    parts = {"header": tokens.exchange_spans(data[: header.end], spans)}
     places = [] if paint is None else [indices(tables["vertex"].places(name)) for name in paint.names]
     hidden = np.concatenate([np.empty(0, np.int64), *places])
     starts = [table.start for table in tables.values()]
     stop = [*tables.values()][-1].stop if tables else 0
     if header.order:
-        body = zeroed(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
+        body = tokens.zeroed(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
         bounds, end = [*starts, stop], len(data)
     else:
         text = data[header.end :]
@@ -169,11 +161,11 @@ def take_apart(
 
 def _blanked_text(text: bytes, hidden: Int64s) -> tuple[bytes, Int64s]:
     """Return a text with a placeholder for some of its tokens, and where every token starts in it."""
-    starts, ends = find_tokens(text)
+    starts, ends = tokens.find_tokens(text)
     order = np.sort(hidden)
     shorter = np.zeros(len(starts) + 1, np.int64)
-    shorter[order + 1] = ends[order] - starts[order] - len(PLACEHOLDER)
-    return without_tokens(text, starts[order], ends[order]), starts - np.cumsum(shorter)[:-1]
+    shorter[order + 1] = ends[order] - starts[order] - len(tokens.PLACEHOLDER)
+    return tokens.without_tokens(text, starts[order], ends[order]), starts - np.cumsum(shorter)[:-1]
 
 
 def _paintings(images: Sequence[TextureComment], folder: ModelFolder) -> dict[str, NamedImage]:

@@ -14,26 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.model_folder import (
-    LEFT_ALONE,
-    LEFT_OUTSIDE,
-    ModelFolder,
-    UnfitReferenceError,
-    is_outside,
-    remedy_for,
-)
+from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.textured_mesh import MeshImages, alpha_mode, usable_coordinates
+from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.records import (
-    Material,
-    MaterialMap,
-    Slot,
-    Texture,
-    TexturedMesh,
-    TexturedSurface,
-    VertexColours,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,16 +45,16 @@ class TextureComment:
     reason: str = ""  # why it is not used or not copied, to be put behind its name; or empty
 
 
-def read_comments(header: bytes, folder: ModelFolder) -> list[TextureComment]:
+def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[TextureComment]:
     """Return the comments that name images, in the order in which they are numbered."""
     found = []
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
         try:
             path: str | None = folder.locate(name)
-            reason = LEFT_OUTSIDE if is_outside(folder.locate(name)) else ""
-        except UnfitReferenceError as error:
-            path, reason = None, f"{error}{LEFT_ALONE}"
+            reason = model_folder.LEFT_OUTSIDE if model_folder.is_outside(folder.locate(name)) else ""
+        except model_folder.UnfitReferenceError as error:
+            path, reason = None, f"{error}{model_folder.LEFT_ALONE}"
         found.append(TextureComment(name, path, *match.span(1), reason))
     return found
 
@@ -86,9 +71,9 @@ def gather_textured(
     mesh: tuple[Float64s, Int32s, Int64s],
     tables: Mapping[str, Table],
     comments: Sequence[TextureComment],
-    folder: ModelFolder,
+    folder: model_folder.ModelFolder,
     name: str,
-) -> tuple[TexturedSurface, list[str]]:
+) -> tuple[records.TexturedSurface, list[str]]:
     """Return all triangles with their texture coordinates, the images, and notices."""
     positions, corners, offsets = mesh
     properties = find_coordinates(tables)
@@ -108,10 +93,10 @@ def gather_textured(
     if not (texture_of >= 0).any():
         missing = [f"'{c.name}' {c.reason}" for c in comments if c.path is None]
         cause = next(iter([*missing, *unreadable]), "no face shows one")
-        cause = f"it has no texture that can be shown: {cause.removesuffix(LEFT_ALONE)}"
-        raise InputError(name, cause, remedy_for(cause))
+        cause = f"it has no texture that can be shown: {cause.removesuffix(model_folder.LEFT_ALONE)}"
+        raise InputError(name, cause, model_folder.remedy_for(cause))
     uv = values[cut] * [1, -1] + [0, 1]
-    surface = TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
+    surface = records.TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
     return surface, notices
 
 
@@ -134,10 +119,10 @@ def _numbers(
 
 
 def _load(
-    comments: Sequence[TextureComment], folder: ModelFolder
-) -> tuple[tuple[Texture, ...], Int64s, list[str]]:
+    comments: Sequence[TextureComment], folder: model_folder.ModelFolder
+) -> tuple[tuple[records.Texture, ...], Int64s, list[str]]:
     """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
-    textures: dict[str, tuple[int, Texture]] = {}
+    textures: dict[str, tuple[int, records.Texture]] = {}
     unreadable = []
     of_number = np.full(len(comments) + 1, -1, np.int64)
     for number, comment in enumerate(comments):
@@ -147,9 +132,11 @@ def _load(
             try:
                 data = folder.read(comment.path)
             except OSError as error:
-                unreadable.append(f"'{comment.name}' cannot be read ({error.strerror}){LEFT_ALONE}")
+                unreadable.append(
+                    f"'{comment.name}' cannot be read ({error.strerror}){model_folder.LEFT_ALONE}"
+                )
                 continue
-            texture = Texture(comment.path, comment.path.rpartition("/")[2], data)
+            texture = records.Texture(comment.path, comment.path.rpartition("/")[2], data)
             textures[comment.path] = len(textures), texture
         of_number[number] = textures[comment.path][0]
     return tuple(texture for _, texture in textures.values()), of_number, unreadable
@@ -177,26 +164,28 @@ def _face_coordinates(face: Table, offsets: Int64s, name: str) -> tuple[Float64s
 
 
 def mesh_of_surface(
-    surface: TexturedSurface,
+    surface: records.TexturedSurface,
     normals: Float32s | None,
-    colours: VertexColours | None,
+    colours: records.VertexColours | None,
     source: str,
     left_out: tuple[str, ...],
-) -> TexturedMesh:
+) -> records.TexturedMesh:
     """Return a surface as a mesh with a material for each image, named after it; normals and colours by vertex."""
     shown, materials = MeshImages(), []
     for each in surface.textures:
         data = each.data
-        maps: dict[Slot, MaterialMap] = {
-            "baseColor": MaterialMap(shown.take(each.key, each.name, data), each.wrap)
+        maps: dict[records.Slot, records.MaterialMap] = {
+            "baseColor": records.MaterialMap(shown.take(each.key, each.name, data), each.wrap)
         }
-        materials.append(Material(each.name.rpartition(".")[0], maps, alpha=alpha_mode(data, each.name)))
+        materials.append(
+            records.Material(each.name.rpartition(".")[0], maps, alpha=alpha_mode(data, each.name))
+        )
     bare = surface.texture_of < 0
     uv = usable_coordinates(surface.uv)
     uv[bare] = np.nan
     if bare.any():
-        materials.append(Material("untextured"))
-    return TexturedMesh(
+        materials.append(records.Material("untextured"))
+    return records.TexturedMesh(
         positions=surface.positions,
         faces=surface.faces,
         uv=uv,

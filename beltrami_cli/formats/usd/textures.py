@@ -9,28 +9,12 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, remedy_for
-from beltrami_cli.formats.textured_mesh import (
-    POLYGONS_CUT,
-    MeshImages,
-    SlotImages,
-    on_tiles,
-    shown_materials,
-    usable_coordinates,
-)
-from beltrami_cli.surface import tiling
+from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.polygons import triangulate_corners
-from beltrami_cli.surface.records import (
-    ImageFile,
-    Material,
-    MaterialMap,
-    Slot,
-    TexturedMesh,
-    TexturedSurface,
-    VertexColours,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,8 +22,8 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.formats.usd.layers import Layers
 
-_ALL: tuple[Slot, ...] = get_args(Slot)
-Replaced = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
+_ALL: tuple[records.Slot, ...] = get_args(records.Slot)
+Replaced = dict[tuple[str, tuple[tuple[str, records.ImageFile], ...]], list[records.Slot]]
 
 
 class Textures:
@@ -57,11 +41,11 @@ class Textures:
                 self._path_of.append(None)
                 self._reasons[number] = f"'{use['file']}' {error}"
 
-    def slots(self) -> tuple[Slot, ...]:
+    def slots(self) -> tuple[records.Slot, ...]:
         """Return the slots in which something shows an image."""
         return tuple(slot for slot in _ALL if slot in self._words["slots"])
 
-    def _uses(self, slot: Slot) -> list[int]:
+    def _uses(self, slot: records.Slot) -> list[int]:
         materials = self._words["materials"]
         return [each["uses"][slot] for each in materials if slot in each["uses"]]
 
@@ -87,7 +71,7 @@ class Textures:
             found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()} or {attribute: path}
         return found
 
-    def attributes(self, path: str, slots: Sequence[Slot] | None = None) -> set[str]:
+    def attributes(self, path: str, slots: Sequence[records.Slot] | None = None) -> set[str]:
         """Return the attributes that name a path, in some slots or in all and anywhere else."""
         uses = self._words["uses"]
         if slots is None:
@@ -96,9 +80,9 @@ class Textures:
         numbers = {number for slot in slots for number in self._uses(slot)}
         return {uses[number]["attribute"] for number in numbers if self._path_of[number] == path}
 
-    def replaced(self, images: Mapping[tuple[Slot, str], ImageFile]) -> Replaced:
+    def replaced(self, images: Mapping[tuple[records.Slot, str], records.ImageFile]) -> Replaced:
         """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
-        by_path: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
+        by_path: dict[tuple[str, records.Slot], list[tuple[str, records.ImageFile]]] = {}
         for (slot, file), image in images.items():
             paths = {self._path_of[number]: None for number in self._uses(slot)}
             for path in paths:
@@ -109,7 +93,7 @@ class Textures:
             slots.setdefault((path, tuple(files)), []).append(slot)
         return slots
 
-    def kept(self, images: Mapping[tuple[Slot, str], ImageFile]) -> list[str]:
+    def kept(self, images: Mapping[tuple[records.Slot, str], records.ImageFile]) -> list[str]:
         """Return the image files that something still names when others are replaced."""
         replaced = self.replaced(images)
         gone = {path for path, _ in replaced}
@@ -120,10 +104,10 @@ class Textures:
         replaced_files = {file for path in gone for file in self._layers.files(path)}
         return [file for file in self.files() if file not in replaced_files]
 
-    def surface(self, slot: Slot) -> TexturedSurface:
+    def surface(self, slot: records.Slot) -> records.TexturedSurface:
         """Return all triangles and the images of a slot."""
         positions, cut, polygon = self._triangles
-        shown = SlotImages()
+        shown = textured_mesh.SlotImages()
         texture_of_use = np.full(len(self._path_of) + 1, -1)
         for number in dict.fromkeys(self._uses(slot)):
             use, path = self._words["uses"][number], self._path_of[number]
@@ -143,13 +127,13 @@ class Textures:
         uv = np.where((texture_of == -1)[:, None, None], 0.0, uv)
         uv[..., 1] = 1 - uv[..., 1]
         faces = self._arrays["corners"][cut].astype(np.int32)
-        surface = TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
+        surface = records.TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
         try:
             return tiling.on_tiles(surface, shown.sets)
         except tiling.TilingError as error:
             raise InputError(self._name, str(error), "check its texture coordinates") from error
 
-    def _take(self, shown: SlotImages, path: str, use: dict[str, Any]) -> int:
+    def _take(self, shown: textured_mesh.SlotImages, path: str, use: dict[str, Any]) -> int:
         """Take what a material shows; return the number of its texture, or of its set."""
         tiles, number_of = self._layers.tiles.get(path), {}
         for file in self._layers.files(path):
@@ -177,7 +161,7 @@ class Textures:
         cut, polygon = triangulate_corners(positions, corners, offsets)
         return positions, cut.astype(np.int64), polygon
 
-    def mesh(self, source: str, colours: Float32s | None, left_out: Sequence[str]) -> TexturedMesh:
+    def mesh(self, source: str, colours: Float32s | None, left_out: Sequence[str]) -> records.TexturedMesh:
         """Return all triangles with their materials, groups, normals and texture coordinates."""
         positions, cut, polygon = self._triangles
         lost = list(left_out)
@@ -188,16 +172,18 @@ class Textures:
             differs = ~fresh & ~np.isnan(own).any(axis=(1, 2)) & (own != uv).any(axis=(1, 2))
             lost += [f"{slot} maps that are placed otherwise than the base colour"] if differs.any() else []
             uv[fresh] = own[fresh]
-        uv = usable_coordinates(uv)
+        uv = textured_mesh.usable_coordinates(uv)
         uv[..., 1] = 1 - uv[..., 1]
         reading = _Materials(self._layers, self._words, self._path_of)
         materials = [reading.material(number) for number in range(len(self._words["materials"]))]
         numbers = self._arrays["material_of"][polygon]
-        materials.append(Material())
-        shown, material_of = shown_materials(materials, np.where(numbers < 0, len(materials) - 1, numbers))
-        lost += [POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else []
+        materials.append(records.Material())
+        shown, material_of = textured_mesh.shown_materials(
+            materials, np.where(numbers < 0, len(materials) - 1, numbers)
+        )
+        lost += [textured_mesh.POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else []
         normals = self._arrays["normals"][cut].astype(np.float32)
-        mesh = TexturedMesh(
+        mesh = records.TexturedMesh(
             positions=positions,
             faces=self._arrays["corners"][cut].astype(np.int32),
             uv=uv,
@@ -211,16 +197,16 @@ class Textures:
             colours=None if colours is None else self._by_vertex(colours),
             left_out=tuple(lost + reading.lost),
         )
-        return on_tiles(mesh, reading.shown.sets)
+        return textured_mesh.on_tiles(mesh, reading.shown.sets)
 
-    def _by_vertex(self, colours: Float32s) -> VertexColours | None:
+    def _by_vertex(self, colours: Float32s) -> records.VertexColours | None:
         """Return colours of all vertices; None if some have none, or several."""
         vertex, count = self._arrays["colour_vertex"], len(self._arrays["positions"])
         if len(vertex) != count or len(np.unique(vertex)) != count:
             return None
         ordered = np.empty_like(colours)
         ordered[vertex] = colours
-        return VertexColours(ordered, "linear", "float32")
+        return records.VertexColours(ordered, "linear", "float32")
 
 
 class _Materials:
@@ -228,26 +214,26 @@ class _Materials:
 
     def __init__(self, layers: Layers, words: dict[str, Any], path_of: Sequence[str | None]) -> None:
         self._layers, self._words, self._path_of = layers, words, path_of
-        self.shown = MeshImages()
+        self.shown = textured_mesh.MeshImages()
         self.lost: list[str] = []
 
-    def material(self, number: int) -> Material:
+    def material(self, number: int) -> records.Material:
         """Return a material; colours of USD are linear light."""
         known = self._words["materials"][number]
-        maps: dict[Slot, MaterialMap] = {}
+        maps: dict[records.Slot, records.MaterialMap] = {}
         for slot, use in known["uses"].items():
             path = self._path_of[use]
             if path is None:
                 self.lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
             else:
-                maps[slot] = MaterialMap(self._image(path), tuple(self._words["uses"][use]["wrap"]))
+                maps[slot] = records.MaterialMap(self._image(path), tuple(self._words["uses"][use]["wrap"]))
         values = known["values"]
         opacity = values.get("opacity", 1.0)
         mask = values.get("opacityThreshold", 0.0) > 0
         seen_through = known["alpha"] or opacity < 1
         white, has_metal = (1.0, 1.0, 1.0), "metallicRoughness" in maps
         colour, emission = values.get("diffuseColor", [0.18] * 3), values.get("emissiveColor", [0.0] * 3)
-        return Material(
+        return records.Material(
             name=known["name"],
             maps=maps,
             colour=white if "baseColor" in maps else _display(colour),
