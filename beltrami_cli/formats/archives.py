@@ -61,15 +61,7 @@ class Archive:
                 data = file.read(self._most + 1)
         except KeyError:
             raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            NotImplementedError,
-            RuntimeError,
-            EOFError,
-            OSError,
-            ValueError,
-        ) as error:
+        except (*_READ_ERRORS, NotImplementedError, ValueError) as error:
             raise InputError(self._name, f"{member} in the archive is damaged ({error})", _DAMAGED) from error
         if len(data) > self._most:
             raise self._too_large(member, len(data))

@@ -18,7 +18,6 @@ from beltrami_cli.jobs.array_arguments import (
     require_encoding,
     settings_for,
 )
-from beltrami_cli.samples.guides import GuideImage
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.vertex_samples import VertexSamples, count_cloud
@@ -270,16 +269,15 @@ def smooth_image(
     guides = []
     if guide is not None:
         (_, beta), *_ = settings.embedding.weighted_guides
-        values = centred(guide_table(guide, shape)).reshape(*shape, -1)
-        guides = [GuideImage("guide", values, beta).at]
+        guides = [Guide("guide", centred(guide_table(guide, shape)), beta)]
     metric = settings.embedding.metric_channels
 
     def working(pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         return to_space(table[pixels], encoding, settings.space)
 
     numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
-    place, rows = checked_surface(surface, table, shape), None if noise is None else noise.__getitem__
-    flow = grid_flow(place, working, settings.kernel, guides, numbers, noise=rows)
+    place = checked_surface(surface, table, shape)
+    flow = grid_flow(place, working, settings.kernel, guides, numbers, noise=noise)
     result = flow.run(progress)
     pixels = flow.manifold.atlas.owned_texels
     before, after = working(pixels), flow.values()

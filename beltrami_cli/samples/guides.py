@@ -109,22 +109,10 @@ def exists(path: str) -> bool:
     return path == "-" or is_there(path)
 
 
-@dataclass(frozen=True)
-class GuideImage:
-    """A guide with one row per pixel."""
-
-    name: str
-    image: Float32s
-    beta: float | None
-
-    def at(self, pixels: Int64s) -> Guide:
-        return Guide(self.name, self.image.reshape(-1, self.image.shape[2])[pixels], self.beta)
-
-
 def read_guide_images(
     picture: Picture, valid: Bools, settings: SmoothSettings, access: Access
-) -> tuple[GuideImage, ...]:
-    """Read all guides for an image."""
+) -> tuple[Guide, ...]:
+    """Read all guides for an image, with one row per pixel."""
     guides = []
     for path, beta in settings.embedding.weighted_guides:
         image = read_map(path, access)
@@ -135,7 +123,7 @@ def read_guide_images(
             remedy = "leave such pixels out with --mask"
             cause = f"its pixel {column},{row} is not finite, so it cannot guide there"
             raise InputError(path, cause, remedy)
-        guides.append(GuideImage(path, image, beta))
+        guides.append(Guide(path, image.reshape(-1, image.shape[2]), beta))
     return tuple(guides)
 
 

@@ -89,7 +89,9 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
         check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
     if wanted.mask is not None:
-        valid &= _mask_of(_read(wanted.mask, picture, access)[0])
+        mask = _read(wanted.mask, picture, access)[0]
+        colours = np.nan_to_num(mask.pixels[..., list(mask.colour)])
+        valid &= (colours != 0).any(axis=2) & _opaque(mask)
     return ImageSurface(heights, positions, valid, tuple(notices))
 
 
@@ -106,7 +108,8 @@ def _height_of(picture: Picture) -> NDArray[np.float64]:
     lower = [channel.lower() for channel in picture.channels]
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
     others = [channel for channel in range(len(lower)) if channel != picture.alpha]
-    if named is None and len(others) > 1 and not _are_equal(picture.pixels[..., others]):
+    first, *rest = (picture.pixels[..., channel] for channel in others or [0])
+    if named is None and not all(np.array_equal(first, each, equal_nan=True) for each in rest):
         cause = f"which of its channels {', '.join(picture.channels)} is the height is not clear"
         raise InputError(picture.name, cause, "give an image of one channel, or call it Z")
     column = others[0] if named is None else named
@@ -138,28 +141,20 @@ def _opaque(picture: Picture) -> NDArray[np.bool_]:
     return np.asarray(picture.pixels[..., picture.alpha] != 0)
 
 
-def _mask_of(picture: Picture) -> NDArray[np.bool_]:
-    """Return where a mask is not zero, in any of its colours and in its alpha."""
-    colours = picture.pixels[..., list(picture.colour)]
-    return np.asarray((np.nan_to_num(colours) != 0).any(axis=2) & _opaque(picture))
-
-
-def _are_equal(pixels: NDArray[np.generic]) -> bool:
-    return all(
-        np.array_equal(pixels[..., 0], pixels[..., i], equal_nan=True) for i in range(1, pixels.shape[2])
-    )
-
-
 def grid_flow(
     surface: ImageSurface,
     colours_of: Callable[[Pixels], NDArray[np.float32]],
     kernel: KernelParameters,
-    guides: Sequence[Callable[[Pixels], Guide]] = (),
+    guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
     tick: Callable[[], None] | None = None,
-    noise: Callable[[Pixels], NDArray[np.float32]] | None = None,
+    noise: NDArray[np.float32] | None = None,
+    rows: Pixels | None = None,
 ) -> BeltramiFlow[GridManifold]:
-    """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row."""
+    """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row.
+
+    Guides and noise have a row for each pixel, or those that `rows` names for the pixels.
+    """
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
     # slopes are further apart, so they are smoothed less.
     valid, positions = surface.valid, surface.positions
@@ -170,22 +165,18 @@ def grid_flow(
         kernel = dataclasses.replace(kernel, units="world")
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as all that follows
+    own = atlas.owned_texels if rows is None else rows[atlas.owned_texels]
     manifold = GridManifold(
         atlas,
         painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
         kernel,
         stop_at_holes=atlas.covered < valid.size,
-        guides=[guide(atlas.owned_texels) for guide in guides],
+        guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
         metric_channels=metric_channels,
         whole=None if surface.heights is None else Whole(unit=1.0),
-        deviations=None if noise is None else noise(atlas.owned_texels),
+        deviations=None if noise is None else noise[own],
     )
     return BeltramiFlow(manifold, kernel, tick)
-
-
-def rows_of(image: NDArray[np.float32] | None) -> Callable[[Pixels], NDArray[np.float32]] | None:
-    """Return what gives the rows of pixels of an image."""
-    return None if image is None else image.reshape(-1, image.shape[2]).__getitem__
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -82,14 +83,9 @@ def checked_memory(
             sizes = list(_measured((texture.name, texture.data) for texture in textures))
             left = memory - held_by_files(textures)
             on_disk |= _is_too_much(sizes, left, in_groups=painter.works_in_groups)
-    with kept_on_disk(_folder_beside(target), memory) if on_disk else contextlib.nullcontext():
+    folder = Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
+    with kept_on_disk(folder, memory) if on_disk else contextlib.nullcontext():
         yield
-
-
-def _folder_beside(target: str | None) -> Path:
-    import tempfile
-
-    return Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
 
 
 def _is_too_much(sizes: Sequence[tuple[str, ImageSize]], memory: int, *, in_groups: bool) -> bool:

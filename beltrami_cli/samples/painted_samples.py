@@ -160,15 +160,12 @@ def spacing_of(painted: PaintedVertices, rows: NDArray[np.intp], place_of: Int32
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     sides = sides[(sides >= 0).all(axis=1) & (sides[:, 0] != sides[:, 1])]
     lengths = np.linalg.norm(places[sides[:, 0]] - places[sides[:, 1]], axis=1)
-    total, ends = (
-        np.bincount(sides.ravel(), np.repeat(lengths, 2), count),
-        np.bincount(sides.ravel(), minlength=count),
-    )
+    total = np.bincount(sides.ravel(), np.repeat(lengths, 2), count)
+    ends = np.bincount(sides.ravel(), minlength=count)
     return np.asarray((total / np.maximum(ends, 1))[place_of], np.float64)
 
 
 def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
     """Return the number of each vertex's place, shape (S,)."""
-    return group_places(
-        painted.positions[rows], None if painted.space_of is None else painted.space_of[rows]
-    )[0]
+    spaces = None if painted.space_of is None else painted.space_of[rows]
+    return group_places(painted.positions[rows], spaces)[0]

@@ -16,7 +16,7 @@ from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, l
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
-from beltrami_cli.samples.image_surface import grid_flow, read_surface, rows_of
+from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.reports import ImageReport, describe_kernel
 from beltrami_cli.samples.samples import (
@@ -85,9 +85,8 @@ class ImageColours:
             if channel not in (*picture.colour, picture.alpha):
                 # EXR distinguishes R from r.
                 named[name.lower() if name.lower() not in named else f"{name}:{channel}"] = channel
-        opacity = {}
-        if settings.textures.alpha == "smooth" and picture.alpha is not None:
-            opacity = {"alpha": picture.alpha}
+        smoothed = settings.textures.alpha == "smooth"
+        opacity = {"alpha": picture.alpha} if smoothed and picture.alpha is not None else {}
         wanted, named_all = settings.embedding.metric_channels, named | opacity
         changing = _choose(named, settings.channels, picture.name) | opacity
         in_metric = changing if wanted is None else _choose(named_all, wanted, picture.name)
@@ -159,9 +158,8 @@ class ImageColours:
         moved = self._working(before.copy(), opacity) != samples
         back = samples.copy()
         if any(self._coloured):
-            back[:, self._coloured] = from_space(
-                samples[:, self._coloured], self._picture.encoding, self._space
-            )
+            colours = samples[:, self._coloured]
+            back[:, self._coloured] = from_space(colours, self._picture.encoding, self._space)
             if self._is_divided:
                 back[:, self._coloured] *= opacity
             if self._space == "oklab":  # which mixes the channels
@@ -217,10 +215,10 @@ class PixelSamples(Samples):
         self._is_noted = settings.channels is None and not colours_only
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
-        colours, guides = self.colours, [guide.at for guide in self._guides]
-        kernel = self.settings.kernel
-        metric, noise = colours.metric_channels, self._noise
-        return grid_flow(self.surface, colours.samples, kernel, guides, metric, tick, rows_of(noise))
+        colours, kernel = self.colours, self.settings.kernel
+        noise = None if self._noise is None else self._noise.reshape(-1, self._noise.shape[2])
+        metric = colours.metric_channels
+        return grid_flow(self.surface, colours.samples, kernel, self._guides, metric, tick, noise)
 
     def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
         """Return the samples of a part of the image, with other parameters."""
@@ -231,7 +229,11 @@ class PixelSamples(Samples):
         part.colours = ImageColours(part.picture, self._chosen)
         part.valid, part.surface = self.valid[place], self.surface.window(place)
         part._noise = None if self._noise is None else self._noise[place]
-        part._guides = tuple(dataclasses.replace(each, image=each.image[place]) for each in self._guides)
+        images = [guide.values.reshape(*self.valid.shape, -1)[place] for guide in self._guides]
+        part._guides = tuple(
+            dataclasses.replace(guide, values=image.reshape(-1, image.shape[2]))
+            for guide, image in zip(self._guides, images, strict=True)
+        )
         return part
 
     def require_writable(self) -> None:
@@ -341,8 +343,8 @@ class PixelSamples(Samples):
         return self._repainted(file.data, change, notices)
 
     def _encoded(self, pixels: Array) -> ImageFile:
-        is_data = self.settings.space == "data"
-        return encoded(self.picture, pixels, self.settings.textures, self._suffix, as_data=is_data)
+        wanted, is_data = self.settings.textures, self.settings.space == "data"
+        return encoded(self.picture, pixels, wanted, self._suffix, as_data=is_data)
 
     def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
         suffix = self._suffix or Path(self.picture.name).suffix

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,20 +50,18 @@ class RangeSamples(PaintedSamples):
         measured = self.grid >= 0
         positions = np.full((*self.grid.shape, 3), np.nan)
         positions[measured] = self.painted.positions[self.grid[measured]]
-        guides = [partial(self._guide_at, guide) for guide in self.guides]
-        surface, noise = ImageSurface(None, positions, measured), self._noise
-        return grid_flow(
-            surface, self._working, self.settings.kernel, guides, self.channels.metric, tick,
-            None if noise is None else lambda places: noise[self.grid.reshape(-1)[places]],
-        )  # fmt: skip
+        surface, kernel, rows = (
+            ImageSurface(None, positions, measured),
+            self.settings.kernel,
+            self.grid.reshape(-1),
+        )
+        metric = self.channels.metric
+        return grid_flow(surface, self._working, kernel, self.guides, metric, tick, self._noise, rows)
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
         colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
         return to_space(colours, self.painted.encoding, self.settings.space)
-
-    def _guide_at(self, guide: Guide, places: Int64s) -> Guide:
-        return Guide(guide.name, guide.values[self.grid.reshape(-1)[places]], guide.beta)
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> VertexReport:
         samples = len(flow.manifold.atlas.owned_texels)

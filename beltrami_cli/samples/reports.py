@@ -227,12 +227,7 @@ def describe_choice(choice: Choice | None) -> dict[str, object] | None:
 
 def atlas_counts(atlas: Atlas) -> dict[str, int]:
     """Return the numbers of charts, seams and texels of an atlas."""
-    return {
-        "charts": atlas.charts,
-        "seams": atlas.seams,
-        "covered": atlas.covered,
-        "overlapped": atlas.overlapped,
-    }
+    return {name: getattr(atlas, name) for name in ("charts", "seams", "covered", "overlapped")}
 
 
 def atlas_notices(atlas: Atlas) -> tuple[str, ...]:

@@ -59,9 +59,8 @@ class Grains:
     """Colours that noise is added to, in the working space, and how random numbers are assigned to them."""
 
     colours: Float32s  # shape (K, N)
-    number_of: NDArray[
-        np.integer[Any]
-    ]  # shape (K,); equal at one place of the surface, where colours change alike
+    # Shape (K,); equal at one place of the surface, where colours change alike.
+    number_of: NDArray[np.integer[Any]]
     stream: int = 0  # separates the random numbers of parts of a document
     grey: Bools | None = None  # where all channels are one
     space: Space = "srgb"  # of the colours
@@ -96,12 +95,10 @@ def channel_numbers(
     numbers = set()
     for word in wanted:
         lower = word.lower()
-        fits = [
-            i for i, name in enumerate(names) if lower == name or (lower == name[0] and name in by_letter)
-        ]
-        if not fits:
+        fits = [lower == name or (lower == name[0] and name in by_letter) for name in names]
+        if not any(fits):
             raise UsageError(f"there is no channel {word}; {owner_has} {', '.join(names)}")
-        numbers.add(fits[0])
+        numbers.add(fits.index(True))
     return sorted(numbers)
 
 
@@ -275,9 +272,8 @@ def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
     wrong = [option for option, is_given in given.items() if is_given]
     if not wrong:
         return
-    remedy = (
-        "end the name of OUTPUT in the extension instead" if "--texture-format" in wrong else "leave it out"
-    )
+    in_name = "--texture-format" in wrong
+    remedy = "end the name of OUTPUT in the extension instead" if in_name else "leave it out"
     raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")
 
 

@@ -74,12 +74,9 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     slots = _with_chosen_textures(document, slots, settings)
     absent = [f"it has no {slot} textures" for slot in settings.textures.slots if slot not in present]
     both = settings.on == "both"
-    stay = coloured and not both
-    notices = [
-        *absent,
-        *(["its vertex colours stay as they are; --on both smooths them too"] if stay else []),
-    ]
-    return Selection(vertices=both, slots=slots, notices=tuple(notices))
+    if coloured and not both:
+        absent.append("its vertex colours stay as they are; --on both smooths them too")
+    return Selection(vertices=both, slots=slots, notices=tuple(absent))
 
 
 def samples_of(

@@ -169,9 +169,8 @@ class ImageSettings:
     @property
     def given(self) -> tuple[str, ...]:
         """The options that are set, for messages."""
-        return tuple(
-            f"--{name}" for name in ("height", "positions", "mask") if getattr(self, name) is not None
-        )
+        names = ("height", "positions", "mask")
+        return tuple(f"--{name}" for name in names if getattr(self, name) is not None)
 
 
 @described
@@ -207,11 +206,8 @@ class LevelSetSettings(Checked):
     @property
     def given(self) -> tuple[str, ...]:
         """The options that are not as by default, for messages."""
-        return tuple(
-            "--" + each.name.replace("_", "-")
-            for each in dataclasses.fields(self)
-            if getattr(self, each.name) != each.default
-        )
+        names = [each.name for each in dataclasses.fields(self) if getattr(self, each.name) != each.default]
+        return tuple("--" + name.replace("_", "-") for name in names)
 
 
 @described
@@ -274,10 +270,6 @@ class EmbeddingSettings:
         return [(guide, self.guide_betas[0] if self.guide_betas else None) for guide in self.guides]
 
 
-def _all_chosen() -> KernelParameters:
-    return KernelParameters(free=TUNABLE)
-
-
 @described
 @dataclass(frozen=True)
 class SmoothSettings:
@@ -285,7 +277,7 @@ class SmoothSettings:
 
     group: ClassVar[str] = "Colours"
 
-    kernel: KernelParameters = part(KernelParameters, _all_chosen)
+    kernel: KernelParameters = part(KernelParameters, lambda: KernelParameters(free=TUNABLE))
     space: Space = parameter(
         "srgb",
         "What colours are taken as, and their distances and averages in: display values, linear light, "

@@ -115,9 +115,8 @@ class TexelColours:
 
     def working(self, picture: Picture, texels: Int64s) -> Float32s:
         """Return the colours of some texels (row * width + column) of a picture in the working space."""
-        return self._working(
-            picture, np.take(picture.pixels.reshape(-1, picture.pixels.shape[2]), texels, axis=0)
-        )
+        table = picture.pixels.reshape(-1, picture.pixels.shape[2])
+        return self._working(picture, np.take(table, texels, axis=0))
 
     def _working(self, picture: Picture, stored: Array) -> Float32s:
         """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
@@ -154,9 +153,8 @@ class TexelColours:
     def columns(self, index: int) -> list[int]:
         """Return which channels of a picture change."""
         picture = self._pictures[index]
-        colour = (
-            list(picture.colour) if len(picture.colour) == 1 else [picture.colour[i] for i in self._changing]
-        )
+        is_grey = len(picture.colour) == 1
+        colour = list(picture.colour) if is_grey else [picture.colour[i] for i in self._changing]
         return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
 
     def are_converted(self, index: int) -> bool:

@@ -75,9 +75,8 @@ class TexelSamples(samples.Samples):
         if guided is not None and settings.embedding.guides:
             from beltrami_cli.samples.guides import GuidedTexels
 
-            self._guides = GuidedTexels(
-                guided[0], self.surface, self.pictures, self.atlas, settings, guided[1]
-            ).guides()
+            known = self.surface, self.pictures, self.atlas, settings
+            self._guides = GuidedTexels(guided[0], *known, guided[1]).guides()
         self._gutter, self._is_smoothed = settings.textures.gutter, True
         self._levelled: Float32s | None = None
         self._is_dithered = False

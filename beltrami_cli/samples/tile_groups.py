@@ -95,17 +95,12 @@ class CommonChoice:
         manifold = samples.manifold()
         noise, sigma = manifold.common_noise, samples.named(manifold.noise)
         flow = BeltramiFlow(manifold, settings.kernel)
-        kernel = dataclasses.replace(
-            flow.parameters,
-            free=(),
-            beta=flow.step(0).beta,
-            patches="on" if flow.takes_patches else "off",
-        )
+        used, beta = flow.parameters, flow.step(0).beta
+        kernel = dataclasses.replace(used, free=(), beta=beta, patches="on" if flow.takes_patches else "off")
         choice = describe_choice(flow.choice)
         described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
-        return cls(
-            dataclasses.replace(settings, kernel=kernel), manifold.unit, noise, samples.names, described
-        )
+        chosen = dataclasses.replace(settings, kernel=kernel)
+        return cls(chosen, manifold.unit, noise, samples.names, described)
 
 
 @dataclass(frozen=True)
@@ -156,10 +151,8 @@ class TileGroups:
                 group.add(new)
             left -= group
             parts.append(group)
-        return [
-            self._part(group, near, f"group {number} of {len(parts)}", common)
-            for number, group in enumerate(parts, 1)
-        ]
+        labels = [f"group {number} of {len(parts)}" for number in range(1, len(parts) + 1)]
+        return [self._part(group, near, at, common) for group, at in zip(parts, labels, strict=True)]
 
     def _texels(self, group: set[int], near: Sequence[Int64s]) -> int:
         """Return about how many texels a group has, with the surface around it; texels beyond that count half."""

@@ -139,11 +139,8 @@ class VertexSamples(PaintedSamples):
         flow = self.flow()
         manifold = flow.manifold
         moving = {}
-        if manifold.moving is not None:
-            moving = {
-                "normal_noise": float(manifold.moving.sigma),
-                "normal_beta": float(manifold.moving.beta),
-            }
+        if (moved := manifold.moving) is not None:
+            moving = {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
         held = round(manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)
         return {
             "colours": describe_colours(painted),

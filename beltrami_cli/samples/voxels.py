@@ -76,7 +76,9 @@ def paint(
 ) -> Paint:
     """Return the colours of the vertices, shape (V, 3); voxels that are not `known` supply none."""
     if isinstance(source, level_set.GridColours):
-        same = source.samples.shape[:3] == known.shape and _equal(source.lattice, lattice)
+        own = source.lattice
+        same = source.samples.shape[:3] == known.shape
+        same = same and np.array_equal(own.axes, lattice.axes) and np.array_equal(own.origin, lattice.origin)
         stored = level_set.interpolate_colours(source, positions, known if same else None)
     else:
         voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
@@ -85,10 +87,6 @@ def paint(
     if not found.any():
         raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
     return _scaled(source, stored, found, where)
-
-
-def _equal(one: level_set.Lattice, other: level_set.Lattice) -> bool:
-    return np.array_equal(one.axes, other.axes) and np.array_equal(one.origin, other.origin)
 
 
 def _scaled(
@@ -136,13 +134,22 @@ class LevelSetDocument(Document):
     ) -> None:
         super().__init__(b"", name, folder, access)
         require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
-        max_voxels = _allowed(settings, access)
+        max_voxels = settings.max_voxels
+        if access.memory is not None:
+            max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
         volume = read_volume(data, name, folder, max_voxels)
         level = settings.level if settings.level is not None else volume.level or 0.0
         known = np.isfinite(volume.values)
         if volume.known is not None:
             known &= volume.known
-        self._facts = _facts_of(volume, known, level)
+        self._facts = {
+            "grid": list(volume.values.shape),
+            "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
+            "origin": volume.lattice.origin.tolist(),
+            "values": list(_range(volume.values, known)),
+            "level": level,
+            "unknown_voxels": int(known.size - np.count_nonzero(known)),
+        }
         vertices, faces = _triangulated(volume, known, level, settings.inside, name)
         positions = level_set.places(volume.lattice, vertices)
         source, where = find_colours(volume, settings.colours, name, access, max_voxels)
@@ -175,13 +182,6 @@ class LevelSetDocument(Document):
         raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
 
 
-def _allowed(settings: LevelSetSettings, access: Access) -> int:
-    """Return the largest number of voxels of a grid."""
-    if access.memory is None:
-        return settings.max_voxels
-    return min(settings.max_voxels, access.memory // _BYTES_OF_VOXEL)
-
-
 def _triangulated(
     volume: level_set.Volume, known: Bools, level: float, inside: Inside, name: str
 ) -> tuple[Float64s, Int32s]:
@@ -203,17 +203,6 @@ def _triangulated(
     # Triangles face larger values where the grid is right-handed in space.
     mirrored = np.linalg.det(volume.lattice.axes) < 0
     return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces
-
-
-def _facts_of(volume: level_set.Volume, known: Bools, level: float) -> dict[str, object]:
-    return {
-        "grid": list(volume.values.shape),
-        "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
-        "origin": volume.lattice.origin.tolist(),
-        "values": list(_range(volume.values, known)),
-        "level": level,
-        "unknown_voxels": int(known.size - np.count_nonzero(known)),
-    }
 
 
 def _range(values: Array, known: Bools) -> tuple[float, float]:

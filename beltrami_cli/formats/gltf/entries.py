@@ -85,9 +85,8 @@ class Entry:
 
     def integers(self, key: str, *, below: int) -> list[int]:
         """Return an array of integers in [0, below); empty if it is missing."""
-        return [
-            self._integer(value, f"{key}[{index}]", 0, below) for index, value in enumerate(self._array(key))
-        ]
+        values = enumerate(self._array(key))
+        return [self._integer(value, f"{key}[{index}]", 0, below) for index, value in values]
 
     def numbers(self, key: str, length: int) -> list[float] | None:
         """Return an array of `length` finite numbers, or None if it is missing."""
@@ -177,9 +176,8 @@ def require_structure(root: Entry) -> None:
         elif isinstance(shape, dict):
             for key, child in value.items():
                 if key in shape or _EACH in shape:
-                    stack.append(
-                        (f"{place}.{key}" if place else key, child, shape.get(key, shape.get(_EACH)))
-                    )
+                    inner = shape.get(key, shape.get(_EACH))
+                    stack.append((f"{place}.{key}" if place else key, child, inner))
 
 
 def objects(values: object) -> list[Tree]:

@@ -170,7 +170,5 @@ def _piece(span: _Span, new: object, text: str, style: _Style) -> tuple[str, str
 
 def _joined(pieces: list[tuple[str, str]], close: str) -> str:
     """Join pieces with commas; what followed the last one of the source closes the result."""
-    return (
-        ",".join([*(piece + trail for piece, trail in pieces[:-1]), *(piece for piece, _ in pieces[-1:])])
-        + close
-    )
+    whole = [*(piece + trail for piece, trail in pieces[:-1]), *(piece for piece, _ in pieces[-1:])]
+    return ",".join(whole) + close

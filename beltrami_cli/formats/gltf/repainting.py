@@ -224,10 +224,8 @@ def _point(edit: Edit, images: Images, change: _Change, image: int, renewed: Map
         elif extension != own:
             del extensions[extension]
         if extension not in (own, shown, *renewed):
-            edit.notices.append(
-                f"textures[{change.texture}] loses its {kind_of(extension)} image ({extension}), which would show "
-                "the old colours."
-            )
+            lost = f"textures[{change.texture}] loses its {kind_of(extension)} image ({extension})"
+            edit.notices.append(f"{lost}, which would show the old colours.")
     if own is None or was_plain:
         texture["source"] = image
     elif own == WEBP and WEBP in extensions:
@@ -235,9 +233,8 @@ def _point(edit: Edit, images: Images, change: _Change, image: int, renewed: Map
         if "" in renewed:
             texture["source"] = renewed[""]
         elif "source" in texture:
-            edit.notices.append(
-                f"textures[{change.texture}] keeps its fallback for viewers without WebP as it was."
-            )
+            kept = f"textures[{change.texture}] keeps its fallback"
+            edit.notices.append(f"{kept} for viewers without WebP as it was.")
     else:
         extensions[own] = extensions.get(own, {}) | {"source": image}
         texture.pop("source", None)
@@ -249,10 +246,8 @@ def _point(edit: Edit, images: Images, change: _Change, image: int, renewed: Map
 
 def _described(texture: Tree, extensions: Tree, images: Images, image: int) -> int:
     """Return the description of an image that a texture shows already, if there are several; else the image."""
-    for source in (
-        *(extensions.get(name, {}).get("source") for name in IMAGE_EXTENSIONS),
-        texture.get("source"),
-    ):
+    holders = [*(extensions.get(name, {}) for name in IMAGE_EXTENSIONS), texture]
+    for source in (holder.get("source") for holder in holders):
         if source is not None and source < len(images) and images.canonical(source) == image:
             return int(source)
     return image
@@ -267,9 +262,8 @@ def _extensions(tree: Tree) -> set[str]:
 def _declare(tree: Tree, before: set[str]) -> None:
     """Bring the lists of extensions up to date with the textures."""
     after = _extensions(tree)
-    for extension in sorted(
-        after & {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
-    ):
+    known = {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
+    for extension in sorted(after & known):
         _enlist(tree, "extensionsUsed", extension)
         holders = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
         if any("source" not in texture for texture in holders):

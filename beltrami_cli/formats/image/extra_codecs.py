@@ -14,7 +14,6 @@ import io
 import math
 import struct
 import warnings
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,15 +39,6 @@ _BEST = 100
 _ZSTANDARD_LEVEL = 9
 _REFUSALS = (OSError, ValueError, RuntimeError, SyntaxError, MemoryError)  # by Pillow, of damaged files
 _FASTEST_EFFORT, _SLOWEST_SPEED = 2, 6
-
-
-@dataclass(frozen=True)
-class Extra:
-    """A decoded image: shape (H, W, 3 or 4), and what else is known of it."""
-
-    pixels: Uint8s
-    notices: tuple[str, ...] = ()
-    profile: bytes | None = field(default=None, repr=False)  # ICC
 
 
 def missing_package(known: str) -> str | None:
@@ -78,10 +68,10 @@ def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
         return width, height, 4 if image.mode == "RGBA" else 3
 
 
-def decoded(data: bytes, known: str, name: str) -> Extra:
-    """Decode an image whose header `measured` has accepted."""
+def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
+    """Decode an image whose header `measured` has accepted: pixels (H, W, 3 or 4), notices, and an ICC profile."""
     if known == "ktx2":
-        return _decoded_ktx2(data, name)
+        return _decoded_ktx2(data, name), (), None
     with _opened_avif(data, name) as image:
         try:
             pixels = np.array(image.convert(image.mode if image.mode == "RGBA" else "RGB"))
@@ -91,7 +81,7 @@ def decoded(data: bytes, known: str, name: str) -> Extra:
         bits = _avif_bits(data)
         fewer = (f"{name} has {bits}-bit samples, which become 8-bit ones.",)
         notices = (several if getattr(image, "n_frames", 1) > 1 else ()) + (fewer if bits > 8 else ())
-        return Extra(pixels, notices, image.info.get("icc_profile"))
+        return pixels, notices, image.info.get("icc_profile")
 
 
 def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
@@ -103,13 +93,11 @@ def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data:
 
 def encoding_cost(known: str, pixels: Uint8s, data: bytes, name: str) -> str:
     """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours of full scale 255."""
-    again = decoded(data, known, name).pixels[..., :3]
+    again = decoded(data, known, name)[0][..., :3]
     error = float(np.mean((again.astype(np.float32) - pixels[..., :3]) ** 2))
     psnr = 10 * math.log10(255**2 / error) if error else math.inf
-    return (
-        f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well: what is written has a "
-        f"PSNR of {psnr:.1f} dB."
-    )
+    inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
+    return f"{inexact}: what is written has a PSNR of {psnr:.1f} dB."
 
 
 def _damaged(name: str, label: str, error: object) -> InputError:
@@ -149,7 +137,7 @@ def _inspected(data: bytes, name: str) -> Any:
         raise _damaged(name, "KTX2", error) from None
 
 
-def _decoded_ktx2(data: bytes, name: str) -> Extra:
+def _decoded_ktx2(data: bytes, name: str) -> Uint8s:
     import alktx2
 
     about = _inspected(data, name)
@@ -161,7 +149,7 @@ def _decoded_ktx2(data: bytes, name: str) -> Extra:
     shape = about["height"], about["width"], 4
     rows = np.frombuffer(targa, np.uint8, math.prod(shape), _TGA_HEADER).reshape(shape)[::-1]
     order = [2, 1, 0, 3] if about["has_alpha"] else [2, 1, 0]
-    return Extra(np.ascontiguousarray(rows[..., order]))
+    return np.ascontiguousarray(rows[..., order])
 
 
 def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:

@@ -119,10 +119,8 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
         unwanted += _OF_OLD_ENTRIES
     elif not same_samples:
         unwanted += _OF_SAMPLES
-    before: list[memoryview] = []
-    of_entries: list[memoryview] = []  # which stand behind the palette
-    behind: list[memoryview] = []
-    chunks = before
+    before, of_entries, behind = list[memoryview](), list[memoryview](), list[memoryview]()
+    chunks = before  # those of entries stand behind the palette
     for kind, chunk in png_chunks(source):
         if kind == b"IDAT":
             chunks = behind
@@ -160,11 +158,8 @@ def _is_jpeg_metadata(marker: int) -> bool:
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
     # Adobe's segment says how these very samples are coded; MPF gives places of further images in the file.
-    metadata = [
-        segment
-        for marker, segment in _jpeg_segments(source)
-        if _is_jpeg_metadata(marker) and segment[4:8] != b"MPF\0"
-    ]
+    found = [segment for marker, segment in _jpeg_segments(source) if _is_jpeg_metadata(marker)]
+    metadata = [segment for segment in found if segment[4:8] != b"MPF\0"]
     pixels = [segment for marker, segment in _jpeg_segments(encoded) if not _is_jpeg_metadata(marker)]
     return encoded[:2] + b"".join([*metadata, *pixels])
 
@@ -191,10 +186,8 @@ def _carry_webp(source: bytes, encoded: bytes) -> bytes:
     canvas = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
     profile = [(b"ICCP", metadata.pop(b"ICCP"))] if b"ICCP" in metadata else []
     chunks = [(b"VP8X", bytes([flags, 0, 0, 0]) + canvas), *profile, *pixels, *metadata.items()]
-    body = b"".join(
-        kind + len(payload).to_bytes(4, "little") + payload + b"\0" * (len(payload) % 2)
-        for kind, payload in chunks
-    )
+    sized = ((kind + len(data).to_bytes(4, "little"), data, b"\0" * (len(data) % 2)) for kind, data in chunks)
+    body = b"".join(part for parts in sized for part in parts)
     return b"RIFF" + (len(body) + 4).to_bytes(4, "little") + b"WEBP" + body
 
 

@@ -154,11 +154,11 @@ def _read_extra(data: bytes, name: str, known: str) -> Picture:
 
     spec = OpenImageIO.ImageSpec(*measured(data, known, name), "uint8")
     _check(spec, known, known, name)
-    found = decoded(data, known, name)
-    if found.profile:
-        kind = OpenImageIO.TypeDesc(f"uint8[{len(found.profile)}]")
-        spec.attribute("ICCProfile", kind, np.frombuffer(found.profile, np.uint8))
-    return _picture(data, name, known, spec, found.pixels, found.notices)
+    pixels, notices, profile = decoded(data, known, name)
+    if profile:
+        kind = OpenImageIO.TypeDesc(f"uint8[{len(profile)}]")
+        spec.attribute("ICCProfile", kind, np.frombuffer(profile, np.uint8))
+    return _picture(data, name, known, spec, pixels, notices)
 
 
 def _check(spec: Any, format_name: str, known: str, name: str) -> None:
@@ -246,32 +246,19 @@ def _changes(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[
     palette = in_tiff or has_palette(data, known)
     if palette and known != "png" and spec.nchannels >= _COLOURED:
         notices.append(f"{name} has a palette, which becomes full colours.")
-    bits = 0 if palette else _bits_a_sample(spec, data, known)
-    if bits and bits not in _WHOLE_BYTES:
+    bits = data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: not said
+    if bits and not palette and bits not in _WHOLE_BYTES:
         notices.append(f"{name} has {bits}-bit samples, which become {8 * spec.format.size()}-bit ones.")
-    if known == "tiff":
-        notices += _changes_of_tiff(spec, name)
-    return tuple(notices)
-
-
-def _bits_a_sample(spec: Any, data: bytes, known: str) -> int:
-    """Return how many bits a sample has in the file; 0 if it does not say."""
-    return data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))
-
-
-def _changes_of_tiff(spec: Any, name: str) -> list[str]:
-    notices = []
+    if known != "tiff":
+        return tuple(notices)
     if spec.get_string_attribute("tiff:ColorSpace") == "YCbCr":
         notices.append(f"{name} stores brightness and hues (YCbCr), which become red, green and blue.")
     compression = spec.get_string_attribute("compression")
     if compression not in _COMPRESSIONS_OF_TIFF:
-        notices.append(
-            f"{name} is compressed by {compression}; what is written as TIFF is compressed by zip."
-        )
-    return notices
+        by = f"{name} is compressed by {compression}"
+        notices.append(f"{by}; what is written as TIFF is compressed by zip.")
+    return tuple(notices)
 
-
-"""OpenImageIO's names of NumPy's types."""
 
 _OPEN_FILES = Path("/proc/self/fd")
 

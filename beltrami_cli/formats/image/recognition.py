@@ -117,10 +117,7 @@ def is_image(data: bytes, name: str) -> bool:
 
 def format_of_suffix(suffix: str) -> str | None:
     """Return the format whose files have an extension (with the dot, in any case), or None."""
-    for known, traits in FORMATS.items():
-        if suffix.lower() in traits.suffixes:
-            return known
-    return None
+    return next((known for known, traits in FORMATS.items() if suffix.lower() in traits.suffixes), None)
 
 
 def label_of(known: str) -> str:

@@ -56,10 +56,9 @@ def is_exact(picture: Picture) -> bool:
     """Whether a picture written in its own format keeps the values that are not changed."""
     if picture.format == "webp":
         return metadata.is_lossless_webp(picture.source)
-    return (
-        picture.format not in ("jpeg", *extra_codecs.EXTRA_CODECS)
-        and picture.spec.get_string_attribute("compression") not in _LOSSY
-    )
+    if picture.format in ("jpeg", *extra_codecs.EXTRA_CODECS):
+        return False
+    return picture.spec.get_string_attribute("compression") not in _LOSSY
 
 
 def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
@@ -67,9 +66,8 @@ def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str
     if suffix is not None or is_exact(picture):
         return ()
     kind = label_of(picture.format)
-    return (
-        f"{picture.name}: {kind} is not exact and takes some of the noise away, most of all in hues; {remedy}",
-    )
+    what = "is not exact and takes some of the noise away, most of all in hues"
+    return (f"{picture.name}: {kind} {what}; {remedy}",)
 
 
 def converted(picture: Picture, pixels: Array, known: str, *, as_data: bool) -> tuple[Array, Any]:
@@ -146,12 +144,8 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
 
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
 _OF_MIP_LEVELS = (
-    "textureformat",
-    "openexr:levelmode",
-    "openexr:roundingmode",
-    "oiio:AverageColor",
-    "oiio:ConstantColor",
-)
+    "textureformat", "openexr:levelmode", "openexr:roundingmode", "oiio:AverageColor", "oiio:ConstantColor",
+)  # fmt: skip
 _LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
@@ -182,9 +176,7 @@ def write_image(
         kept = metadata.encode_with_palette(pixels, picture.source, small=small)
         if kept is not None:
             return ImageFile(metadata.carry_over(picture.source, kept, known), picture.suffix)
-        notices.append(
-            f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."
-        )
+        notices = [f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."]
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)

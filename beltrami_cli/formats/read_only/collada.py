@@ -41,7 +41,12 @@ def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
     _check(data, name)
     question = {"data": np.frombuffer(data, np.uint8)}
     left_out, made = _PYCOLLADA.ask((None, question), name, len(data), access.memory)
-    return _polygons(made["positions"], made["colours"], left_out)
+    positions, corners = (
+        made["positions"],
+        np.arange(len(made["positions"])),
+    )  # triangles have vertices of their own
+    sizes = np.full(len(corners) // 3, 3)
+    return ColouredPolygons(positions, corners, sizes, made["colours"], "float32", tuple(left_out))
 
 
 def _check(data: bytes, name: str) -> None:
@@ -58,24 +63,11 @@ def _refuse(*_: object) -> None:
     raise ValueError("a document type, which could make it grow without bounds, is not allowed")
 
 
-def _polygons(positions: Float64s, colours: Float32s, left_out: list[str]) -> ColouredPolygons:
-    """Return triangles that have vertices of their own."""
-    corners = np.arange(len(positions))
-    return ColouredPolygons(
-        positions, corners, np.full(len(corners) // 3, 3), colours, "float32", tuple(left_out)
-    )
-
-
-def _answer(_: object, arrays: dict[str, Array]) -> tuple[list[str], dict[str, Array]]:
-    positions, colours, left_out = _triangles(arrays["data"].tobytes())
-    return left_out, {"positions": positions, "colours": colours}
-
-
-def _triangles(data: bytes) -> tuple[Float64s, Float32s, list[str]]:
-    """Return the places and colours of the corners of all triangles, where nodes place them, and what is left out."""
+def _answer(_: object, question: dict[str, Array]) -> tuple[list[str], dict[str, Array]]:
+    """Return what is left out, and the places and colours of the corners of all triangles, where nodes place them."""
     import collada
 
-    document = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError])
+    document = collada.Collada(io.BytesIO(question["data"].tobytes()), ignore=[collada.common.DaeError])
     positions, colours, left = [], [], set()
     for geometry, matrix in _placed(document.scene) if document.scene is not None else ():
         for primitive in geometry.primitives:
@@ -98,11 +90,11 @@ def _triangles(data: bytes) -> tuple[Float64s, Float32s, list[str]]:
         "textures": document.images,
     }
     left |= {what for what, found in there.items() if found}
-    return (
-        np.concatenate([np.empty((0, 3)), *positions]),
-        np.concatenate([np.empty((0, 4), np.float32), *colours]),
-        sorted(left),
-    )
+    arrays = {
+        "positions": np.concatenate([np.empty((0, 3)), *positions]),
+        "colours": np.concatenate([np.empty((0, 4), np.float32), *colours]),
+    }
+    return sorted(left), arrays
 
 
 def _placed(scene: Any) -> Iterator[tuple[Any, Float64s]]:

@@ -115,7 +115,7 @@ class _Reading:
         self._group: list[Rgba] = []
         self._actions: dict[str, Callable[[Attributes], None]] = {
             "object": self._start_object,
-            "vertex": self._take_vertex,
+            "vertex": lambda known: self._object.vertices.extend(float(known[axis]) for axis in "xyz"),
             "triangle": self._take_triangle,
             "component": lambda known: self._object.parts.append(_part(known)),
             "item": lambda known: self.model.built.append(_part(known)),
@@ -140,9 +140,6 @@ class _Reading:
     def _start_group(self, known: Attributes) -> None:
         self._group = []
         self.model.colours[known["id"]] = self._group
-
-    def _take_vertex(self, known: Attributes) -> None:
-        self._object.vertices.extend([float(known["x"]), float(known["y"]), float(known["z"])])
 
     def _take_triangle(self, known: Attributes) -> None:
         first = int(known.get("p1", _NONE))

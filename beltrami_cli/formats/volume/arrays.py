@@ -90,10 +90,9 @@ def _near(archive: NpzArchive, name: str, most: int) -> NearColours:
         raise InputError(name, cause, "add it, or leave the points out")
     points, colours = archive.header("points").shape, archive.header(key).shape
     fits = len(points) == len(colours) == 2 and points[1] == 3 and 1 <= colours[1] <= _CHANNELS
+    shapes = f"{points} and {colours}, not (P, 3) and (P, 1 to {_CHANNELS})"
     _require(
-        fits and points[0] == colours[0],
-        name,
-        f"the arrays points and {key} are of the shapes {points} and {colours}, not (P, 3) and (P, 1 to {_CHANNELS})",
+        fits and points[0] == colours[0], name, f"the arrays points and {key} are of the shapes {shapes}"
     )
     places = archive.read("points", 3 * most).astype(np.float64)
     _require(bool(np.isfinite(places).all()), name, "a point is not finite")
@@ -115,9 +114,8 @@ def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) 
         return None
     wanted = " or ".join(map(str, counts))
     shape = archive.header(key).shape
-    _require(
-        math.prod(shape) in counts, name, f"the array {key} is of shape {shape}, not of {wanted} numbers"
-    )
+    cause = f"the array {key} is of shape {shape}, not of {wanted} numbers"
+    _require(math.prod(shape) in counts, name, cause)
     numbers: Float64s = archive.read(key, max(counts)).astype(np.float64).ravel()
     _require(bool(np.isfinite(numbers).all()), name, f"the array {key} is not finite")
     return numbers
