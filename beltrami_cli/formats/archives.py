@@ -169,10 +169,10 @@ class NpzArchive:
         """Read an array; InputError as `header`, or if it has more than `most` numbers."""
         header = self.header(key)
         if most is not None and header.count > most:
-            cause = (
-                f"the array {key} of shape {header.shape} has {header.count} numbers, and {most} are allowed"
+            cause = f"the array {key} of shape {header.shape} has {header.count} numbers"
+            raise InputError(
+                self._name, f"{cause}, and {most} are allowed", "raise --max-voxels or --max-memory"
             )
-            raise InputError(self._name, cause, "raise --max-voxels or --max-memory")
         try:
             with self._archive.open(f"{key}.npy") as file:
                 file.read(header.offset)
@@ -203,7 +203,10 @@ class NpzArchive:
                 content = self._archive.read(member)
                 if member.filename == f"{key}.npy":
                     content = header.exchanged(content, array)
-                new.writestr(_description(member), content)
+                info = zipfile.ZipInfo(member.filename, member.date_time)
+                info.compress_type, info.comment = member.compress_type, member.comment
+                info.external_attr, info.create_system = member.external_attr, member.create_system
+                new.writestr(info, content)
         return buffer.getvalue()
 
     @contextlib.contextmanager
@@ -215,14 +218,6 @@ class NpzArchive:
 
     def _error(self, key: str, cause: str) -> InputError:
         return InputError(self._name, f"the array {key} {cause}", "write it with numpy.savez_compressed")
-
-
-def _description(member: zipfile.ZipInfo) -> zipfile.ZipInfo:
-    """Return a description for writing, without where and how long the old member is."""
-    new = zipfile.ZipInfo(member.filename, member.date_time)
-    new.compress_type, new.comment = member.compress_type, member.comment
-    new.external_attr, new.create_system = member.external_attr, member.create_system
-    return new
 
 
 def read_npy(data: bytes, name: str) -> Array:

@@ -31,10 +31,8 @@ def full_scale(colours: Float64s, name: str) -> tuple[float, str]:
         return 1.0, ""
     if largest > _BRIGHTEST or bool((colours % 1 == 0).all()):
         return BYTE, f"Vertex colours go up to {largest:g} and are taken for numbers of 0..255."
-    return (
-        1.0,
-        f"Vertex colours go up to {largest:g} and are taken for numbers of 0..1 that leave this range.",
-    )
+    notice = f"Vertex colours go up to {largest:g} and are taken for numbers of 0..1 that leave this range."
+    return 1.0, notice
 
 
 def point_colour_scale(colours: Float64s, name: str) -> tuple[float, str]:

@@ -60,12 +60,10 @@ class Written:
     """The files of a document with new colours, or of a mesh converted to another format."""
 
     main: Sequence[Bytes]  # pieces of the main file, in their order
-    sidecars: Mapping[str, Bytes] = field(
-        default_factory=dict
-    )  # new or changed, by path relative to the main file
-    notices: tuple[
-        str, ...
-    ] = ()  # for the user, one sentence each: what the format cannot hold, what was rounded
+    # New or changed, by path relative to the main file.
+    sidecars: Mapping[str, Bytes] = field(default_factory=dict)
+    # For the user, one sentence each: what the format cannot hold, what was rounded.
+    notices: tuple[str, ...] = ()
     # New paths relative to the main file of unchanged files beside the source, by which they are named there.
     copies: Mapping[str, str] = field(default_factory=dict)
 

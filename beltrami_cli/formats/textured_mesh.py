@@ -250,9 +250,8 @@ def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> Text
     tiles = tiles_under(mesh.uv[faces])
     uv, materials = mesh.uv.copy(), list(mesh.materials)
     uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
-    rows, number_of = np.unique(
-        np.column_stack([material_of[faces], tiles]).astype(np.int64), axis=0, return_inverse=True
-    )
+    pairs = np.column_stack([material_of[faces], tiles]).astype(np.int64)
+    rows, number_of = np.unique(pairs, axis=0, return_inverse=True)
     for old, *place in rows.tolist():
         tile, material = (place[0], place[1]), mesh.materials[old]
         maps = {

@@ -107,9 +107,8 @@ def exchange_tokens(
 
 def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:
     """Return a text with a placeholder for each of some tokens, as for `exchange_tokens`."""
-    return b"".join(
-        exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
-    )
+    pieces = exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
+    return b"".join(pieces)
 
 
 def exchange_spans(data: bytes, spans: Spans) -> bytes:

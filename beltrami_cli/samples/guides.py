@@ -41,10 +41,8 @@ _WITHOUT = {"normal": (0.5, 0.5, 1.0), "emissive": (0.0, 0.0, 0.0)}
 
 def vertex_guides(document: Document, settings: SmoothSettings, access: Access) -> list[Guide]:
     """Read all guides for the vertex colours of a document."""
-    return [
-        Guide(name, centred(_values(document, name, access)), beta)
-        for name, beta in settings.embedding.weighted_guides
-    ]
+    wanted = settings.embedding.weighted_guides
+    return [Guide(name, centred(_values(document, name, access)), beta) for name, beta in wanted]
 
 
 def _values(document: Document, name: str, access: Access) -> Float64s:
@@ -178,19 +176,15 @@ class GuidedTexels:
             if shown is None:
                 values[inside] = np.resize(_WITHOUT.get(slot, (1.0,)), width)
             else:
-                texture, size = guiding.textures[shown], picture.pixels.shape[:2]
-                values[inside] = _at_size(
-                    images[shown], size, texture, self.atlas.owned_texels[inside] - first
-                )
+                texels, size = self.atlas.owned_texels[inside] - first, picture.pixels.shape[:2]
+                values[inside] = _at_size(images[shown], size, guiding.textures[shown], texels)
         return values
 
     def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
         """Decode the textures of a slot, each of shape (H, W, G), in the working space."""
         pictures = [read_image(texture.data, texture.name) for texture in guiding.textures]
-        textures = dataclasses.replace(self.settings.textures, alpha="keep")
-        plain = dataclasses.replace(
-            self.settings, channels=None, textures=textures, embedding=EmbeddingSettings()
-        )
+        textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
+        plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)
         colours = TexelColours(pictures, slot, plain)
         images = []
         for picture in pictures:

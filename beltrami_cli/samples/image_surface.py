@@ -59,9 +59,8 @@ class ImageSurface:
 
     def window(self, place: tuple[slice, slice]) -> ImageSurface:
         """Return the surface of a part of the image."""
-        heights, positions, valid = (
-            None if each is None else each[place] for each in (self.heights, self.positions, self.valid)
-        )
+        every = self.heights, self.positions, self.valid
+        heights, positions, valid = (None if each is None else each[place] for each in every)
         return ImageSurface(heights, positions, valid)
 
     @property

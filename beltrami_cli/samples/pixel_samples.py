@@ -98,9 +98,8 @@ class ImageColours:
         self._coloured = [channel in picture.colour for channel in self.channels]
         # Colours that are averaged together with alpha are weighted by it already.
         self._is_divided = is_associated(picture) and not opacity and self._space != "data"
-        self.others = tuple(
-            name for name, channel in chosen.items() if channel not in (*picture.colour, picture.alpha)
-        )
+        known = (*picture.colour, picture.alpha)
+        self.others = tuple(name for name, channel in chosen.items() if channel not in known)
 
     def usable(self) -> Bools:
         """Return which pixels have finite numbers in all sampled channels, shape (H, W)."""
@@ -274,9 +273,8 @@ class PixelSamples(Samples):
         name = self.picture.name
         found = [*self.picture.notices, *self.surface.notices]
         if self._unfit:
-            found.append(
-                f"{name} has {self._unfit} pixels that are no finite numbers; they are holes, and stay."
-            )
+            unfit = f"{self._unfit} pixels that are no finite numbers"
+            found.append(f"{name} has {unfit}; they are holes, and stay.")
         if self.colours.others and self._is_noted:
             found.append(
                 f"{name}: the channels {', '.join(self.colours.others)} are smoothed too, and count as differences; "

@@ -50,13 +50,9 @@ class RangeSamples(PaintedSamples):
         measured = self.grid >= 0
         positions = np.full((*self.grid.shape, 3), np.nan)
         positions[measured] = self.painted.positions[self.grid[measured]]
-        surface, kernel, rows = (
-            ImageSurface(None, positions, measured),
-            self.settings.kernel,
-            self.grid.reshape(-1),
-        )
-        metric = self.channels.metric
-        return grid_flow(surface, self._working, kernel, self.guides, metric, tick, self._noise, rows)
+        surface, kernel = ImageSurface(None, positions, measured), self.settings.kernel
+        known = self.guides, self.channels.metric, tick, self._noise
+        return grid_flow(surface, self._working, kernel, *known, rows=self.grid.reshape(-1))
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""

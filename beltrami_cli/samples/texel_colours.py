@@ -46,11 +46,8 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
     """Keep the textures of these indices; triangles of the others have none."""
     new_index = np.full(len(surface.textures) + 1, -1, np.int32)
     new_index[kept] = np.arange(len(kept), dtype=np.int32)
-    return dataclasses.replace(
-        surface,
-        textures=tuple(surface.textures[index] for index in kept),
-        texture_of=new_index[surface.texture_of],
-    )
+    textures = tuple(surface.textures[index] for index in kept)
+    return dataclasses.replace(surface, textures=textures, texture_of=new_index[surface.texture_of])
 
 
 # The channels that a data slot uses; others of the same image belong to another slot.

@@ -188,9 +188,8 @@ class TileGroups:
 def _only_faces(surface: TexturedSurface, kept: Bools) -> TexturedSurface:
     """Return some triangles, and the textures that they show."""
     shown = np.unique(surface.texture_of[kept])
-    part = dataclasses.replace(
-        surface, faces=surface.faces[kept], uv=surface.uv[kept], texture_of=surface.texture_of[kept]
-    )
+    faces, uv, texture_of = surface.faces[kept], surface.uv[kept], surface.texture_of[kept]
+    part = dataclasses.replace(surface, faces=faces, uv=uv, texture_of=texture_of)
     return only_textures(part, shown[shown >= 0].tolist())
 
 

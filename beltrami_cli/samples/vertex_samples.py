@@ -102,9 +102,8 @@ class VertexSamples(PaintedSamples):
             raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")
         of_samples = np.zeros(len(surface.colours), np.int64)
         of_samples[sampling.sample_of] = photographs
-        found, change, colours = level_mesh(
-            surface.positions, surface.all_faces, stored, of_samples, wanted.strength
-        )
+        mesh = surface.positions, surface.all_faces
+        found, change, colours = level_mesh(*mesh, stored, of_samples, wanted.strength)
         self._sampled = dataclasses.replace(surface, colours=colours), sampling
         parts: list[dict[str, object]] = [{"chart": part} for part in range(len(found.groups))]
         return level_report(self.label, found, change, parts)

@@ -104,9 +104,8 @@ def _scaled(
     alpha = None if stored.shape[1] == width else _opacity(stored[:, width], found, scale)
     if not found.all():
         bare = int(len(found) - np.count_nonzero(found))
-        notices.append(
-            f"{bare} of {len(found)} vertices have no colour nearby; they are white and lend none."
-        )
+        far = f"{bare} of {len(found)} vertices have no colour nearby"
+        notices.append(f"{far}; they are white and lend none.")
     encoding = source.encoding if isinstance(source, level_set.NearColours) else "srgb"
     stored_as = source.stored if isinstance(source, level_set.NearColours) and source.stored else kind
     return Paint(colours, alpha, found, encoding, stored_as, notices)

@@ -208,7 +208,7 @@ def test_images_inside_a_file_count_as_memory(tmp_path, on_disk):
 
 def test_a_tile_that_does_not_fit_with_those_around_it_is_refused(tmp_path, monkeypatch):
     model = tiled_model(tmp_path / "in", size=3)
-    monkeypatch.setattr(tile_groups, "TEXEL_BYTES_ON_DISK", 20)
+    monkeypatch.setattr(memory_check, "TEXEL_BYTES_ON_DISK", 20)
     with pytest.raises(InputError, match=r"^skin.1001.png: its 48 x 48 pixels .* raise --max-memory$"):
         tiles_of(model, tmp_path / "out", 30_000, GIVEN)
     assert not list((tmp_path / "out").iterdir())

@@ -132,13 +132,10 @@ class Accessors:
         """Add an accessor for decoded numbers, shape (n, width), with another one's description."""
         octets = numbers.tobytes()
         buffer = self.buffers.add(len(octets), lambda: octets)
-        size = numbers.dtype.itemsize * numbers.shape[1]
-        layout = Layout(buffer, 0, size, size, len(numbers))
-        self._added.append(
-            replace(
-                described, component=numbers.dtype, count=len(numbers), view=None, layout=layout, sparse=None
-            )
-        )
+        size, count = numbers.dtype.itemsize * numbers.shape[1], len(numbers)
+        layout = Layout(buffer, 0, size, size, count)
+        bare = replace(described, view=None, sparse=None)
+        self._added.append(replace(bare, component=numbers.dtype, count=count, layout=layout))
         return len(self.all) + len(self._added) - 1
 
     def count_drawn(self, primitive: Entry, corners: int) -> None:
@@ -262,10 +259,9 @@ def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:
     index = entry.integer("bufferView", below=len(views)) if "bufferView" in entry else None
     size = SHAPES[shape] * component.itemsize
     if shape.startswith("MAT"):
+        # Each column starts at a multiple of four bytes.
         side = int(shape[3])
-        size = side * (
-            -(-side * component.itemsize // 4) * 4
-        )  # each column starts at a multiple of four bytes
+        size = side * (-(-side * component.itemsize // 4) * 4)
     layout = None if index is None else _layout(entry, views[index], index, size, count)
     sparse = _sparse(entry.entry("sparse"), views, size, count) if "sparse" in entry else None
     normalised = entry.flag("normalized")
@@ -300,8 +296,5 @@ def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> Spars
     if index_type.kind != "u":
         raise where.fault("componentType", "must be an unsigned integer type")
     first, second = (part.integer("bufferView", below=len(views)) for part in (where, what))
-    return Sparse(
-        _layout(where, views[first], first, index_type.itemsize, replaced),
-        index_type,
-        _layout(what, views[second], second, size, replaced),
-    )
+    indices = _layout(where, views[first], first, index_type.itemsize, replaced)
+    return Sparse(indices, index_type, _layout(what, views[second], second, size, replaced))

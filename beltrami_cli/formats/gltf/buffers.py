@@ -222,9 +222,7 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
         offset, length = entry.integer("byteOffset", default=0), entry.integer("byteLength", least=1)
         if offset + length > buffers.lengths[buffer]:
             raise entry.fault("", f"its bytes {offset} to {offset + length} leave buffers[{buffer}]")
-        stride = (
-            entry.integer("byteStride", least=1, below=1 << 16, default=1) if "byteStride" in entry else 0
-        )
+        stride = entry.integer("byteStride", least=1, below=1 << 16) if "byteStride" in entry else 0
         packed = read_packed(entry, length, buffers.lengths)
         if packed is None:
             views.append(View(buffer, offset, length, stride))

@@ -94,9 +94,8 @@ def unpacked(packed: Packed, data: Bytes) -> bytes:
     source = bytes(data[packed.offset : packed.offset + packed.length])
     try:
         if packed.mode == "ATTRIBUTES":
-            elements = library.decode_vertex_buffer(
-                packed.count, packed.stride, source, np.dtype(f"V{packed.stride}")
-            )
+            kind = np.dtype(f"V{packed.stride}")
+            elements = library.decode_vertex_buffer(packed.count, packed.stride, source, kind)
             return _unfiltered(library, packed, elements.view(np.uint8)).tobytes()
         decode = library.decode_index_buffer if packed.mode == "TRIANGLES" else library.decode_index_sequence
         indices: NDArray[np.uint32] = decode(packed.count, 4, source)

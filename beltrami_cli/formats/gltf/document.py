@@ -136,9 +136,8 @@ class GltfDocument(Document):
             for block in self.surface.blocks:
                 own = rows[block.first_row : block.first_row + block.count]
                 by_primitive |= dict.fromkeys(block.users, own)
-        mesh = read_textured_mesh(
-            self.root, self.accessors, self.images, by_primitive, stored, PurePath(self.name).stem
-        )
+        known, source = (self.root, self.accessors, self.images), PurePath(self.name).stem
+        mesh = read_textured_mesh(*known, by_primitive, stored, source)
         others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
         if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
             others.append("node hierarchy")
@@ -157,9 +156,7 @@ class GltfDocument(Document):
         root, asset = self.root, self.root.entry("asset")
         primitives = [primitive for _, primitive in primitives_of(self.container.tree)]
         named = {primitive.get("attributes", {}).get("COLOR_0", -1) for primitive in primitives}
-        known = (
-            (index, self.accessors[index]) for index in sorted(named) if 0 <= index < len(self.accessors)
-        )
+        there = (index for index in sorted(named) if 0 <= index < len(self.accessors))
         return {
             "generator": asset.text("generator"),
             "version": asset.text("version"),
@@ -175,7 +172,7 @@ class GltfDocument(Document):
                     "count": accessor.count,
                     "sparse": accessor.sparse is not None,
                 }
-                for index, accessor in known
+                for index, accessor in ((index, self.accessors[index]) for index in there)
             ],
             "materials": len(root.entries("materials")),
             "images": len(self.images),

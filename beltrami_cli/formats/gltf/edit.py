@@ -36,9 +36,7 @@ class Edit:
     accessors: Accessors  # its accessors and buffers, as they were
     tree: Tree  # the JSON with all changes but the URIs of buffers, which depend on where they are written
     buffers: dict[int, bytearray] = field(default_factory=dict)  # new bytes of those that change, or grow
-    images: dict[int, ImageFile] = field(
-        default_factory=dict
-    )  # new content of images that are files of their own
+    images: dict[int, ImageFile] = field(default_factory=dict)  # new images that are files of their own
     notices: list[str] = field(default_factory=list)
 
     def open(self, index: int) -> bytearray:

@@ -25,9 +25,8 @@ class Placement:
     """Where a mesh is taken to be."""
 
     matrix: Float64s  # (4, 4), from the mesh's own space to the common one; acts on columns
-    space: (
-        int  # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own
-    )
+    # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own.
+    space: int
     nodes: int  # how many nodes show the mesh, in all scenes
 
 

@@ -38,12 +38,9 @@ class Block:
     first_row: int
     count: int
     normal: int | None  # accessor of the normals of the first primitive
-    members: set[int] = field(
-        default_factory=set
-    )  # accessors over these colours that primitives name as COLOR_0
-    users: list[tuple[int, int]] = field(
-        default_factory=list
-    )  # those primitives: mesh, and index in the mesh
+    # Accessors over these colours that primitives name as COLOR_0, and those primitives: mesh, and index in the mesh.
+    members: set[int] = field(default_factory=set)
+    users: list[tuple[int, int]] = field(default_factory=list)
 
 
 @dataclass
@@ -73,10 +70,8 @@ def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[S
     types = {numbers.dtype.name for numbers in colours}
     spaces = np.concatenate([np.full(block.count, block.placement.space, np.int32) for block in blocks])
     fraction = np.concatenate([fractions(numbers[:, :3]) for numbers in colours])
-    positions = [
-        geometry.in_world(accessors.values(block.position), block.placement, accessors, block.position)
-        for block in blocks
-    ]
+    places = [(accessors.values(block.position), block.placement, block.position) for block in blocks]
+    positions = [geometry.in_world(at, placement, accessors, index) for at, placement, index in places]
     return PaintedVertices(
         positions=np.concatenate(positions),
         faces=surface.faces,

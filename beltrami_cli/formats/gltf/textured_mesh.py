@@ -76,9 +76,8 @@ class _Materials:
                 continue
             try:
                 image = self.images.canonical(self.images.shown(use.texture))
-                number = self.shown.take(
-                    image_key(image), self.images.name(image), partial(self.images.data, image)
-                )
+                name, read = self.images.name(image), partial(self.images.data, image)
+                number = self.shown.take(image_key(image), name, read)
                 maps[slot] = MaterialMap(number, self.images.wrap(use.texture))
                 first = first or use
             except UnfitReferenceError as error:

@@ -127,10 +127,8 @@ def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tr
     else:
         primitive["mode"] = 0
     # glTF's default material is bare metal, which shows colours black without a sky.
-    material: Tree = {
-        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-        "doubleSided": True,
-    }
+    bare = {"metallicFactor": 0, "roughnessFactor": 1}
+    material: Tree = {"pbrMetallicRoughness": bare, "doubleSided": True}
     if contents.alpha is not None and np.any(contents.alpha < 1):
         material["alphaMode"] = "BLEND"
     return _model([{"primitives": [primitive], "name": stem}], {"materials": [material]}, arrays), arrays
@@ -260,10 +258,8 @@ class _Parts:
     def primitives(self, faces: Int64s) -> list[Tree]:
         """Return a primitive for each material of some triangles."""
         material_of = self._mesh.material_numbers[faces]
-        return [
-            self._primitive(faces[material_of == material], material)
-            for material in np.unique(material_of).tolist()
-        ]
+        shown = np.unique(material_of).tolist()
+        return [self._primitive(faces[material_of == material], material) for material in shown]
 
     def _primitive(self, faces: Int64s, material: int) -> Tree:
         mesh, arrays = self._mesh, self.arrays
@@ -318,11 +314,8 @@ def _index(entry: Tree, entries: list[Tree]) -> int:
 def _material(material: Material, textures: _Textures, stem: str) -> Tree:
     has_metal = "metallicRoughness" in material.maps
     base: Tree = {}
-    tree: Tree = {
-        "name": plain_name(material.name) or stem,
-        "pbrMetallicRoughness": base,
-        "doubleSided": True,
-    }
+    name = plain_name(material.name) or stem
+    tree: Tree = {"name": name, "pbrMetallicRoughness": base, "doubleSided": True}
     for slot, shown in material.maps.items():
         *parents, last = SLOT_PATHS[slot][0]
         holder = base if parents else tree

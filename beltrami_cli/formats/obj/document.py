@@ -74,9 +74,8 @@ class ObjDocument(Document):
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
         mesh = self._scan.vertices.positions, self._scan.corners, self._scan.offsets
-        surface, notices = gather_textured(
-            mesh, self._coordinates, self._materials, self._folder, slot, self.name
-        )
+        images = self._materials, self._folder, slot
+        surface, notices = gather_textured(mesh, self._coordinates, *images, self.name)
         self.notices += notices
         return surface
 
@@ -225,16 +224,13 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
     mentions: Spans = {(a, b): PLACEHOLDER for library in materials.libraries for _, a, b in library.mentions}
     text = exchange_spans(data, mentions)
     if colours is not None and scan.polypaint is None:
-        starts, ends = (
-            np.sort(shifted(tokens[:, 3:].ravel(), mentions))
-            for tokens in (scan.vertices.token_starts, scan.vertices.token_ends)
-        )
+        tokens = scan.vertices.token_starts, scan.vertices.token_ends
+        starts, ends = (np.sort(shifted(places[:, 3:].ravel(), mentions)) for places in tokens)
         text = without_tokens(text, starts, ends)
     parts, paintings = {"statements": text}, {}
     for number, library in enumerate(materials.libraries):
-        names: Spans = {
-            (each.start, each.end): PLACEHOLDER for each, path in library.maps if path is not None
-        }
+        there = [found for found, path in library.maps if path is not None]
+        names: Spans = {(found.start, found.end): PLACEHOLDER for found in there}
         parts[f"material library {number + 1}"] = exchange_spans(library.data, names)
         for index, (found, path) in enumerate(library.maps):
             label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"

@@ -94,9 +94,8 @@ def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
     if len(name) > 2 and name[:1] == name[-1:] == b'"':
         name, at = name[1:-1], at + 1
     begin = start + at
-    return Map(
-        material, keyword, os.fsdecode(name), begin, begin + len(name), scale, offset, clamped, channel
-    )
+    end = begin + len(name)
+    return Map(material, keyword, os.fsdecode(name), begin, end, scale, offset, clamped, channel)
 
 
 def _pair(numbers: bytes, default: float) -> tuple[float, float]:
@@ -111,12 +110,10 @@ class Library:
     path: str  # relative to the folder of the model
     data: bytes
     materials: frozenset[str]  # their names
-    maps: tuple[
-        tuple[Map, str | None], ...
-    ]  # in file order, each with the path of its file if that can be used
-    mentions: tuple[
-        tuple[str, int, int], ...
-    ]  # its name in the OBJ file, and from where to where it stands there
+    # In file order, each with the path of its file if that can be used.
+    maps: tuple[tuple[Map, str | None], ...]
+    # Its name in the OBJ file, and from where to where it stands there.
+    mentions: tuple[tuple[str, int, int], ...]
 
 
 class Materials:

@@ -127,9 +127,8 @@ def _take_images(
     edits: dict[str, Spans] = {}
     for (path, files), slots in _by_path(materials, images).items():
         # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
-        affected = list(
-            {id(found): (of, found) for s in slots for of, found in materials.affected(s, path)}.values()
-        )
+        maps = [each for slot in slots for each in materials.affected(slot, path)]
+        affected = list({id(found): (library, found) for library, found in maps}.values())
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
@@ -146,9 +145,8 @@ def _new_files(materials: Materials, path: str, new: str) -> dict[str, str]:
     """Return the new file of each file of a path, which is an image or a set of tiles."""
     if path not in materials.tiles:
         return {path: new}
-    return {
-        file: file if path == new else tile_name(new, tile) for tile, file in materials.tiles[path].items()
-    }
+    tiles = materials.tiles[path].items()
+    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles}
 
 
 def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans]) -> dict[str, str]:
@@ -163,9 +161,8 @@ def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans])
                 if path not in new_of:
                     new_of[path] = names.image(path, tiles=materials.tiles.get(path, ()))
                 own[found.start, found.end] = _spelled(found, path, new_of[path], library)
-    return {
-        file: old for path, new in new_of.items() for old, file in _new_files(materials, path, new).items()
-    }
+    files = [_new_files(materials, path, new) for path, new in new_of.items()]
+    return {file: old for of_path in files for old, file in of_path.items()}
 
 
 def _by_path(

@@ -92,9 +92,8 @@ def gather_textured(
     lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] != -1)))
     if lost:
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
-    surface = records.TexturedSurface(
-        positions, corners[cut], uv, texture_of.astype(np.int32), palette.shown.textures()
-    )
+    texture_of, textures = texture_of.astype(np.int32), palette.shown.textures()
+    surface = records.TexturedSurface(positions, corners[cut], uv, texture_of, textures)
     try:
         return tiling.on_tiles(surface, palette.shown.sets), notices
     except tiling.TilingError as error:
@@ -158,11 +157,8 @@ class _Palette:
             f"{self._materials.reason(name)}."
             for name, materials in self._missing.items()
         ]
-        found += [
-            f"'{path}' is used with several wrap modes; the first is followed."
-            for path, _ in self.shown.mixed()
-        ]
-        return found
+        mixed = [path for path, _ in self.shown.mixed()]
+        return found + [f"'{path}' is used with several wrap modes; the first is followed." for path in mixed]
 
 
 _SLOTS: tuple[records.Slot, ...] = ("baseColor", "emissive", "normal")
@@ -240,25 +236,21 @@ class _Reading:
         self.materials.append(_material(name, self._values.get(name, {}), maps, alpha))
         self.placed.append(placed or ((1.0, 1.0), (0.0, 0.0)))
 
-    def _maps(self, name: str) -> dict[str, tuple[Map, str]]:
-        """Return the maps of a material with a file, by keyword."""
-        return {
-            shown.keyword: (shown, path)
-            for library in self._materials.libraries
-            for shown, path in library.maps
-            if shown.material == name and path is not None
-        }
-
     def _metal(self, name: str) -> dict[records.Slot, records.MaterialMap]:
         """Return the map of metalness and roughness, if one image has both; other maps are left out."""
-        maps = self._maps(name)
+        known = ((shown, path) for library in self._materials.libraries for shown, path in library.maps)
+        maps = {
+            shown.keyword: (shown, path)
+            for shown, path in known
+            if shown.material == name and path is not None
+        }
         rough, metal = maps.pop("map_pr", None), maps.pop("map_pm", None)
         base = maps.get("map_kd", (None, None))[1]
-        known = ("map_kd", "map_ke", "norm", "map_bump", "bump")
+        usual = ("map_kd", "map_ke", "norm", "map_bump", "bump")
         self.left_out += [
             f"{keyword} maps"
             for keyword, (_, path) in maps.items()
-            if keyword not in known and not (keyword in _ALONG and path == base)
+            if keyword not in usual and not (keyword in _ALONG and path == base)
         ]
         if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):
             return {"metallicRoughness": records.MaterialMap(self._image(rough[1]), _wrap(rough[0]))}

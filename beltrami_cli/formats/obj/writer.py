@@ -78,15 +78,11 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh with its materials, with a library and images beside it that are named after `stem`."""
     mesh = with_slots(mesh, _SLOTS)
     names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
-    vertices, notices, colours = (
-        _lines("v {} {} {}\n", shortest_type(mesh.positions)),
-        list[str](),
-        mesh.colours,
-    )
-    if colours is not None:
-        values, notices = display_colours(colours)
+    vertices, notices = _lines("v {} {} {}\n", shortest_type(mesh.positions)), list[str]()
+    if mesh.colours is not None:
+        values, notices = display_colours(mesh.colours)
         vertices = _vertex_lines(mesh.positions, values)
-        if colours.alpha is not None and (colours.alpha < 1).any():
+        if mesh.colours.alpha is not None and (mesh.colours.alpha < 1).any():
             notices.append("Opacity of vertices is dropped: they hold red, green and blue only.")
     coordinates, coordinate_of = _distinct(mesh.uv)
     pieces = [f"mtllib {stem}.mtl\n".encode(), *vertices]
@@ -97,9 +93,8 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
         pieces += _lines("vn {} {} {}\n", normals)
         columns.append(normal_of)
     pieces += _parts(mesh, names, np.stack(columns, axis=2))
-    library = "".join(
-        _library_entry(name, material, images) for name, material in zip(names, mesh.materials, strict=True)
-    )
+    entries = zip(names, mesh.materials, strict=True)
+    library = "".join(_library_entry(name, material, images) for name, material in entries)
     files = {name: image.file.data for name, image in zip(images, mesh.images, strict=True)}
     mirrored = any("mirror" in shown.wrap for material in mesh.materials for shown in material.maps.values())
     lost = not_converted(mesh, ["mirrored repetition of textures"] if mirrored else [])

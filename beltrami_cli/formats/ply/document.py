@@ -66,9 +66,8 @@ class PlyDocument(Document):
         if slot != "baseColor":
             return super()._gathered(slot)
         mesh = self._positions, *self._polygons
-        surface, notices = texturing.gather_textured(
-            mesh, self._tables, self._images, self._folder, self.name
-        )
+        images = self._images, self._folder
+        surface, notices = texturing.gather_textured(mesh, self._tables, *images, self.name)
         self.notices += notices
         return surface
 
@@ -79,9 +78,8 @@ class PlyDocument(Document):
             beside, spans = patching.renamed_images(self._images, new.images, self.name, naming)
         header = exchange_spans(self.data[: self._header.end], spans)
         changes = [] if new.colours is None else self._recoloured(new.colours)
-        changes += (
-            [] if new.places is None else patching.moved_changes(self._vertices, self._kinds, new.places)
-        )
+        if new.places is not None:
+            changes += patching.moved_changes(self._vertices, self._kinds, new.places)
         if any(change.rows.any() for change in changes):
             pieces = [header, *patching.patch_body(self.data, self._header, self._vertices, changes)]
         else:
@@ -112,12 +110,8 @@ class PlyDocument(Document):
     def contents(self) -> MeshContents:
         corners, offsets = self._polygons
         has_normals = self._kinds.keys() >= {*elements.NORMAL}
-        used = {
-            *elements.POSITION,
-            *self._paint.names,
-            self._paint.alpha,
-            *(elements.NORMAL if has_normals else ()),
-        }
+        used = {*elements.POSITION, *self._paint.names, self._paint.alpha}
+        used |= {*elements.NORMAL} if has_normals else set()
         return MeshContents(
             positions=self._positions,
             corners=corners,
@@ -139,11 +133,9 @@ class PlyDocument(Document):
             shown = VertexColours(values, "srgb", str(np.dtype(self._paint.type)), self._alpha())
         has_normals = self._kinds.keys() >= {*elements.NORMAL}
         used |= set(elements.NORMAL) if has_normals else set()
-        left_out = [
-            what
-            for what in _left_out(self._header, used, texturing.COORDINATE_LISTS)
-            if what != "comments" or self._header.comments > len(self._images)
-        ]
+        dropped = _left_out(self._header, used, texturing.COORDINATE_LISTS)
+        others = self._header.comments > len(self._images)
+        left_out = [what for what in dropped if what != "comments" or others]
         left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
         normals = self._normals() if has_normals else None
         surface, source = self.textured("baseColor"), Path(self.name).stem
@@ -210,9 +202,8 @@ class PlyDocument(Document):
     def _measured(self) -> Float64s:
         """Positions of a range image or of points, in which what was not measured is not finite."""
         with np.errstate(invalid="ignore"):
-            return np.column_stack([self._vertices.scalars(name) for name in elements.POSITION]).astype(
-                np.float64
-            )
+            columns = [self._vertices.scalars(name) for name in elements.POSITION]
+            return np.column_stack(columns).astype(np.float64)
 
     @cached_property
     def _polygons(self) -> tuple[Int32s, Int64s]:
@@ -240,9 +231,8 @@ def _left_out(
     """Return what is in a file but some properties of the vertices, and the vertices and others of faces."""
     dropped = []
     for element in header.elements:
-        known = (
-            used if element.name == "vertex" else (*elements.VERTEX_LISTS.get(element.name, ()), *of_faces)
-        )
+        lists = elements.VERTEX_LISTS.get(element.name, ())
+        known = used if element.name == "vertex" else (*lists, *of_faces)
         others = [other.name for other in element.properties if other.name not in known]
         if element.name != "vertex" and element.name not in elements.VERTEX_LISTS:
             dropped.append(f"element {element.name}")

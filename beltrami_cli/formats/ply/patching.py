@@ -154,9 +154,8 @@ def take_apart(
     for name, (first, last) in zip(tables, pairwise(bounds), strict=True):
         parts[f"element {name}"] = body[first:last]
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
-    return Fingerprint(
-        parts, {} if colours is None else {"vertex colours": colours}, _paintings(images, folder)
-    )
+    found = {} if colours is None else {"vertex colours": colours}
+    return Fingerprint(parts, found, _paintings(images, folder))
 
 
 def _blanked_text(text: bytes, hidden: Int64s) -> tuple[bytes, Int64s]:

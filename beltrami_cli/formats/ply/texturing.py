@@ -132,9 +132,8 @@ def _load(
             try:
                 data = folder.read(comment.path)
             except OSError as error:
-                unreadable.append(
-                    f"'{comment.name}' cannot be read ({error.strerror}){model_folder.LEFT_ALONE}"
-                )
+                reason = f"cannot be read ({error.strerror})"
+                unreadable.append(f"'{comment.name}' {reason}{model_folder.LEFT_ALONE}")
                 continue
             texture = records.Texture(comment.path, comment.path.rpartition("/")[2], data)
             textures[comment.path] = len(textures), texture
@@ -173,13 +172,10 @@ def mesh_of_surface(
     """Return a surface as a mesh with a material for each image, named after it; normals and colours by vertex."""
     shown, materials = MeshImages(), []
     for each in surface.textures:
-        data = each.data
-        maps: dict[records.Slot, records.MaterialMap] = {
-            "baseColor": records.MaterialMap(shown.take(each.key, each.name, data), each.wrap)
-        }
-        materials.append(
-            records.Material(each.name.rpartition(".")[0], maps, alpha=alpha_mode(data, each.name))
-        )
+        data, name = each.data, each.name.rpartition(".")[0]
+        painting = records.MaterialMap(shown.take(each.key, each.name, data), each.wrap)
+        alpha = alpha_mode(data, each.name)
+        materials.append(records.Material(name, {"baseColor": painting}, alpha=alpha))
     bare = surface.texture_of < 0
     uv = usable_coordinates(surface.uv)
     uv[bare] = np.nan

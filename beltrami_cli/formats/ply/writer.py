@@ -72,9 +72,8 @@ def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:
     files = {name: image.file.data for name, image in zip(images, mesh.images, strict=True)}
     lost += ["names of materials"] if any(material.name for material in mesh.materials) else []
     lost += ["groups and objects"] if len(mesh.groups) > 1 else []
-    return Written(
-        [header.encode(), rows.tobytes(), faces.tobytes()], files, (*notices, *not_converted(mesh, lost))
-    )
+    pieces = [header.encode(), rows.tobytes(), faces.tobytes()]
+    return Written(pieces, files, (*notices, *not_converted(mesh, lost)))
 
 
 def _normals_by_vertex(mesh: TexturedMesh) -> tuple[Float32s | None, list[str]]:

@@ -41,12 +41,9 @@ def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
     _check(data, name)
     question = {"data": np.frombuffer(data, np.uint8)}
     left_out, made = _PYCOLLADA.ask((None, question), name, len(data), access.memory)
-    positions, corners = (
-        made["positions"],
-        np.arange(len(made["positions"])),
-    )  # triangles have vertices of their own
+    corners = np.arange(len(made["positions"]))  # triangles have vertices of their own
     sizes = np.full(len(corners) // 3, 3)
-    return ColouredPolygons(positions, corners, sizes, made["colours"], "float32", tuple(left_out))
+    return ColouredPolygons(made["positions"], corners, sizes, made["colours"], "float32", tuple(left_out))
 
 
 def _check(data: bytes, name: str) -> None:

@@ -178,9 +178,8 @@ class Textures:
         materials = [reading.material(number) for number in range(len(self._words["materials"]))]
         numbers = self._arrays["material_of"][polygon]
         materials.append(records.Material())
-        shown, material_of = textured_mesh.shown_materials(
-            materials, np.where(numbers < 0, len(materials) - 1, numbers)
-        )
+        numbers = np.where(numbers < 0, len(materials) - 1, numbers)
+        shown, material_of = textured_mesh.shown_materials(materials, numbers)
         lost += [textured_mesh.POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else []
         normals = self._arrays["normals"][cut].astype(np.float32)
         mesh = records.TexturedMesh(

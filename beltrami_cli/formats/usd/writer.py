@@ -80,9 +80,8 @@ def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
         text += _subsets(material_of[faces], names, root)
         text += [b"    }\n"]
     if shown and len(set(group_of.tolist())) > 1:
-        notices.append(
-            "Colours of vertices beside textures are left out, since the mesh is in several parts."
-        )
+        parts = "since the mesh is in several parts"
+        notices.append(f"Colours of vertices beside textures are left out, {parts}.")
     for name, material in zip(names, mesh.materials, strict=True):
         text += [_material(name, material, files, f"/{root}/{name}").encode()]
     text += [b"}\n"]

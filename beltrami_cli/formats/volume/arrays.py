@@ -91,9 +91,8 @@ def _near(archive: NpzArchive, name: str, most: int) -> NearColours:
     points, colours = archive.header("points").shape, archive.header(key).shape
     fits = len(points) == len(colours) == 2 and points[1] == 3 and 1 <= colours[1] <= _CHANNELS
     shapes = f"{points} and {colours}, not (P, 3) and (P, 1 to {_CHANNELS})"
-    _require(
-        fits and points[0] == colours[0], name, f"the arrays points and {key} are of the shapes {shapes}"
-    )
+    cause = f"the arrays points and {key} are of the shapes {shapes}"
+    _require(fits and points[0] == colours[0], name, cause)
     places = archive.read("points", 3 * most).astype(np.float64)
     _require(bool(np.isfinite(places).all()), name, "a point is not finite")
     return NearColours(places, archive.read(key, _CHANNELS * most))
