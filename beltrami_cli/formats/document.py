@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.surface import records
 
+    NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
+
 Bytes = bytes | bytearray | memoryview
-NO_IMAGES: Mapping[tuple[records.Slot, str], records.ImageFile] = {}
+NO_IMAGES: NewImages = {}
 # What references in some format cannot spell, or readers take for something else than the name of a file beside.
 _UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
 
@@ -77,7 +79,7 @@ class Changes:
     colours: Float32s | None
     # By slot and `Texture.key`, of the same size in pixels: each replaces that image in that slot and nowhere else. The
     # type of file may change.
-    images: Mapping[tuple[records.Slot, str], records.ImageFile] = field(default_factory=dict)
+    images: NewImages = field(default_factory=dict)
     # New positions, which `require_movable` has allowed; None: unchanged. They are rounded to the stored type once.
     places: records.MovedVertices | None = None
     form: str | None = None  # one of `Document.forms`; None: that of the document
@@ -195,7 +197,7 @@ class Document(ABC):
         colours: Float32s | None,
         naming: Naming,
         *,
-        images: Mapping[tuple[records.Slot, str], records.ImageFile] = NO_IMAGES,
+        images: NewImages = NO_IMAGES,
         places: records.MovedVertices | None = None,
         form: str | None = None,
     ) -> Written:

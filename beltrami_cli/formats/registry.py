@@ -162,9 +162,9 @@ FORMATS = (
     _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
     # It is of one of the two forms before.
     _textured("usd", _starts(rb"(?!)"), "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
-    Format("xyz", _BY_NAME, "points", "text_document.TextPointsDocument", "writer.write_xyz", aliases=("xyzrgb",)),
-    Format("pts", _BY_NAME, "points", "text_document.TextPointsDocument", "writer.write_pts"),
-    Format("npz", _is_npz, "points", "archive.NpzPointsDocument", "writer.write_npz"),
+    Format("xyz", _BY_NAME, "points.text_document", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
+    Format("pts", _BY_NAME, "points.text_document", "TextPointsDocument", "write_pts"),
+    Format("npz", _is_npz, "points.archive", "NpzPointsDocument", "write_npz"),
     Format("foreign", _is_read_only, "read_only", "document.ReadOnlyDocument"),
 )  # fmt: skip
 

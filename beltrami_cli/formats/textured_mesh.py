@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float64s, Int32s
+    from beltrami_cli.formats.document import NewImages
     from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh, Wrap
 
+SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
@@ -111,6 +113,24 @@ class MeshImages:
         return self._index_of[key]
 
 
+def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
+    """Return the slots in which a path, of an image or a set of tiles, gets the same new files; these go with it."""
+    files: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
+    for (slot, file), image in images.items():
+        for path in paths_of(slot, file):
+            files.setdefault((path, slot), []).append((file, image))
+    slots: SlotsByPath = {}
+    for (path, slot), new in files.items():
+        slots.setdefault((path, tuple(new)), []).append(slot)
+    return slots
+
+
+def new_files(path: str, new: str, sets: Mapping[str, Mapping[Tile, str]]) -> dict[str, str]:
+    """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
+    tiles = sets[path].items() if path in sets else ()
+    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
+
+
 def image_names(mesh: TexturedMesh, stem: str) -> list[str]:
     """Return names for the files of the images, after the model, all different."""
     names, found = NewNames(Naming(stem), mesh.source, (), ()), []
@@ -148,7 +168,7 @@ def usable_coordinates(uv: Float64s) -> Float64s:
     return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
 
 
-def with_images(mesh: TexturedMesh, images: Mapping[tuple[Slot, str], ImageFile]) -> TexturedMesh:
+def with_images(mesh: TexturedMesh, images: NewImages) -> TexturedMesh:
     """Return a mesh with other images, by slot and key; each replaces that image in that slot alone."""
     known = list(mesh.images)
     index_of: dict[tuple[Slot, str], int] = {}

@@ -187,8 +187,11 @@ class TexelColours:
         working = working.copy()
         working[:, self._changing] = samples[:, [self._kept.index(i) for i in self._changing]]
         stored = from_space(working, picture.encoding, self.space)
-        if self._is_normal:
-            stored = _renormalised(stored)
+        if self._is_normal:  # stored as (n + 1) / 2
+            normals = 2 * stored - 1
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            unit = (normals / np.maximum(length, 1e-12) + 1) / 2
+            stored = np.where(length > 0, unit, stored).astype(np.float32)
         if picture.stored in ("uint8", "uint16"):
             stored = np.clip(stored, 0, 1)
         if self._is_divided(picture):
@@ -218,13 +221,6 @@ class TexelColours:
         every = tuple(range(pixels.shape[1]))
         colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
-
-
-def _renormalised(stored: Float32s) -> Float32s:
-    """Normalise normals stored as (n + 1) / 2."""
-    normals = 2 * stored - 1
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0, (normals / np.maximum(length, 1e-12) + 1) / 2, stored).astype(np.float32)
 
 
 _BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats

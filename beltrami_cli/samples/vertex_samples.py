@@ -25,7 +25,7 @@ from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -45,16 +45,11 @@ class VertexSamples(PaintedSamples):
 
     label = "vertex colours"
 
-    def __init__(
-        self,
-        painted: PaintedVertices,
-        settings: SmoothSettings,
-        guides: Sequence[Guide] = (),
-        noise: Float32s | None = None,
-    ) -> None:
-        super().__init__(painted, settings, guides, noise)
-        self.is_cloud = not len(painted.faces)
-        self._positions: Float64s | None = None
+    _positions: Float64s | None = None  # of those that moved
+
+    @cached_property
+    def is_cloud(self) -> bool:
+        return not len(self.painted.faces)
 
     @cached_property
     def joined(self) -> PaintedVertices:

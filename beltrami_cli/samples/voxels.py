@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
     from beltrami_cli.samples.settings import Inside, LevelSetSettings
 
+    Source = level_set.GridColours | level_set.NearColours
+
 # Other types have no full scale of their own: it is derived from their largest value.
 _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
 # More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
@@ -50,7 +52,7 @@ class Paint:
 
 def find_colours(
     volume: level_set.Volume, path: str | None, name: str, access: Access, max_size: int
-) -> tuple[level_set.GridColours | level_set.NearColours, str]:
+) -> tuple[Source, str]:
     """Return the colours of a level set, from its file or the file at `path`, and the name of that file."""
     if path is None:
         if volume.colours is None:
@@ -67,7 +69,7 @@ def find_colours(
 
 
 def paint(
-    source: level_set.GridColours | level_set.NearColours,
+    source: Source,
     where: str,
     lattice: level_set.Lattice,
     known: Bools,
@@ -89,9 +91,7 @@ def paint(
     return _scaled(source, stored, found, where)
 
 
-def _scaled(
-    source: level_set.GridColours | level_set.NearColours, stored: Float64s, found: Bools, name: str
-) -> Paint:
+def _scaled(source: Source, stored: Float64s, found: Bools, name: str) -> Paint:
     """Scale stored numbers to full scale 1, and separate opacity from colours."""
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name

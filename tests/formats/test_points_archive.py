@@ -11,8 +11,7 @@ import pytest
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.points.archive import NpzPointsDocument
-from beltrami_cli.formats.points.writer import write_npz
+from beltrami_cli.formats.points.archive import NpzPointsDocument, write_npz
 from formats.points_files import patched
 from formats.volume_files import npz
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.points.text_document import TextPointsDocument
-from beltrami_cli.formats.points.writer import write_pts, write_xyz
+from beltrami_cli.formats.points.text_document import TextPointsDocument, write_pts, write_xyz
 from formats.points_files import patched
 
 RGB = ("red", "green", "blue")

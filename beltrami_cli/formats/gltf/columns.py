@@ -190,7 +190,10 @@ def _alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[
     # accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
     # serve images, extensions, or nothing that we know.
     otherwise = used_otherwise(tree, columns[0].attribute)
-    own = [_layouts(accessors, column) for column in columns]
+    # Plain elements, and those that replace some of them.
+    found = [accessors[column.accessor] for column in columns]
+    parts = [[each.layout, each.sparse.values if each.sparse else None] for each in found]
+    own = [[_canonical(accessors, part) for part in both if part is not None] for both in parts]
     members = set().union(*(column.members for column in columns))
     others = [_canonical(accessors, layout) for layout in _others(tree, accessors, members)]
     ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
@@ -206,13 +209,6 @@ def _alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[
         and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
         for column, layouts in zip(columns, own, strict=True)
     ]
-
-
-def _layouts(accessors: Accessors, column: Column) -> list[Layout]:
-    """Return where the numbers of a column are: plain elements, and those that replace some of them."""
-    accessor = accessors[column.accessor]
-    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None]
-    return [_canonical(accessors, layout) for layout in layouts if layout is not None]
 
 
 def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:

@@ -23,7 +23,6 @@ from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
 from beltrami_cli.formats.gltf.textured_surface import gather_textured
 from beltrami_cli.formats.gltf.textures import Images, present_slots
-from beltrami_cli.formats.gltf.vertices import move, recolour, require_movable
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedMesh, TexturedSurface
 
@@ -96,14 +95,16 @@ class GltfDocument(Document):
         return painted.read_attribute(self.root, blocks, self.accessors, name)
 
     def require_movable(self) -> None:
-        require_movable(self.accessors, self.surface.blocks)
+        painted.require_movable(self.accessors, self.surface.blocks)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if new.colours is not None:
-            recolour(edit, self.surface.blocks, self.stored_colours, self.painted().colours, new.colours)
+            painted.recolour(
+                edit, self.surface.blocks, self.stored_colours, self.painted().colours, new.colours
+            )
         if new.places is not None:
-            move(edit, self.surface.blocks, self.painted().positions, new.places)
+            painted.move(edit, self.surface.blocks, self.painted().positions, new.places)
         compress_again(edit)
         repaint(edit, self.images, new.images)
         return written(edit, naming, new.form or self.format, self._folder)

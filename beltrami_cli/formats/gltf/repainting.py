@@ -30,6 +30,7 @@ from beltrami_cli.formats.model_folder import UnfitReferenceError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from beltrami_cli.formats.document import NewImages
     from beltrami_cli.formats.gltf.json_text import Tree
     from beltrami_cli.surface.records import ImageFile, Slot
 
@@ -45,7 +46,7 @@ class _Change:
     file: ImageFile
 
 
-def repaint(edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile]) -> None:
+def repaint(edit: Edit, images: Images, new: NewImages) -> None:
     """Replace images by new ones, as for `Document.patch`; ValueError if there is no such image in the slot."""
     wanted = _wanted(edit, images, new)
     if not wanted:
@@ -70,9 +71,7 @@ def repaint(edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile
     _declare(edit.tree, before)
 
 
-def _wanted(
-    edit: Edit, images: Images, new: Mapping[tuple[Slot, str], ImageFile]
-) -> dict[tuple[Slot, int], ImageFile]:
+def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int], ImageFile]:
     """Return the files that differ from what there is, by slot and image."""
     indices = {image_key(index): index for index in range(len(images))}
     wanted = {}

@@ -35,7 +35,8 @@ def gather_textured(
             gathering.take(primitive, placement)
     if not len(shown):
         bare = f"a {slot} texture, but no texture coordinates for it" if gathering.counts["bare"] else ""
-        cause = shown.obstacle() or f"it has {bare or f'no {slot} texture'}"
+        unread = f"its {slot} texture cannot be read: {next(iter(shown.missing), '')}"
+        cause = unread if shown.missing else f"it has {bare or f'no {slot} texture'}"
         raise InputError(root.name, cause, remedy_for(cause))
     sentences = {
         "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
@@ -56,7 +57,7 @@ class _SlotImages(SlotImages):
     def __init__(self, images: Images, slot: Slot) -> None:
         super().__init__()
         self.images, self._slot = images, slot
-        self._missing: dict[str, list[str]] = {}
+        self.missing: dict[str, list[str]] = {}
 
     def image(self, use: TextureUse) -> str | None:
         """Return the key of the image of a texture; None, and the reason is kept, if it cannot be shown."""
@@ -67,22 +68,16 @@ class _SlotImages(SlotImages):
                 place = self.images.entries[image].place
                 self.take(image_key(image), self.images.name(image), self.images.data(image))
         except UnfitReferenceError as error:
-            materials = self._missing.setdefault(f"{place}: {error}", [])
+            materials = self.missing.setdefault(f"{place}: {error}", [])
             if use.material not in materials:
                 materials.append(use.material)
             return None
         return image_key(image)
 
-    def obstacle(self) -> str | None:
-        """Return why an image cannot be shown, if there is such an image."""
-        if not self._missing:
-            return None
-        return f"its {self._slot} texture cannot be read: {next(iter(self._missing))}"
-
     def notices(self) -> list[str]:
         left = [
             f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
-            for reason, materials in self._missing.items()
+            for reason, materials in self.missing.items()
         ]
         mixed = [
             f"The {self._slot} image {name!r} is used with several wrap modes; the first is followed."

@@ -11,15 +11,16 @@ import numpy as np
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
 from beltrami_cli.formats.model_folder import NewNames, is_outside, new_reference, path_inside
+from beltrami_cli.formats.textured_mesh import new_files, slots_by_path
 from beltrami_cli.formats.tokens import Spans, exchange_spans, exchange_tokens
-from beltrami_cli.surface.tiling import common_suffix, tile_name
+from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+    from beltrami_cli.formats.document import NewImages
     from beltrami_cli.formats.obj.materials import Library, Map, Materials
-    from beltrami_cli.surface.records import ImageFile, Slot
 
 _DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
 _DIGITS = 8  # of the largest coordinate, at least: a little more than float32 has
@@ -86,9 +87,7 @@ def _most_decimals(data: bytes, starts: Int64s, ends: Int64s) -> int:
     return int((ends - points[np.searchsorted(points, starts)] - 1).max())
 
 
-def repainted(
-    materials: Materials, images: Mapping[tuple[Slot, str], ImageFile], source: str, naming: Naming
-) -> tuple[Written, Spans]:
+def repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
     """Return the files beside an OBJ file, without the file itself, and the new names in it."""
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
     names = NewNames(naming, source, materials.paths, missing)
@@ -118,14 +117,14 @@ def repainted(
 
 def _take_images(
     materials: Materials,
-    images: Mapping[tuple[Slot, str], ImageFile],
+    images: NewImages,
     names: NewNames,
     sidecars: dict[str, Bytes],
     copies: dict[str, str],
 ) -> dict[str, Spans]:
     """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
-    for (path, files), slots in _by_path(materials, images).items():
+    for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
         # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
         maps = [each for slot in slots for each in materials.affected(slot, path)]
         affected = list({id(found): (library, found) for library, found in maps}.values())
@@ -133,20 +132,12 @@ def _take_images(
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.tiles.get(path, ()))
-        new_of = _new_files(materials, path, new)
+        new_of = new_files(path, new, materials.tiles)
         sidecars |= {new_of.pop(file): image.content for file, image in files}
         copies |= {file: old for old, file in new_of.items() if file != old}
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
     return edits
-
-
-def _new_files(materials: Materials, path: str, new: str) -> dict[str, str]:
-    """Return the new file of each file of a path, which is an image or a set of tiles."""
-    if path not in materials.tiles:
-        return {path: new}
-    tiles = materials.tiles[path].items()
-    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles}
 
 
 def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans]) -> dict[str, str]:
@@ -161,22 +152,8 @@ def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans])
                 if path not in new_of:
                     new_of[path] = names.image(path, tiles=materials.tiles.get(path, ()))
                 own[found.start, found.end] = _spelled(found, path, new_of[path], library)
-    files = [_new_files(materials, path, new) for path, new in new_of.items()]
+    files = [new_files(path, new, materials.tiles) for path, new in new_of.items()]
     return {file: old for of_path in files for old, file in of_path.items()}
-
-
-def _by_path(
-    materials: Materials, images: Mapping[tuple[Slot, str], ImageFile]
-) -> dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]:
-    """Return the slots in which an image, or images of a set of tiles, are replaced by the same files."""
-    replaced: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
-    for (slot, file), image in images.items():
-        for path in materials.named(file):
-            replaced.setdefault((path, slot), []).append((file, image))
-    slots: dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]] = {}
-    for (path, slot), files in replaced.items():
-        slots.setdefault((path, tuple(files)), []).append(slot)
-    return slots
 
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
@@ -200,6 +177,6 @@ def _take_along(
             is_copied = is_outside(path) or names.copies
             copies[path] = names.image(path, tiles=materials.tiles.get(path, ())) if is_copied else path
             if is_copied:
-                new_of = _new_files(materials, path, copies[path])
+                new_of = new_files(path, copies[path], materials.tiles)
                 sidecars |= {file: materials.read(old) for old, file in new_of.items()}
         edits[found.start, found.end] = os.fsencode(copies[path])

@@ -131,7 +131,10 @@ def _parts(mesh: TexturedMesh, names: list[str], indices: NDArray[np.integer]) -
             material = material_of[start]
             yield f"usemtl {names[material]}\n".encode()
         kept = [0, *([1] if has_uv[start] else []), *([2] if has_normals[start] else [])]
-        yield from _triangle_lines(indices[start:stop, :, kept], _FACES[has_uv[start], has_normals[start]])
+        style, triangles = _FACES[has_uv[start], has_normals[start]], indices[start:stop, :, kept]
+        for block in blocks(len(triangles), _BLOCK):
+            corners = triangles[block].reshape(-1, 3 * len(kept)).tolist()
+            yield "".join([style.format(*corner) for corner in corners]).encode()
 
 
 def _library_entry(name: str, material: Material, images: list[str]) -> str:
@@ -163,12 +166,6 @@ def _numbers(values: tuple[float, ...]) -> str:
 def _lines(style: str, rows: Float32s | Float64s) -> Iterator[bytes]:
     for block in blocks(len(rows), _BLOCK):
         yield "".join([style.format(*row) for row in zip(*_spelled(rows[block]), strict=True)]).encode()
-
-
-def _triangle_lines(indices: NDArray[np.integer], style: str) -> Iterator[bytes]:
-    for block in blocks(len(indices), _BLOCK):
-        corners = indices[block].reshape(-1, 3 * indices.shape[2]).tolist()
-        yield "".join([style.format(*corner) for corner in corners]).encode()
 
 
 def _spelled(rows: Float32s | Float64s) -> list[list[str]]:

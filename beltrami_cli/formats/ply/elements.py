@@ -237,7 +237,11 @@ def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s |
     if _ELEMENT in tables:
         return _listed(tables[_ELEMENT], rows, columns, vertices, name)
     if "camera" in tables and tables["camera"].element.count == 1 and not (rows and columns):
-        columns, rows = _viewport(tables["camera"])
+        camera = tables["camera"]
+        whole = {known for known, kind in camera.element.scalars.items() if kind[0] != "f"}
+        columns, rows = 0, 0
+        if whole.issuperset(_CAMERA):
+            columns, rows = (int(camera.scalars(known)[0]) for known in _CAMERA)
     if min(rows, columns) < 2 or rows * columns != vertices:
         return None
     return np.arange(vertices).reshape(rows, columns)
@@ -264,12 +268,3 @@ def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> 
     grid = np.full(places, -1, np.int64)
     grid[lengths == 1] = items
     return grid.reshape(rows, columns)
-
-
-def _viewport(camera: Table) -> tuple[int, int]:
-    """Return width and height of the cloud, or zeros."""
-    whole = {name for name, kind in camera.element.scalars.items() if kind[0] != "f"}
-    if not whole.issuperset(_CAMERA):
-        return 0, 0
-    width, height = (int(camera.scalars(name)[0]) for name in _CAMERA)
-    return width, height

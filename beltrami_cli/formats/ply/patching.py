@@ -16,12 +16,13 @@ from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
+    from beltrami_cli.formats.document import NewImages
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.texturing import TextureComment
-    from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
+    from beltrami_cli.surface.records import MovedVertices
 
 
 @dataclass(frozen=True)
@@ -84,24 +85,19 @@ def require_real(kinds: Mapping[str, str], names: tuple[str, ...], file: str) ->
 
 def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertices) -> list[Change]:
     """Return what changes when vertices move, for `patch_body`."""
-    changes = list(_changes(vertices, kinds, POSITION, places.positions))
+    columns = dict(zip(POSITION, places.positions.T, strict=True))
     if places.normals is not None and "normal" in attribute_names(kinds, ()):
-        changes += _changes(vertices, kinds, NORMAL, places.normals)
+        columns |= zip(NORMAL, places.normals.T, strict=True)
+    changes = []
+    for name, column in columns.items():
+        rows = (column != vertices.scalars(name)) & ~np.isnan(column)
+        changes.append(Change(name, rows, column[rows].astype(kinds[name])))
     return changes
-
-
-def _changes(
-    vertices: Table, kinds: Mapping[str, str], names: tuple[str, ...], new: Array
-) -> Iterator[Change]:
-    for name, column in zip(names, new.T, strict=True):
-        old = vertices.scalars(name)
-        rows = (column != old) & ~np.isnan(column)
-        yield Change(name, rows, column[rows].astype(kinds[name]))
 
 
 def renamed_images(
     comments: Sequence[TextureComment],
-    images: Mapping[tuple[Slot, str], ImageFile],
+    images: NewImages,
     source: str,
     naming: Naming,
 ) -> tuple[Written, tokens.Spans]:

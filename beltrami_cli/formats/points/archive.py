@@ -19,17 +19,20 @@ they are.
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
-from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
+from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.surface.geometry import shortest_type
+from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
@@ -291,3 +294,29 @@ def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
 def _require(holds: bool, name: str, cause: str) -> None:
     if not holds:
         raise InputError(name, cause, _NAMES)
+
+
+def write_npz(contents: MeshContents, stem: str) -> Written:
+    """Write points as the arrays positions and colours, with normals and faces if there are any.
+
+    Positions become floats if that loses nothing. Colours keep 8 or 16 bit and become floats from any other type;
+    opacity is their fourth channel.
+    """
+    colours, notices = display_colours(contents)
+    if contents.alpha is not None:
+        colours = np.column_stack([colours, contents.alpha])
+    if contents.stored in ("uint8", "uint16") and contents.encoding == "srgb":
+        scale = np.iinfo(contents.stored).max
+        stored = np.rint(np.clip(colours.astype(np.float64), 0, 1) * scale).astype(contents.stored)
+    else:
+        stored = colours.astype(np.float32)
+    arrays: dict[str, Any] = {"positions": shortest_type(contents.positions), "colours": stored}
+    if contents.normals is not None:
+        arrays["normals"] = contents.normals
+    if len(contents.offsets) > 1:
+        arrays["faces"] = triangulate(contents.positions, contents.corners, contents.offsets)
+        if np.any(np.diff(contents.offsets) > 3):
+            notices.append("Quads and polygons are cut into triangles.")
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return Written([buffer.getvalue()], notices=(*notices, *left_out(contents)))

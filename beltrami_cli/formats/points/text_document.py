@@ -8,22 +8,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import intensity_scale, point_colour_scale
+from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
-from beltrami_cli.formats.tokens import exchange_tokens, without_tokens
+from beltrami_cli.formats.tokens import blocks, exchange_tokens, without_tokens
+from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
+    from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
 
 
 _WHOLE = b"%.0f"
 _DIGITS = 6  # of full scale at least: as fine as 20 bits
+_BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
+_BYTE = 255
 _MOST_DIGITS = 9  # of full scale: all that single precision has
 
 
@@ -175,3 +178,40 @@ def _number_format(data: bytes, starts: Int64s, ends: Int64s, scale: float) -> b
         return _WHOLE
     left = int(np.floor(np.log10(scale)))  # digits before the point, but for one
     return b"%%.%df" % min(max(decimals, _DIGITS - left, 0), max(_MOST_DIGITS - left, 0))
+
+
+def write_xyz(contents: MeshContents, stem: str) -> Written:
+    """Write points as lines of x y z r g b, then normals.
+
+    Positions have as many digits as they need to be read back the same. Colours of 8 bit are integers of 0 to 255, all
+    others have six decimals, of 0 to 1.
+    """
+    return _lines(contents, [])
+
+
+def write_pts(contents: MeshContents, stem: str) -> Written:
+    """Write points as `write_xyz` does, below a line with their number."""
+    return _lines(contents, [f"{len(contents.positions)}\n".encode()])
+
+
+def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
+    colours, notices = display_colours(contents)
+    if contents.alpha is not None:
+        notices.append("Opacity is dropped: a line has red, green and blue only.")
+    if len(contents.offsets) > 1:
+        notices.append("Faces are dropped: the file has points only.")
+    whole = contents.stored == "uint8" and contents.encoding == "srgb"
+    shades = np.rint(np.clip(colours.astype(np.float64), 0, 1) * _BYTE).astype(np.uint8) if whole else colours
+    pieces += _blocks(shortest_type(contents.positions), shades, contents.normals)
+    return Written(pieces, notices=(*notices, *left_out(contents)))
+
+
+def _blocks(
+    positions: Float32s | Float64s, shades: Uint8s | Float32s, normals: Float32s | None
+) -> Iterator[bytes]:
+    style = "%s %s %s " + " ".join(["%d" if shades.dtype == np.uint8 else "%.6f"] * 3)
+    style += "\n" if normals is None else " %s %s %s\n"
+    for block in blocks(len(positions), _BLOCK):
+        columns = [*positions[block].T.astype("U32").tolist(), *shades[block].T.tolist()]
+        columns += [] if normals is None else normals[block].T.astype("U32").tolist()
+        yield "".join([style % row for row in zip(*columns, strict=True)]).encode()

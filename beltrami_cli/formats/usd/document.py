@@ -13,16 +13,18 @@ from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, NamedImage, Naming, Written
 from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
+from beltrami_cli.formats.textured_mesh import new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices
-from beltrami_cli.surface.tiling import common_suffix, tile_name
+from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
+    from beltrami_cli.formats.document import NewImages
     from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
 
 _COUNTS = {
@@ -145,7 +147,7 @@ class UsdDocument(Document):
         return made
 
     def _new_images(
-        self, images: Mapping[tuple[Slot, str], ImageFile], naming: Naming
+        self, images: NewImages, naming: Naming
     ) -> tuple[dict[str, Bytes], dict[str, str], dict[str, str]]:
         """Return new files, the attributes that name others with these names, and files that are copied."""
         in_package, shown = self._layers.package is not None, self._textures
@@ -162,15 +164,12 @@ class UsdDocument(Document):
         files: dict[str, Bytes] = {}
         renamed: dict[str, str] = {}
         copies = {file: file for file in kept}
-        for (path, new_files), slots in shown.replaced(images).items():
+        for (path, changed), slots in shown.replaced(images).items():
             attributes = shown.attributes(path, slots)
             is_replaced = attributes == shown.attributes(path)
-            new = self._new_path(path, dict(new_files), names, is_replaced=is_replaced)
-            own = {
-                file: file if new == path else tile_name(new, tile)
-                for tile, file in self._layers.tiles.get(path, {}).items()
-            } or {path: new}
-            files |= {own.pop(file): image.content for file, image in new_files}
+            new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
+            own = new_files(path, new, self._layers.tiles)
+            files |= {own.pop(file): image.content for file, image in changed}
             copies |= {file: old for old, file in own.items() if file != old}
             if new != path:
                 start = posixpath.dirname(self._layers.root) or "."

@@ -17,13 +17,13 @@ from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.polygons import triangulate_corners
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+    from beltrami_cli.formats.document import NewImages
     from beltrami_cli.formats.usd.layers import Layers
 
 _ALL: tuple[records.Slot, ...] = get_args(records.Slot)
-Replaced = dict[tuple[str, tuple[tuple[str, records.ImageFile], ...]], list[records.Slot]]
 
 
 class Textures:
@@ -80,20 +80,16 @@ class Textures:
         numbers = {number for slot in slots for number in self._uses(slot)}
         return {uses[number]["attribute"] for number in numbers if self._path_of[number] == path}
 
-    def replaced(self, images: Mapping[tuple[records.Slot, str], records.ImageFile]) -> Replaced:
+    def replaced(self, images: NewImages) -> textured_mesh.SlotsByPath:
         """Return the slots in which a path, or files of a set of tiles, are replaced by the same new files."""
-        by_path: dict[tuple[str, records.Slot], list[tuple[str, records.ImageFile]]] = {}
-        for (slot, file), image in images.items():
-            paths = {self._path_of[number]: None for number in self._uses(slot)}
-            for path in paths:
-                if path is not None and file in self._layers.files(path):
-                    by_path.setdefault((path, slot), []).append((file, image))
-        slots: Replaced = {}
-        for (path, slot), files in by_path.items():
-            slots.setdefault((path, tuple(files)), []).append(slot)
-        return slots
 
-    def kept(self, images: Mapping[tuple[records.Slot, str], records.ImageFile]) -> list[str]:
+        def paths_of(slot: records.Slot, file: str) -> list[str]:
+            paths = dict.fromkeys(self._path_of[number] for number in self._uses(slot))
+            return [path for path in paths if path is not None and file in self._layers.files(path)]
+
+        return textured_mesh.slots_by_path(images, paths_of)
+
+    def kept(self, images: NewImages) -> list[str]:
         """Return the image files that something still names when others are replaced."""
         replaced = self.replaced(images)
         gone = {path for path, _ in replaced}
