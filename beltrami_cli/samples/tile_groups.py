@@ -208,11 +208,12 @@ def _near_faces(
     radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
     found = []
     for index in range(len(sizes)):
-        edges, others = border.of_texture(index)
+        own = border.texture == index
+        edges, shared = border.ends[own], np.isin(border.edge, border.edge[own])
         if not len(edges):
             found.append(np.zeros(0, np.int64))
             continue
-        reach = cells * max(pitches[each] for each in (index, *others))
+        reach = cells * max(pitches[each] for each in (index, *border.texture[shared].tolist()))
         points, slack = _along(surface.positions[edges], reach)
         faces = np.flatnonzero((surface.texture_of >= 0) & (surface.texture_of != index))
         distance = cKDTree(points).query(centres[faces])[0]
@@ -242,12 +243,6 @@ class _Borders:
         rows = np.flatnonzero((low != high)[number])
         rows = rows[np.argsort(number[rows], kind="stable")]
         return cls(number[rows], texture[rows], first[pairs[rows]].astype(np.int64))
-
-    def of_texture(self, index: int) -> tuple[Int64s, list[int]]:
-        """Return the ends of the edges that a texture shares, and the textures that it shares them with."""
-        own = self.texture == index
-        others = self.texture[np.isin(self.edge, self.edge[own])]
-        return self.ends[own], np.unique(others).tolist()
 
 
 def _pitches(surface: TexturedSurface, sizes: Sequence[ImageSize]) -> Float64s:

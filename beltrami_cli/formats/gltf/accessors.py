@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_tree import Entry
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy types of glTF's componentType."""

@@ -11,14 +11,14 @@ from urllib.parse import unquote, unquote_to_bytes
 
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
-from beltrami_cli.formats.gltf.entries import Entry, objects
+from beltrami_cli.formats.gltf.json_tree import Entry, objects
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from beltrami_cli.formats.document import Bytes
     from beltrami_cli.formats.gltf.container import Container
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
 
 
 def is_data(uri: str) -> bool:

@@ -19,14 +19,14 @@ import numpy as np
 from beltrami_cli.formats.gltf.accessors import Accessors, Layout, Stored, element_bytes
 from beltrami_cli.formats.gltf.buffers import View, named_places, named_views
 from beltrami_cli.formats.gltf.compression import DRACO, draco_extension
-from beltrami_cli.formats.gltf.entries import Entry, objects, primitives_of
+from beltrami_cli.formats.gltf.json_tree import Entry, objects, primitives_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from beltrami_cli.arrays import Uint8s
     from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Uint8s
     from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_tree import Entry
 
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """Extensions of a bufferView; both have the same members."""

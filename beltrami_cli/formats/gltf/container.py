@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.entries import Entry
-from beltrami_cli.formats.gltf.json_text import Tree, parsed, revised
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree, parsed, revised
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

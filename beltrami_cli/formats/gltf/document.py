@@ -15,9 +15,9 @@ from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.buffers import Buffers, files_beside
 from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.edit import Edit, compress_again
-from beltrami_cli.formats.gltf.entries import objects, primitives_of, require_structure
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
 from beltrami_cli.formats.gltf.geometry import placements
+from beltrami_cli.formats.gltf.json_tree import objects, primitives_of, require_structure
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
 
 # What conversion leaves out of a file with textures, too.
 _NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from beltrami_cli.formats.gltf.container import Container
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
     from beltrami_cli.formats.gltf.textures import Images
     from beltrami_cli.surface.records import ImageFile
 

@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import NamedImage
 from beltrami_cli.formats.gltf.buffers import named_views
 from beltrami_cli.formats.gltf.columns import used_otherwise
 from beltrami_cli.formats.gltf.compression import DRACO
-from beltrami_cli.formats.gltf.entries import objects, primitives_of
+from beltrami_cli.formats.gltf.json_tree import objects, primitives_of
 from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.formats.gltf.accessors import Accessors
     from beltrami_cli.formats.gltf.container import Container
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
 
 _SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
 _PLACE = ("uri", "bufferView", "mimeType")  # of an image

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float64s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_tree import Entry
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Drawing modes with faces; 0 to 3 are points and lines."""

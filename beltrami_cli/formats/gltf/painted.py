@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s
     from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_tree import Entry
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _MOST_ROWS = np.iinfo(np.int32).max

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.gltf.edit import MEDIA, Edit, ImageStorage
-from beltrami_cli.formats.gltf.entries import objects
+from beltrami_cli.formats.gltf.json_tree import objects
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from beltrami_cli.formats.document import NewImages
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
     from beltrami_cli.surface.records import ImageFile, Slot
 
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")

@@ -12,7 +12,7 @@ from beltrami_cli.formats.document import Bytes, Naming, Written
 from beltrami_cli.formats.gltf.buffers import data_uri, is_data, named_files, read, relative_name
 from beltrami_cli.formats.gltf.compression import MESHOPT
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
-from beltrami_cli.formats.gltf.json_text import Tree, revised
+from beltrami_cli.formats.gltf.json_tree import Tree, revised
 from beltrami_cli.formats.gltf.textures import media_type
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, UnfitReferenceError, is_outside
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_tree import Entry
 
     # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
     PrimitiveColours = Mapping[tuple[int, int], Float32s]

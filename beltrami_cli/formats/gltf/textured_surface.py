@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float64s, Int32s, Int64s
     from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.entries import Entry
+    from beltrami_cli.formats.gltf.json_tree import Entry
 
 _MOST_ROWS = np.iinfo(np.int32).max
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float64s
     from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.entries import Entry
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Entry, Tree
 
 WEBP = "EXT_texture_webp"
 IMAGE_EXTENSIONS = {

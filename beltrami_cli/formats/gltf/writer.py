@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.formats.gltf.json_text import Tree
+    from beltrami_cli.formats.gltf.json_tree import Tree
     from beltrami_cli.surface.records import Material, MeshContents, TexturedMesh, VertexColours, Wrap
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}

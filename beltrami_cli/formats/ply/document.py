@@ -101,7 +101,10 @@ class PlyDocument(Document):
         return elements.read_attribute(self._vertices, name, self.name)
 
     def require_movable(self) -> None:
-        patching.require_real(self._kinds, elements.POSITION, self.name)
+        whole = ", ".join(name for name in elements.POSITION if self._kinds[name][0] != "f")
+        if whole:
+            cause = f"the coordinates {whole} are whole numbers, which cannot hold smoothed positions"
+            raise InputError(self.name, cause, "store them as float or double")
 
     def references(self) -> Sequence[str]:
         paths = (image.path for image in self._images)

@@ -18,7 +18,7 @@ from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
+    from beltrami_cli.arrays import Array, Bools, Float32s
     from beltrami_cli.formats.document import NewImages
     from beltrami_cli.formats.ply.header import Header
     from beltrami_cli.formats.ply.texturing import TextureComment
@@ -73,14 +73,6 @@ def _spelled(values: Array) -> list[bytes]:
         return [b"%d" % value for value in values.tolist()]
     spelled: list[bytes] = values.astype("S32").tolist()  # the shortest that reads back the same
     return spelled
-
-
-def require_real(kinds: Mapping[str, str], names: tuple[str, ...], file: str) -> None:
-    """Refuse properties that are whole numbers."""
-    whole = [name for name in names if kinds[name][0] != "f"]
-    if whole:
-        cause = f"the coordinates {', '.join(whole)} are whole numbers, which cannot hold smoothed positions"
-        raise InputError(file, cause, "store them as float or double")
 
 
 def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertices) -> list[Change]:
@@ -143,24 +135,18 @@ def take_apart(
         body = tokens.zeroed(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
         bounds, end = [*starts, stop], len(data)
     else:
-        text = data[header.end :]
-        body, token_starts = _blanked_text(text, hidden)
-        edges = np.append(token_starts, len(body))
+        text, order = data[header.end :], np.sort(hidden)
+        starts_of, ends_of = tokens.find_tokens(text)
+        body = tokens.without_tokens(text, starts_of[order], ends_of[order])
+        shorter = np.zeros(len(starts_of) + 1, np.int64)
+        shorter[order + 1] = ends_of[order] - starts_of[order] - len(tokens.PLACEHOLDER)
+        edges = np.append(starts_of - np.cumsum(shorter)[:-1], len(body))
         bounds, end = edges[np.minimum([*starts, stop], len(edges) - 1)].tolist(), len(body)
     for name, (first, last) in zip(tables, pairwise(bounds), strict=True):
         parts[f"element {name}"] = body[first:last]
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
     found = {} if colours is None else {"vertex colours": colours}
     return Fingerprint(parts, found, _paintings(images, folder))
-
-
-def _blanked_text(text: bytes, hidden: Int64s) -> tuple[bytes, Int64s]:
-    """Return a text with a placeholder for some of its tokens, and where every token starts in it."""
-    starts, ends = tokens.find_tokens(text)
-    order = np.sort(hidden)
-    shorter = np.zeros(len(starts) + 1, np.int64)
-    shorter[order + 1] = ends[order] - starts[order] - len(tokens.PLACEHOLDER)
-    return tokens.without_tokens(text, starts[order], ends[order]), starts - np.cumsum(shorter)[:-1]
 
 
 def _paintings(images: Sequence[TextureComment], folder: ModelFolder) -> dict[str, NamedImage]:

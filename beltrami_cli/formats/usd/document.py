@@ -223,9 +223,8 @@ class UsdDocument(Document):
     def fingerprint(self) -> Fingerprint:
         self._compared = True
         words, root = self._words, self._layers.root
-        if "text" not in words:
-            order = {"task": "fingerprint", "blocks": words["blocks"], "uses": words["uses"]}
-            words["text"] = self._layers.ask(order, {})[0]["text"]
+        if "text" not in words:  # the scene was read for something else before
+            words = self._layers.scene(text=True)[0]
         parts = {"root layer": words["text"].encode()}
         parts |= {f"layer {name}": data for name, data in self._layers.contents.items() if name != root}
         named = self._textures.labelled()

@@ -1,4 +1,4 @@
-"""What the process with usd-core is asked for: a scene as arrays, layers with new values, and fingerprints of both.
+"""What the process with usd-core is asked for: a scene as arrays, layers with new values.
 
 New values are put into a stored layer where the old ones stand, so that every other byte stays. What comes out is read
 again and compared with the layer as it should be: where anything else differs, it is dropped, and the layer is written
@@ -151,13 +151,8 @@ def _exported(layer: Any, suffix: str) -> Uint8s:
     return made
 
 
-def fingerprint(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
-    """Return the text of the root layer without colours and names of images."""
-    stage = opened(order["root"], order["layers"], order["refused"])
-    return {"text": _without_colours(stage, order)}, {}
-
-
 def _without_colours(stage: Any, words: dict[str, Any]) -> str:
+    """Return the text of the root layer without colours and names of images."""
     bare = Sdf.Layer.CreateAnonymous(".usda")
     bare.TransferContent(stage.GetRootLayer())
     paths = [use["attribute"] for use in words["uses"]]
@@ -211,7 +206,6 @@ def convert(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arra
 TASKS: dict[str, Callable[[dict[str, Any], Arrays], tuple[dict[str, Any], Arrays]]] = {
     "read": read,
     "edit": edit,
-    "fingerprint": fingerprint,
     "convert": convert,
 }
 

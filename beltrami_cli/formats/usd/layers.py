@@ -158,7 +158,7 @@ class Layers:
         return cls(name, access, None, beside, root, {root: data})
 
     def scene(self, *, text: bool = False) -> Answer:
-        """Read the scene, with all layers that it needs; `text`: with what `fingerprint` gives."""
+        """Read the scene, with all layers that it needs; `text`: with the text of the root layer for fingerprints."""
         while True:
             words, arrays = self.ask({"task": "read", "text": text}, {})
             if "needs" not in words:
