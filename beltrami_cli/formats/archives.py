@@ -239,7 +239,6 @@ def _holds_numbers(header: Header) -> bool:
 
 
 def _parse(start: bytes) -> Header:
-    """Parse the header of an array from its first bytes."""
     file = io.BytesIO(start)
     version = np.lib.format.read_magic(file)
     if version not in ((1, 0), (2, 0)):

@@ -88,7 +88,6 @@ def _receive(file: IO[bytes]) -> Message:
 
 
 def _limit_process(seconds: int, memory: int) -> None:
-    """Limit this process; 0 bytes: no limit."""
     if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
         signal.alarm(seconds + 10)
     if memory:

@@ -211,7 +211,6 @@ def _recognised(data: bytes, name: str, lines: Sequence[Format]) -> Format | Non
 
 
 def _refusal(data: bytes, name: str) -> InputError:
-    """Return what is wrong with a file that is no model."""
     archive = _archive(data)
     if archive is not None:
         cause = f"it is a {archive} archive, which is not opened"
@@ -227,7 +226,6 @@ def _refusal(data: bytes, name: str) -> InputError:
 
 
 def _archive(data: bytes) -> str | None:
-    """Return the kind of an archive or compressed file by its first bytes."""
     return next((kind for kind, (mark, at) in _ARCHIVES.items() if data.startswith(mark, at)), None)
 
 

@@ -181,7 +181,6 @@ class GuidedTexels:
         return values
 
     def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
-        """Decode the textures of a slot, each of shape (H, W, G), in the working space."""
         pictures = [read_image(texture.data, texture.name) for texture in guiding.textures]
         textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
         plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)

@@ -103,7 +103,6 @@ def _read(path: str, picture: Picture, access: Access) -> tuple[Picture, list[st
 
 
 def _height_of(picture: Picture) -> NDArray[np.float64]:
-    """Return the channel with the height."""
     lower = [channel.lower() for channel in picture.channels]
     named = next((lower.index(name) for name in _HEIGHTS if name in lower), None)
     others = [channel for channel in range(len(lower)) if channel != picture.alpha]

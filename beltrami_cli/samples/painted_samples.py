@@ -108,7 +108,6 @@ class PaintedSamples(Samples):
         return Repainted(Change.between(painted.colours, colours), colours)
 
     def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:
-        """Return the report, with counts of the kind of samples."""
         return VertexReport(
             counts={
                 "vertices": len(self.painted.positions),

@@ -194,7 +194,6 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
 def _with_chosen_textures(
     document: Document, slots: tuple[Slot, ...], settings: SmoothSettings
 ) -> tuple[Slot, ...]:
-    """Leave out the slots in which the globs choose nothing."""
     wanted = settings.textures
     if not (wanted.names or wanted.materials):
         return slots

@@ -174,7 +174,6 @@ class TexelColours:
         return different
 
     def _written(self) -> list[int]:
-        """Return which channels of the samples are written."""
         colours = [self._kept.index(i) for i in self._changing]
         return [*colours, *([len(self._kept)] if self._alpha else [])]
 

@@ -186,7 +186,6 @@ class TileGroups:
 
 
 def _only_faces(surface: TexturedSurface, kept: Bools) -> TexturedSurface:
-    """Return some triangles, and the textures that they show."""
     shown = np.unique(surface.texture_of[kept])
     faces, uv, texture_of = surface.faces[kept], surface.uv[kept], surface.texture_of[kept]
     part = dataclasses.replace(surface, faces=faces, uv=uv, texture_of=texture_of)

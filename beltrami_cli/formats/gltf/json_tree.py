@@ -1,8 +1,8 @@
 """The JSON of a glTF file: objects that know their place, for errors, and text that is edited in place.
 
-Readers check what they use through `Entry`, and `require_structure` what is only looked through. Encoding a parsed tree
-anew would change spacing, escapes and the digits of numbers. So the text of the source is walked along the new tree, and
-only members that differ are written anew, in the source's style.
+Readers check what they use through `Entry`, and `require_structure` what is only looked through. Encoding a tree anew
+would change spacing, escapes and digits of numbers. So the text of the source is walked along the new tree, and only
+members that differ are written anew, in the source's style.
 """
 
 from __future__ import annotations

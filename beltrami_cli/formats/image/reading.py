@@ -149,7 +149,6 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
 
 
 def _read_extra(data: bytes, name: str, known: str) -> Picture:
-    """Decode an image of a format that OpenImageIO does not have."""
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(*measured(data, known, name), "uint8")

@@ -238,7 +238,6 @@ class NpzPointsDocument(Document):
         return np.asarray(np.clip(np.nan_to_num(alpha) / scale, 0, 1), np.float32)
 
     def _table(self, key: str) -> Array:
-        """Read an array as a table with a row for each point."""
         return self._archive.read(key).reshape(self._arrays.count, -1)
 
 

@@ -123,7 +123,6 @@ def _of_faces(rows: Sequence[Sequence[bytes]], sizes: Int64s, name: str) -> tupl
 
 
 def _scaled(colours: Float64s, name: str) -> tuple[Float32s, float]:
-    """Return colours with full scale 1, and what it was."""
     if not np.isfinite(colours).all():
         raise InputError(name, "a colour is not finite", "export it again")
     scale, _ = full_scale(colours[:, :3], name)

@@ -1,6 +1,6 @@
 """The process that opens USD layers with usd-core: a scene as arrays.
 
-usd-core is not made for files that mean harm, so it runs as `python -m` of `worker` in this package, with a limit on
+usd-core is not made for files that mean harm, so it runs as `python -m` of `layers` in this package, with a limit on
 memory and time, in a folder that holds nothing but the layers that may be read.
 """
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from beltrami_cli.formats.usd.shading import INPUTS, placed, read_material
 
@@ -32,8 +33,6 @@ class NeedsLayersError(Exception):
 
 def opened(root: str, layers: list[str], refused: list[list[str]]) -> Any:
     """Open the stage of a layer in this folder, from the layers that are known; those refused are left out."""
-    from pxr import Sdf, Usd
-
     needs: list[tuple[str, str]] = []
     here = Path.cwd()
     for name in layers:
@@ -94,8 +93,6 @@ class Scene:
 
     def take(self, prim: Any) -> None:
         """Take a mesh, where it stands first."""
-        from pxr import Usd, UsdGeom
-
         shown = UsdGeom.Imageable(prim)
         if shown.ComputePurpose() not in ("default", "render") or shown.ComputeVisibility() == "invisible":
             self.counts["hidden"] += 1
@@ -129,8 +126,6 @@ class Scene:
 
     def _take_materials(self, prim: Any, polygons: _Polygons, points: int) -> None:
         """Take what is bound to a mesh or to parts of it, with the texture coordinates of every slot."""
-        from pxr import UsdShade
-
         binding = UsdShade.MaterialBindingAPI(prim)
         parts = [(self._material(binding.ComputeBoundMaterial()[0]), np.arange(polygons.total))]
         for subset in binding.GetMaterialBindSubsets():
@@ -161,7 +156,6 @@ class Scene:
             self.add(**{f"uv {slot}": uv, f"use {slot}": use_of})
 
     def _material(self, material: Any) -> int:
-        """Return the number of a material, -1 for none."""
         if not material:
             return -1
         path = str(material.GetPath())
@@ -175,9 +169,6 @@ class Scene:
         return self._number_of[path]
 
     def _take_colours(self, prim: Any, polygons: _Polygons, points: int) -> None:
-        """Take the colours of vertices or corners of a mesh."""
-        from pxr import Usd, UsdGeom
-
         rows = np.full(len(polygons.vertex), -1)
         primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
         values = _flat(primvar)
@@ -240,15 +231,11 @@ class _Polygons:
 
 def _values(attribute: Any) -> Float64s:
     """Return the values of an attribute at the first time; none if it has none."""
-    from pxr import Usd
-
     return np.array(attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.HasValue() else [], np.float64)
 
 
 def _flat(primvar: Any) -> Float64s | None:
     """Return the values of a primvar, one for each of what it is on; None if it has none."""
-    from pxr import Usd
-
     if not primvar or not primvar.HasValue():
         return None
     values = primvar.ComputeFlattened(Usd.TimeCode.EarliestTime())
@@ -270,8 +257,6 @@ def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> Float64s | No
 
 def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons, points: int) -> Float64s | None:
     """Return the texture coordinates of the corners of polygons, v up, transforms applied."""
-    from pxr import UsdGeom
-
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(use["coordinates"])
     uv = _on_corners(primvar, polygons, points)
     if uv is None or uv.shape[1:] != (2,):
@@ -283,8 +268,6 @@ def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons, points: in
 
 def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: Float64s) -> Float64s:
     """Return the unit normals of the corners of polygons in the world, NaN where there are none."""
-    from pxr import UsdGeom
-
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
     normals = _on_corners(primvar, polygons, points)
     if normals is None:

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pxr import UsdShade
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Float64s
@@ -108,8 +109,6 @@ def image_of(shader: Any) -> dict[str, str]:
 
 def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
     """Return the image that an input of a surface shows, in a list, if it does."""
-    from pxr import UsdShade
-
     for attribute in _sources(surface, name)[:1]:
         shader = UsdShade.Shader(attribute.GetPrim())
         is_mtlx = shader.GetIdAttr().Get() in _MTLX_IMAGES
@@ -141,8 +140,6 @@ def _wraps(shader: Any, *, is_mtlx: bool) -> list[str]:
 
 def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
     """Return which coordinates an image of MaterialX is shown at, and what moves them, as `_placing`."""
-    from pxr import UsdShade
-
     varname = "st"  # the first coordinates
     for source in _sources(shader, "texcoord")[:1]:
         reader = UsdShade.Shader(source.GetPrim())
@@ -163,8 +160,6 @@ def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
 
 def _placing(shader: Any) -> dict[str, Any] | None:
     """Return which coordinates a texture is shown at, and the matrix and offset that move them; acts on rows."""
-    from pxr import UsdShade
-
     matrix, offset = np.eye(2), np.zeros(2)
     chain, name = shader, "st"
     for _ in range(_DEEPEST):

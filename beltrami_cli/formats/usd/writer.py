@@ -182,7 +182,6 @@ def _material(name: str, material: Material, files: list[str], path: str) -> str
 
 
 def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], path: str) -> str:
-    """Return the shader of an image."""
     is_data = slot not in ("baseColor", "emissive")
     lines = [
         'uniform token info:id = "UsdUVTexture"',
@@ -226,7 +225,6 @@ def _linear(colour: tuple[float, ...]) -> str:
 
 
 def _identifier(name: str) -> str:
-    """Return a name as one of a prim."""
     plain = _UNFIT.sub("_", name)
     return plain if plain[:1].isalpha() or plain[:1] == "_" else f"_{plain}"
 

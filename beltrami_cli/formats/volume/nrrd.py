@@ -91,7 +91,6 @@ def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[Array
 
 
 def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
-    """Parse the header; return it, and what follows it."""
     file = io.BytesIO(data[:_LONGEST_HEADER])
     try:
         with warnings.catch_warnings(action="ignore"):

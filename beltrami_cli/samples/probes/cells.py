@@ -93,7 +93,6 @@ class TexelProbe(CellProbe):
         return self._cell_at(index, column, row, width, f"the {at}"), {"at": at}
 
     def _texture_at(self, location: Location) -> int:
-        """Return the texture that a location is in."""
         textures = [texture.name for texture in self.textures]
         glob = location.texture
         fits = [i for i, texture in enumerate(textures) if not glob or fnmatch(texture, glob)]

@@ -240,7 +240,6 @@ def _spread(faces: Int32s, near: Bools) -> Bools:
 
 
 def _cut(view: MeshView, kept: Bools) -> MeshView:
-    """Keep some of the vertices, and the triangles between them."""
     number = np.cumsum(kept, dtype=np.int32) - 1
     faces = number[view.faces[kept[view.faces].all(axis=1)]]
     fields = [field.name for field in dataclasses.fields(view) if field.name != "faces"]
