@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
-from beltrami_cli.formats.image.recognition import format_of_suffix
+from beltrami_cli.formats.image.picture import format_of_suffix
 from beltrami_cli.surface.tiling import Tile, found_tiles, has_token, tile_name, token_in, usual_tiles
 
 if TYPE_CHECKING:

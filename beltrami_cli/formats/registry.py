@@ -104,7 +104,7 @@ def _starts(pattern: bytes) -> Recogniser:
 
 
 def _is_image(data: bytes, name: str) -> bool:
-    from beltrami_cli.formats.image.recognition import is_image
+    from beltrami_cli.formats.image.picture import is_image
 
     return is_image(data, name)
 

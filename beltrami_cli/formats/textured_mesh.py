@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.image.recognition import suffix_for
+from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import NewNames
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, Texture
 from beltrami_cli.surface.tiling import Tile, tile_name, tiles_under

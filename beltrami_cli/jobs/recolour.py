@@ -20,7 +20,7 @@ from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import read_regular, read_source
 from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.image.recognition import suffix_for
+from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Stopwatch
 from beltrami_cli.samples.memory_check import checked_memory

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.image import ImageDocument
-from beltrami_cli.formats.image.recognition import WRITABLE, format_of, format_of_suffix
+from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.surface.records import check_scale

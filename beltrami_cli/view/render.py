@@ -19,9 +19,8 @@ from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
-from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.picture import is_image, new_picture
 from beltrami_cli.formats.image.reading import scratch_file
-from beltrami_cli.formats.image.recognition import is_image
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.view.drawing import draw_turns, draw_views

@@ -21,7 +21,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples import memory_check, tile_groups
+from beltrami_cli.samples import memory_check
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from beltrami_cli.samples.texel_samples import TexelSamples

@@ -8,16 +8,19 @@ from typing import ClassVar, NoReturn
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
-from beltrami_cli.formats.image.picture import Picture, is_unchanged, to_float, without_alpha
-from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.image.recognition import (
+from beltrami_cli.formats.image.picture import (
     WRITABLE,
+    Picture,
     format_of,
     format_of_suffix,
     is_image,
+    is_unchanged,
     label_of,
     suffix_for,
+    to_float,
+    without_alpha,
 )
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import check_writable, is_exact, losses, write_image
 
 __all__ = [

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
 EXTRA_CODECS = tuple(_PACKAGES)
-"""The formats of `recognition.FORMATS` that are read and written here."""
+"""The formats of `picture.FORMATS` that are read and written here."""
 
 INSTALL = "install it with: pip install 'beltrami-cli[textures]'"
 _LARGEST_SIDE = 1 << 14  # of AV1 images and of textures on graphics cards

@@ -14,8 +14,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
-from beltrami_cli.formats.image.picture import Picture
-from beltrami_cli.formats.image.recognition import READABLE, format_of, label_of, suffix_for
+from beltrami_cli.formats.image.picture import READABLE, Picture, format_of, label_of, suffix_for
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 
 if TYPE_CHECKING:

@@ -8,9 +8,17 @@ import numpy as np
 
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image import extra_codecs, metadata
-from beltrami_cli.formats.image.picture import Picture, as_stored, full_scale_one, without_alpha
+from beltrami_cli.formats.image.picture import (
+    FORMATS,
+    WRITABLE,
+    Picture,
+    as_stored,
+    format_of_suffix,
+    full_scale_one,
+    label_of,
+    without_alpha,
+)
 from beltrami_cli.formats.image.reading import TYPES, scratch_file
-from beltrami_cli.formats.image.recognition import FORMATS, WRITABLE, format_of_suffix, label_of
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, NamedImage, Naming, Written
-from beltrami_cli.formats.image.recognition import format_of, format_of_suffix
+from beltrami_cli.formats.image.picture import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
 from beltrami_cli.formats.textured_mesh import new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
