@@ -70,8 +70,8 @@ class Package:
         """Return what readers that map packages into memory cannot do with, one sentence each."""
         found = []
         for entry in self._archive.entries:
-            *_, name, extra = _LOCAL.unpack_from(self._data, entry.header_offset)
-            start = entry.header_offset + _LOCAL.size + name + extra
+            *_, name_size, extra_size = _LOCAL.unpack_from(self._data, entry.header_offset)
+            start = entry.header_offset + _LOCAL.size + name_size + extra_size
             if entry.compress_type:
                 found.append(f"{entry.filename} is compressed")
             elif start % _ALIGNMENT:

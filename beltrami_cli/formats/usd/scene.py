@@ -106,11 +106,11 @@ class Scene:
         points = _values(mesh.GetPointsAttr()).reshape(-1, 3)
         sizes = _values(mesh.GetFaceVertexCountsAttr()).astype(np.int64)
         corners = _values(mesh.GetFaceVertexIndicesAttr()).astype(np.int64)
-        path = prim.GetPath()
+        name = prim.GetPath()
         if (sizes < 0).any() or sizes.sum() != len(corners):
-            raise ValueError(f"{path}: its polygons have {sizes.sum()} corners, but there are {len(corners)}")
+            raise ValueError(f"{name}: its polygons have {sizes.sum()} corners, but there are {len(corners)}")
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            raise ValueError(f"{path}: a polygon names a vertex that is none of the {len(points)}")
+            raise ValueError(f"{name}: a polygon names a vertex that is none of the {len(points)}")
         matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
         turned = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(matrix[:3, :3]) < 0)
         polygons = _Polygons.of(sizes, corners, mesh.GetHoleIndicesAttr().Get(time), turned)
