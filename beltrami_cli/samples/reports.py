@@ -16,6 +16,7 @@ _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unw
 _UNSEEN = (
     "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
 )
+_PARTS = ("textures", "image", "level_set", "embedding")
 # Per cent of texels with several places; fewer are due to rounding at the borders of charts.
 _WORTH_REPORTING = 1.0
 
@@ -191,14 +192,8 @@ def describe_settings(settings: SmoothSettings) -> dict[str, object]:
     return {
         **dataclasses.asdict(settings.kernel),
         "threads": settings.kernel.thread_count,
-        "space": settings.space,
-        "channels": settings.channels,
-        "on": settings.on,
-        "level_seams": settings.level_seams,
-        "textures": dataclasses.asdict(settings.textures),
-        "image": dataclasses.asdict(settings.image),
-        "level_set": dataclasses.asdict(settings.level_set),
-        "embedding": dataclasses.asdict(settings.embedding),
+        **{name: getattr(settings, name) for name in ("space", "channels", "on", "level_seams")},
+        **{name: dataclasses.asdict(getattr(settings, name)) for name in _PARTS},
     }
 
 

@@ -15,13 +15,13 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, padded_elements
 from beltrami_cli.formats.gltf.buffers import data_uri, named_places, named_views
 from beltrami_cli.formats.gltf.compression import repacked
+from beltrami_cli.formats.gltf.textures import MEDIA, Images
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from beltrami_cli.formats.gltf.container import Container
     from beltrami_cli.formats.gltf.json_tree import Tree
-    from beltrami_cli.formats.gltf.textures import Images
     from beltrami_cli.surface.records import ImageFile
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963
@@ -122,18 +122,6 @@ def _unshared(edit: Edit, own: tuple[int, str | None], buffer: int, start: int, 
         for place, part in named_places(edit.container.tree, edit.accessors.buffers.lengths)
     )
 
-
-MEDIA = {
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".jpe": "image/jpeg",
-    ".jfif": "image/jpeg",
-    ".webp": "image/webp",
-    ".ktx2": "image/ktx2",
-    ".avif": "image/avif",
-}
-"""Media types of the images that glTF can hold, by suffix."""
 
 _PADDING = 8  # bytes that may lie between views only to align them
 

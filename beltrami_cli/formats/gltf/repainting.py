@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.errors import BeltramiError, OutputError
-from beltrami_cli.formats.gltf.edit import MEDIA, Edit, ImageStorage
+from beltrami_cli.formats.gltf.edit import Edit, ImageStorage
 from beltrami_cli.formats.gltf.json_tree import objects
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
+    MEDIA,
     SLOT_PATHS,
     WEBP,
     Images,

@@ -11,6 +11,7 @@ import numpy as np
 from beltrami_cli.formats.gltf.buffers import is_data, read, relative_name
 from beltrami_cli.formats.image import format_of, label_of
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
+from beltrami_cli.formats.image.picture import FORMATS
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.surface.records import Slot, Wrap
 
@@ -48,14 +49,11 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 """The numbers by which samplers say what lies beyond an image."""
 
+_HELD = ("png", "jpeg", "webp", "ktx2", "avif")
+MEDIA = {suffix: f"image/{known}" for known in _HELD for suffix in FORMATS[known].suffixes}
+"""Media types of the images that glTF can hold, by suffix."""
+
 _KINDS = {number: kind for kind, number in WRAPS.items()}
-_MEDIA = {
-    "png": "image/png",
-    "jpeg": "image/jpeg",
-    "webp": "image/webp",
-    "ktx2": "image/ktx2",
-    "avif": "image/avif",
-}
 _TRANSFORM = "KHR_texture_transform"
 _VARIANTS = "KHR_materials_variants"
 _MOST_VARIANTS = 1 << 16
@@ -161,7 +159,8 @@ class Images:
 
 def media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
-    return _MEDIA.get(format_of(data, "") or "")
+    known = format_of(data, "")
+    return f"image/{known}" if known in _HELD else None
 
 
 def kind_of(extension: str) -> str:

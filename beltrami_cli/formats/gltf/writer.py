@@ -14,8 +14,8 @@ from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
-from beltrami_cli.formats.gltf.edit import INDEX_DATA, MEDIA, VERTEX_DATA
-from beltrami_cli.formats.gltf.textures import SLOT_PATHS, WRAPS
+from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
+from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, not_converted, plain_name, shown_materials
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.grouping import distinct_corners

@@ -24,23 +24,10 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import check_writable, is_exact, losses, write_image
 
 __all__ = [
-    "WRITABLE",
-    "ImageDocument",
-    "Picture",
-    "check_writable",
-    "format_of",
-    "format_of_suffix",
-    "is_exact",
-    "is_image",
-    "is_unchanged",
-    "label_of",
-    "losses",
-    "read_image",
-    "suffix_for",
-    "to_float",
-    "without_alpha",
-    "write_image",
-]
+    "WRITABLE", "ImageDocument", "Picture", "check_writable", "format_of", "format_of_suffix",
+    "is_exact", "is_image", "is_unchanged", "label_of", "losses", "read_image", "suffix_for", "to_float",
+    "without_alpha", "write_image",
+]  # fmt: skip
 
 
 class ImageDocument(Document):

@@ -31,25 +31,17 @@ class ImageFormat:
         return 4 in self.channels
 
 
+_ANY = ("uint8", "uint16", "float16", "float32")  # types of samples
 FORMATS = {
     "png": ImageFormat((".png",), ("uint8", "uint16"), signatures=(b"\x89PNG\r\n\x1a\n",)),
     "jpeg": ImageFormat((".jpg", ".jpeg", ".jpe", ".jfif"), ("uint8",), (1, 3), (b"\xff\xd8\xff",)),
     "webp": ImageFormat((".webp",), ("uint8",), (3, 4), (b"RIFF",)),
-    "tiff": ImageFormat(
-        (".tif", ".tiff", ".tx"),
-        ("uint8", "uint16", "float16", "float32"),
-        signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
-    ),
+    "tiff": ImageFormat((".tif", ".tiff", ".tx"), _ANY, signatures=(b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")),
     "openexr": ImageFormat((".exr",), ("float16", "float32"), signatures=(b"v/1\x01",)),
     "targa": ImageFormat((".tga", ".targa", ".tpic"), ("uint8",)),
     "bmp": ImageFormat((".bmp", ".dib"), ("uint8",), (1, 3, 4), (b"BM",)),
     "hdr": ImageFormat((".hdr", ".rgbe"), ("float32",), (3,), (b"#?",)),
-    "jpegxl": ImageFormat(
-        (".jxl",),
-        ("uint8", "uint16", "float16", "float32"),
-        (1, 3, 4),
-        (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n"),
-    ),
+    "jpegxl": ImageFormat((".jxl",), _ANY, (1, 3, 4), (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")),
     "jpeg2000": ImageFormat(
         (".jp2", ".j2k", ".j2c"),
         ("uint8", "uint16"),

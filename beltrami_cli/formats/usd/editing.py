@@ -19,7 +19,7 @@ from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, opened
 from beltrami_cli.formats.usd.shading import files_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -201,13 +201,6 @@ def convert(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arra
     if not layer.ImportFromString(arrays["text"].tobytes().decode()):
         raise ValueError("the text is no layer")
     return {}, {"layer": _exported(layer, order["suffix"])}
-
-
-TASKS: dict[str, Callable[[dict[str, Any], Arrays], tuple[dict[str, Any], Arrays]]] = {
-    "read": read,
-    "edit": edit,
-    "convert": convert,
-}
 
 
 def in_place(

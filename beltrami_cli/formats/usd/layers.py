@@ -261,8 +261,9 @@ def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
     from beltrami_cli.formats.usd import editing
 
     os.chdir(order["folder"])
+    task = {"read": editing.read, "edit": editing.edit, "convert": editing.convert}[order["task"]]
     try:
-        return editing.TASKS[order["task"]](order, arrays)
+        return task(order, arrays)
     except Tf.ErrorException as error:
         raise UsdError(_said(str(error), order["folder"])) from error
 
