@@ -104,13 +104,17 @@ class MeshImages:
             self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
         return self._index_of[key]
 
-    def take_set(self, key: str, tiles: dict[Tile, int]) -> int:
-        """Take a set of tiles, which are images that were taken."""
-        if key not in self._index_of:
-            self._index_of[key] = len(self.images)
-            self.sets[len(self.images)] = tiles
-            self.images.append(self.images[next(iter(tiles.values()))])
-        return self._index_of[key]
+    def take_file(
+        self, path: str, sets: Mapping[str, Mapping[Tile, str]], read: Callable[[str], bytes]
+    ) -> int:
+        """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
+        if path in self._index_of or path not in sets:
+            return self.take(path, path.rpartition("/")[2], lambda: read(path))
+        tiles = {tile: self.take_file(file, sets, read) for tile, file in sets[path].items()}
+        self._index_of[path] = len(self.images)
+        self.sets[len(self.images)] = tiles
+        self.images.append(self.images[next(iter(tiles.values()))])
+        return self._index_of[path]
 
 
 def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:

@@ -259,10 +259,7 @@ class _Reading:
         return {}
 
     def _image(self, path: str) -> int:
-        if path in self._materials.tiles:
-            tiles = {tile: self._image(file) for tile, file in self._materials.tiles[path].items()}
-            return self.shown.take_set(path, tiles)
-        return self.shown.take(path, path.rpartition("/")[2], lambda: self._materials.read(path))
+        return self.shown.take_file(path, self._materials.tiles, self._materials.read)
 
     def _is_grey(self, path: str) -> bool:
         path = self._materials.files(path)[0]

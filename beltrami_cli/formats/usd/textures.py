@@ -221,7 +221,8 @@ class _Materials:
             if path is None:
                 self.lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
             else:
-                maps[slot] = records.MaterialMap(self._image(path), tuple(self._words["uses"][use]["wrap"]))
+                image = self.shown.take_file(path, self._layers.tiles, self._layers.image)
+                maps[slot] = records.MaterialMap(image, tuple(self._words["uses"][use]["wrap"]))
         values = known["values"]
         opacity = values.get("opacity", 1.0)
         mask = values.get("opacityThreshold", 0.0) > 0
@@ -238,12 +239,6 @@ class _Materials:
             roughness=1.0 if has_metal else values.get("roughness", 0.5),
             alpha="mask" if seen_through and mask else "blend" if seen_through else "opaque",
         )
-
-    def _image(self, path: str) -> int:
-        if path in self._layers.tiles:
-            tiles = {tile: self._image(file) for tile, file in self._layers.tiles[path].items()}
-            return self.shown.take_set(path, tiles)
-        return self.shown.take(path, posixpath.basename(path), lambda: self._layers.image(path))
 
 
 def _display(colour: list[float]) -> tuple[float, ...]:
