@@ -61,7 +61,7 @@ class Archive:
                 data = file.read(self._most + 1)
         except KeyError:
             raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
-        except (*_READ_ERRORS, NotImplementedError, ValueError) as error:
+        except _READ_ERRORS as error:
             raise InputError(self._name, f"{member} in the archive is damaged ({error})", _DAMAGED) from error
         if len(data) > self._most:
             raise self._too_large(member, len(data))
@@ -81,7 +81,7 @@ _MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 10_000  # as NumPy has it: a longer one could burden the parser of Python literals
 _DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
-_READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError)
+_READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError, ValueError)
 
 # The first name that is there is taken. A level set has one of these, and a cloud of points has not.
 LEVEL_SET_KEYS = ("values", "sdf", "tsdf", "level_set")
@@ -155,7 +155,7 @@ class NpzArchive:
         try:
             with self._archive.open(member) as file:
                 header = _parse(file.read(_LONGEST_HEADER + 12))
-        except (ValueError, *_READ_ERRORS) as error:
+        except _READ_ERRORS as error:
             raise self._error(key, f"is damaged ({error})") from error
         if not _holds_numbers(header):
             raise self._error(key, f"is of type {header.dtype}, and not of real numbers")
@@ -213,7 +213,7 @@ class NpzArchive:
     def _refusing_damage(self) -> Iterator[None]:
         try:
             yield
-        except (NotImplementedError, *_READ_ERRORS) as error:
+        except _READ_ERRORS as error:
             raise InputError(self._name, f"the archive is damaged ({error})", "write it again") from error
 
     def _error(self, key: str, cause: str) -> InputError:

@@ -182,3 +182,12 @@ def test_what_is_written_is_read_back():
     assert again.painted().stored == "uint8"
     assert again.painted().faces.tolist() == [[0, 1, 2]]
     assert np.array_equal(again.contents().alpha, contents.alpha)
+
+
+def test_an_archive_whose_members_would_start_before_it_is_refused():
+    data = bytearray(npz(positions=POSITIONS, colours=COLOURS))
+    where = len(data) - 6  # of the place of its directory, in the record at its end
+    data[where : where + 4] = (int.from_bytes(data[where : where + 4], "little") + 1).to_bytes(4, "little")
+    for use in (NpzPointsDocument.painted, NpzPointsDocument.fingerprint):
+        with pytest.raises(InputError, match="damaged"):
+            use(opened(bytes(data)))
