@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -83,8 +82,12 @@ def checked_memory(
             sizes = list(_measured((texture.name, texture.data) for texture in textures))
             left = memory - held_by_files(textures)
             on_disk |= _is_too_much(sizes, left, in_groups=painter.works_in_groups)
-    folder = Path(tempfile.gettempdir()) if target is None else Path(target).absolute().parent
-    with kept_on_disk(folder, memory) if on_disk else contextlib.nullcontext():
+    if not on_disk:
+        yield
+        return
+    import tempfile
+
+    with kept_on_disk(Path(target).absolute().parent if target else Path(tempfile.gettempdir()), memory):
         yield
 
 
