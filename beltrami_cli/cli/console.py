@@ -213,6 +213,10 @@ class Listener:
 _INPUT, _OUTPUT, _ERROR = range(3)
 
 
+class ReaderGoneError(OutputError):
+    """The standard output is no longer read, as by `head`, which has what it wants."""
+
+
 class _RawOutput(io.FileIO):
     """Standard output, which fails once at most: nothing else is written after that."""
 
@@ -225,6 +229,8 @@ class _RawOutput(io.FileIO):
             return super().write(data)
         except OSError as error:
             self._is_broken = True
+            if error.errno == errno.EPIPE:
+                raise ReaderGoneError("<stdout>", "is no longer read", "let its reader read all") from error
             cause = "is closed" if error.errno == errno.EBADF else f"cannot be written ({error.strerror})"
             raise OutputError("<stdout>", cause, "free space or choose another place") from error
 

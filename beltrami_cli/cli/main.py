@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from beltrami_cli.cli.commands import spelled, variable_behind, with_variables
-from beltrami_cli.cli.console import Interruption, Listener, prepare_streams, printable
+from beltrami_cli.cli.console import Interruption, Listener, ReaderGoneError, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError
 
 if TYPE_CHECKING:
@@ -172,6 +172,8 @@ def _run() -> int:
             click.echo(printable(line), err=True)
         if isinstance(error, click.BadParameter) and (variable := variable_behind(error.param, error.ctx)):
             click.echo(f"The value is from the environment: {variable}", err=True)
+        return error.exit_code
+    except ReaderGoneError as error:
         return error.exit_code
     except BeltramiError as error:
         if _wants_traceback():

@@ -49,6 +49,16 @@ def test_a_limit_on_the_size_of_files(most: int, tmp_path: Path) -> None:
     assert snapshot(tmp_path) == before
 
 
+@pytest.mark.parametrize("words", [("info", "{}"), ("smooth", "{}", "-", "-n", "0")])
+def test_a_reader_that_has_enough_is_no_failure_to_speak_of(words):
+    arguments = [*COMMAND, *(word.format(SAMPLES / "terrain-noisy.ply") for word in words)]
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as unread:
+        run = subprocess.run(arguments, stdout=unread, stderr=subprocess.PIPE, check=False)
+    assert (run.returncode, run.stderr) == (4, b"")
+
+
 # Mounts a small disk, copies a folder there, fills what is left but a few pages, and runs the command.
 ON_SMALL_DISK = """
 import os, pathlib, shutil, subprocess, sys
