@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
@@ -180,3 +183,23 @@ def test_triangles_over_millions_of_tiles_are_refused(tmp_path: Path) -> None:
     model.write_text(text + far)
     with pytest.raises(InputError, match=r"over more tiles .*; check its texture coordinates"):
         open_document(str(model)).textured("baseColor")
+
+
+def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path: Path) -> None:
+    """Within a picture neighbours share the noise of colours, but not over the border of two pictures."""
+    side, random = 512, np.random.default_rng(4)
+    texture = [gaussian_filter(random.standard_normal((2 * side, 2 * side)), 6) for _ in range(3)]
+    clean = 0.5 + 0.15 * np.stack(texture, axis=2) / np.std(texture)
+    noisy = clean + random.normal(0, 0.06, clean.shape)
+    image = (noisy.clip(0, 1) * 255).astype(np.uint8)
+    for tile in (0, 1):
+        stored = io.BytesIO()
+        Image.fromarray(image[:, tile * side : (tile + 1) * side]).save(stored, "JPEG", quality=90)
+        (tmp_path / f"skin.{1001 + tile}.jpg").write_bytes(stored.getvalue())
+    corners = np.array([(u, v) for v in (0.0, 1.0) for u in (0.0, 1.0, 2.0)])
+    text = obj_text(corners, np.column_stack([corners, np.zeros(6)]), np.array([[0, 1, 4, 3], [1, 2, 5, 4]]))
+    (tmp_path / "model.obj").write_text(text)
+    (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd skin.<UDIM>.jpg\n")
+    report = smooth_file(str(tmp_path / "model.obj"), str(tmp_path / "clean.obj"))
+    counts = report.textures[0].counts
+    assert (counts["seams"], counts["jumps"]) == (1, 0)
