@@ -190,6 +190,21 @@ def grid_distances(
 
 PATCH_REACH: int
 
+def blend_terms(
+    noisy: NDArray[np.float32],
+    probe: NDArray[np.float32],
+    estimates: tuple[NDArray[np.float32], ...],
+    noise: tuple[NDArray[np.float32], float, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    terms: NDArray[np.float32],
+    threads: int,
+) -> None: ...
+def blend_residual(
+    noisy: NDArray[np.float32],
+    estimate: NDArray[np.float32],
+    noise: tuple[NDArray[np.float32], float, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    residual: NDArray[np.float32],
+    threads: int,
+) -> None: ...
 def collaborate_on_grid(
     kind: NDArray[np.uint8],
     noisy: NDArray[np.float32],

@@ -21,14 +21,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
+    from beltrami_cli.arrays import Bools, Float32s, Float64s
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
 _WORTH_RESTORING = 1e-3
@@ -37,7 +37,7 @@ _WORTH_RESTORING = 1e-3
 # differ, and not only noise.
 _TRUSTED = 1.2
 
-# Entries of the tables over the share of samples at a limit, up to one half.
+# Entries of tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their range.
 _TABLE = 1024
 
 
@@ -83,46 +83,26 @@ class ClippedChannels:
 
     def impute(self, channels: Float32s, pilot: Float32s, relative: Float32s) -> None:
         """Replace samples at a limit, in place, by what noise beyond it would be on average around the pilot."""
-        normal = _normal()
+        tables = normal_tables()
         for k in self.clipped:
             own, around = channels[k], pilot[k]
             sigma = self._sigma_at(k, relative, own.shape)
             if self.high[k]:
                 at = own >= 1
-                own[at] = around[at] + sigma[at] * normal.beyond((1 - around[at]) / sigma[at])
+                own[at] = around[at] + sigma[at] * tables.mean_beyond((1 - around[at]) / sigma[at])
             if self.low[k]:
                 at = own <= 0
-                own[at] = around[at] - sigma[at] * normal.beyond(around[at] / sigma[at])
+                own[at] = around[at] - sigma[at] * tables.mean_beyond(around[at] / sigma[at])
 
-    def cut_off(self, channels: Float32s) -> Float32s:
-        """Return channels of imputed samples as they were, cut off at the limits."""
-        cut = channels.copy()
+    def is_within(self, channels: Float32s) -> Bools:
+        """Mark imputed samples that were not cut off."""
+        within = np.ones(channels.shape, bool)
         for k in self.clipped:
-            low, high = 0 if self.low[k] else -np.inf, 1 if self.high[k] else np.inf
-            np.clip(cut[k], low, high, out=cut[k])
-        return cut
-
-    def expected(self, channels: Float32s, relative: Float32s) -> Float32s:
-        """Return the mean of samples with noise that is cut off, by the colours without noise."""
-        mean, normal = channels.copy(), _normal()
-        for k in self.clipped:
-            own, sigma = channels[k], self._sigma_at(k, relative, channels[k].shape)
-            if self.high[k]:
-                mean[k] -= sigma * normal.lost((1 - own) / sigma)
             if self.low[k]:
-                mean[k] += sigma * normal.lost(own / sigma)
-        return mean
-
-    def share_within(self, channels: Float32s, k: int, relative: Float32s) -> Float32s:
-        """Return the share of samples of channel `k` that are not cut off, by the colours without noise."""
-        own, normal = channels[k], _normal()
-        sigma = self._sigma_at(k, relative, own.shape)
-        share: Float32s = np.ones_like(own)
-        if self.high[k]:
-            share -= normal.share_beyond((1 - own) / sigma)
-        if self.low[k]:
-            share -= normal.share_beyond(own / sigma)
-        return share
+                within[k] &= channels[k] >= 0
+            if self.high[k]:
+                within[k] &= channels[k] <= 1
+        return within
 
 
 def find_clipped(colours: Float32s, sigma: Float64s) -> ClippedChannels | None:
@@ -224,31 +204,27 @@ def _interpolated(places: Float32s, at: Float64s, table: Float64s) -> Float32s:
 
 
 @dataclass(frozen=True)
-class _Normal:
-    """Of a normal variable z with sigma = 1: functions of a limit a, at even steps."""
+class NormalTables:
+    """Of a normal variable z with sigma = 1: functions of a limit a, from `-furthest` to `furthest` in even steps."""
 
-    limits: Float64s
-    tables: dict[str, Float64s]  # P(z > a), E max(z - a, 0) and E[z | z > a]
+    furthest: ClassVar[float] = 8.0
+    lost: Float32s  # E max(z - a, 0)
+    share: Float32s  # P(z > a)
+    beyond: Float64s  # E[z | z > a]
 
-    def share_beyond(self, a: Float32s) -> Float32s:
-        return _interpolated(a, self.limits, self.tables["share"])
-
-    def lost(self, a: Float32s) -> Float32s:
-        return _interpolated(a, self.limits, self.tables["lost"])
-
-    def beyond(self, a: Float32s) -> Float32s:
-        return _interpolated(a, self.limits, self.tables["beyond"])
-
-
-# Limits, and steps of the tables in a unit.
-_FURTHEST, _STEPS = 8, 256
+    def mean_beyond(self, a: Float32s) -> Float32s:
+        """Interpolate E[z | z > a]."""
+        limits = np.linspace(-self.furthest, self.furthest, len(self.beyond))
+        return _interpolated(a, limits, self.beyond)
 
 
 @cache
-def _normal() -> _Normal:
+def normal_tables() -> NormalTables:
+    """Make the tables."""
     from math import erfc, sqrt
 
-    limits = np.arange(-_FURTHEST * _STEPS, _FURTHEST * _STEPS + 1) / _STEPS
+    limits = np.linspace(-NormalTables.furthest, NormalTables.furthest, 4 * _TABLE + 1)
     share = np.array([erfc(limit / sqrt(2)) / 2 for limit in limits])
     density = np.exp(-(limits**2) / 2) / np.sqrt(2 * np.pi)
-    return _Normal(limits, {"share": share, "lost": density - limits * share, "beyond": density / share})
+    lost = density - limits * share
+    return NormalTables(lost.astype(np.float32), share.astype(np.float32), density / share)

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.clipping import normal_tables
 from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
@@ -36,7 +37,7 @@ from beltrami_cli.surface import large_arrays
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from beltrami_cli.arrays import Array, Float32s, Float64s
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.manifold import CoarseLevel, Domain, Manifold
 
@@ -123,7 +124,7 @@ def blend_with_patches(
         response = estimate(noisy, disturbed)
     # What is smoother counts less or more, as in the choice of parameters.
     counted = np.sqrt(SMOOTHNESS[manifold.parameters.strength])
-    model = _Model(sigma * np.sqrt(counted), clipped)
+    model = _Model(sigma * np.sqrt(counted), clipped, manifold.threads)
     results, responses = (before, after), (disturbed, response)
     share, gain = _mix(manifold, model, (noisy, signs, size), results, responses)
     del response, responses
@@ -147,7 +148,7 @@ def _mix(
     sums = manifold.planes(2)
     stacks = _blocks(axis, colours, signs, *results, *responses, manifold.relative)
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
-        own[:] = model.parabola(z, b / size, (p, q), (near_p, near_q), relative[0])
+        model.write_terms(z, b / size, (p, q, near_p, near_q), relative, own)
     weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
     stacks = _blocks(axis, *results, *responses)
     for (p, q, near_p, near_q), (own,) in zip(stacks, _blocks(0, weights), strict=True):
@@ -183,10 +184,10 @@ def _means(
     with _added(axis, colours, signs, size):
         probe = level.means(colours) - means
     for z, p, own, relative in _blocks(axis, colours, before, memory, manifold.relative):
-        own[:] = model.observed(z) - model.expected(p, relative[0])
+        model.write_residual(z, p, relative, own)
     residual = level.means(memory)
     for z, own in _blocks(axis, colours, memory):
-        own[:] = model.observed(z) == z
+        own[:] = model.is_within(z)
     return _NoisyMeans(means, probe, float(size), residual, level.means(memory))
 
 
@@ -233,43 +234,48 @@ def _improve_means(
 class _Model:
     """What the noise of channels does to the sums."""
 
-    def __init__(self, sigma: Float64s, clipped: ClippedChannels | None) -> None:
-        self._sigma, self._clipped = sigma, clipped
+    def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
+        self._clipped, self._threads = clipped, threads
+        self._variances = np.square(sigma, dtype=np.float32)
         self.variance = float(np.mean(np.square(sigma)))
+        own = np.zeros((len(sigma), 4), np.float32)
+        own[:, 0] = self._variances
+        if clipped is not None:
+            own[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
+        tables = normal_tables()
+        self._noise = own, tables.furthest, tables.lost, tables.share
 
-    def observed(self, noisy: Float32s) -> Float32s:
-        """Return imputed colours as they were, cut off at the limits."""
-        return noisy if self._clipped is None else self._clipped.cut_off(noisy)
+    def is_within(self, noisy: Float32s) -> Bools | bool:
+        """Mark imputed colours that were not cut off."""
+        return True if self._clipped is None else self._clipped.is_within(noisy)
 
-    def expected(self, colours: Float32s, relative: Float32s) -> Float32s:
-        """Return what noisy colours are on average, by the colours without noise."""
-        return colours if self._clipped is None else self._clipped.expected(colours, relative)
+    def write_residual(self, noisy: Float32s, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
+        """Write what was observed, less what noisy colours are on average by an estimate of them."""
+        from beltrami_cli._native import blend_residual
 
-    def parabola(
+        blend_residual(noisy, estimate, (*self._noise, relative), to, self._threads)
+
+    def write_terms(
         self,
         noisy: Float32s,
         probe: Array,
-        results: tuple[Float32s, Float32s],
-        responses: tuple[Float32s, Float32s],
+        estimates: tuple[Float32s, Float32s, Float32s, Float32s],
         relative: Float32s,
-    ) -> Float32s:
-        """Return the terms of the numerator and of the denominator of w, summed over channels."""
-        within = self._share_within((results[0] + results[1]) * np.float32(0.5), relative)
-        p, q, near_p, near_q = (self.expected(own, relative) for own in (*results, *responses))
-        return self.terms(self.observed(noisy) - p, probe, q - p, near_q - near_p, within * relative)
+        to: Float32s,
+    ) -> None:
+        """Write the terms of the numerator and of the denominator of w, summed over channels.
 
-    def _share_within(self, channels: Float32s, relative: Float32s) -> Float32s:
-        """Return the shares of samples that are not cut off, by the colours without noise."""
-        if self._clipped is None:
-            return np.ones_like(channels)
-        shares = [self._clipped.share_within(channels, k, relative) for k in range(len(channels))]
-        return np.stack(shares)
+        The estimates are P and Q, and the same after the perturbation.
+        """
+        from beltrami_cli._native import blend_terms
+
+        blend_terms(noisy, probe, estimates, (*self._noise, relative), to, self._threads)
 
     def terms(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
     ) -> Float32s:
-        """Return the same by the difference of both results, before and after the perturbation, and relative noise."""
-        variances = np.square(self._sigma, dtype=np.float32)[:, *[None] * (residual.ndim - 1)]
+        """Return the same by the residual, the difference Q - P before and after, and relative noise."""
+        variances = self._variances[:, *[None] * (residual.ndim - 1)]
         slope = residual * difference - variances * relative * probe * (moved - difference)
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
 

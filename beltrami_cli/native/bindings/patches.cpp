@@ -1,8 +1,11 @@
 // Collaborative patches for Python.
 #include <nanobind/stl/optional.h>
 
+#include <array>
 #include <initializer_list>
+#include <vector>
 
+#include "patches/blending.hpp"
 #include "patches/grid_patches.hpp"
 #include "patches/surface_patches.hpp"
 
@@ -98,11 +101,92 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
   });
 }
 
+// Channels, along the first axis, of samples in the others, which follow each other in memory in even steps.
+template <class Value>
+using Channels = nb::ndarray<Value, nb::device::cpu>;
+
+template <class Value>
+std::size_t samples_of(const Channels<Value>& channels) {
+  std::size_t count = 1;
+  for (std::size_t axis = 1; axis < channels.ndim(); ++axis) count *= channels.shape(axis);
+  return count;
+}
+
+template <class Value>
+Layout<Value> layout_of(const Channels<Value>& channels, std::size_t least, std::size_t samples) {
+  if (channels.ndim() < 2 || channels.shape(0) < least || samples_of(channels) != samples)
+    throw nb::value_error("all stacks must have one shape");
+  for (std::size_t axis = 2; axis < channels.ndim(); ++axis)
+    if (channels.stride(axis - 1) != channels.stride(axis) * static_cast<std::int64_t>(channels.shape(axis)))
+      throw nb::value_error("samples must follow each other in even steps");
+  return {channels.data(), channels.stride(0), channels.stride(channels.ndim() - 1)};
+}
+
+// The noise as Python gives it: a row (variance, sigma, low, high) a channel, tables of a limit, and relative variances.
+class NoiseOfBlend {
+ public:
+  explicit NoiseOfBlend(const nb::tuple& parts, std::size_t channels, std::size_t samples)
+      : rows_(nb::cast<Matrix<float>>(parts[0])),
+        lost_(nb::cast<Vector<float>>(parts[2])),
+        share_(nb::cast<Vector<float>>(parts[3])),
+        relative_(nb::cast<Channels<const float>>(parts[4])) {
+    if (rows_.shape(0) != channels || rows_.shape(1) != 4) throw nb::value_error("a row of 4 a channel is needed");
+    if (lost_.size() < 2 || share_.size() != lost_.size()) throw nb::value_error("both tables need as many values");
+    for (std::size_t k = 0; k < channels; ++k) {
+      const float* row = rows_.data() + 4 * k;
+      noise_.push_back({row[0], row[1], row[2] != 0, row[3] != 0});
+    }
+    const NormalTables tables{nb::cast<float>(parts[1]), {lost_.data(), lost_.size()}, {share_.data(), share_.size()}};
+    blend_ = {noise_, tables, layout_of(relative_, 1, samples)};
+  }
+
+  const BlendNoise& get() const { return blend_; }
+
+ private:
+  Matrix<float> rows_;
+  Vector<float> lost_, share_;
+  Channels<const float> relative_;
+  std::vector<ChannelNoise> noise_;
+  BlendNoise blend_;
+};
+
+// See blend_terms; `estimates`: both estimates, and both after the perturbation.
+void write_blend_terms(const Channels<const float>& noisy, const Channels<const float>& probe, const nb::tuple& estimates,
+                       const nb::tuple& noise, const Channels<float>& terms, unsigned threads) {
+  const std::size_t channels = noisy.shape(0), count = samples_of(noisy);
+  const NoiseOfBlend own(noise, channels, count);
+  std::array<Channels<const float>, 4> stacks;
+  std::array<Values, 4> values;
+  for (std::size_t i = 0; i < 4; ++i) {
+    stacks[i] = nb::cast<Channels<const float>>(estimates[i]);
+    values[i] = layout_of(stacks[i], channels, count);
+  }
+  const Values z = layout_of(noisy, channels, count), b = layout_of(probe, channels, count);
+  const Layout<float> to = layout_of(terms, 2, count);
+  const nb::gil_scoped_release unlock;
+  blend_terms(z, b, {values[0], values[1], values[2], values[3]}, own.get(), count, to, threads);
+}
+
+// See blend_residual.
+void write_blend_residual(const Channels<const float>& noisy, const Channels<const float>& estimate, const nb::tuple& noise,
+                          const Channels<float>& residual, unsigned threads) {
+  const std::size_t channels = noisy.shape(0), count = samples_of(noisy);
+  const NoiseOfBlend own(noise, channels, count);
+  const Values z = layout_of(noisy, channels, count), p = layout_of(estimate, channels, count);
+  const Layout<float> to = layout_of(residual, channels, count);
+  const nb::gil_scoped_release unlock;
+  blend_residual(z, p, own.get(), count, to, threads);
+}
+
 }  // namespace
 
 void bind_patches(nb::module_& module) {
   using namespace nb::literals;
   module.attr("PATCH_REACH") = patch_reach;
+  module.def("blend_terms", &write_blend_terms, "noisy"_a, "probe"_a, "estimates"_a, "noise"_a, "terms"_a.noconvert(),
+             "threads"_a);
+  module.def("blend_residual", &write_blend_residual, "noisy"_a, "estimate"_a, "noise"_a, "residual"_a.noconvert(),
+             "threads"_a);
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")

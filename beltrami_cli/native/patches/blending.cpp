@@ -1,0 +1,129 @@
+#include "patches/blending.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "parallel.hpp"
+
+namespace beltrami::patches {
+namespace {
+
+// Samples whose values stay in the cache, and that one thread takes at a time.
+constexpr std::size_t run = 256, chunk = 16 * run;
+
+using Run = std::array<float, run>;
+
+// Some samples of one channel.
+class Channel {
+ public:
+  Channel(const BlendNoise& noise, std::size_t channel, std::size_t first, std::size_t count)
+      : noise_(noise), own_(noise.channels[channel]), channel_(channel), first_(first), count_(count) {
+    if (own_.low || own_.high)
+      for (std::size_t i = 0; i < count; ++i) sigma_[i] = own_.sigma * std::sqrt(noise.relative.at(0, first + i));
+  }
+
+  void read(const Values& from, Run& to) const {
+    for (std::size_t i = 0; i < count_; ++i) to[i] = from.at(channel_, first_ + i);
+  }
+
+  // Imputed colours as they were.
+  void cut_off(Run& values) const {
+    if (own_.low)
+      for (std::size_t i = 0; i < count_; ++i) values[i] = std::max(values[i], 0.0F);
+    if (own_.high)
+      for (std::size_t i = 0; i < count_; ++i) values[i] = std::min(values[i], 1.0F);
+  }
+
+  // Replaces colours without noise by the mean of colours with noise that is cut off.
+  void expect(Run& values) const {
+    if (!own_.low && !own_.high) return;
+    const std::span<const float> lost = noise_.tables.lost;
+    for (std::size_t i = 0; i < count_; ++i) {
+      const float value = values[i];
+      if (own_.high) values[i] -= sigma_[i] * look_up((1 - value) / sigma_[i], lost);
+      if (own_.low) values[i] += sigma_[i] * look_up(value / sigma_[i], lost);
+    }
+  }
+
+  // The share of samples that are not cut off, by the colours without noise, times the variance of each.
+  void variance_within(const Run& values, Run& variances) const {
+    const std::span<const float> share = noise_.tables.share;
+    for (std::size_t i = 0; i < count_; ++i) {
+      float within = 1;
+      if (own_.high) within -= look_up((1 - values[i]) / sigma_[i], share);
+      if (own_.low) within -= look_up(values[i] / sigma_[i], share);
+      variances[i] = own_.variance * (within * noise_.relative.at(0, first_ + i));
+    }
+  }
+
+ private:
+  // Interpolates a table linearly; beyond its ends it stays as it is there.
+  float look_up(float limit, std::span<const float> table) const {
+    const float furthest = noise_.tables.furthest, steps = static_cast<float>(table.size() - 1) / (2 * furthest);
+    const float place = (std::clamp(limit, -furthest, furthest) + furthest) * steps;
+    const std::size_t k = std::min(static_cast<std::size_t>(place), table.size() - 2);
+    return table[k] + (place - static_cast<float>(k)) * (table[k + 1] - table[k]);
+  }
+
+  const BlendNoise& noise_;
+  const ChannelNoise& own_;
+  std::size_t channel_, first_, count_;
+  Run sigma_;
+};
+
+// Calls f(first sample, count) for runs of samples, on several threads.
+template <class F>
+void each_run(std::size_t count, unsigned threads, F f) {
+  parallel_chunks(count, chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    for (std::size_t first = begin; first < end; first += run) f(first, std::min(run, end - first));
+  });
+}
+
+}  // namespace
+
+void blend_terms(const Values& noisy, const Values& probe, const Estimates& estimates, const BlendNoise& noise,
+                 std::size_t count, const Layout<float>& terms, unsigned threads) {
+  each_run(count, threads, [&](std::size_t first, std::size_t size) {
+    Run slope{}, square{}, z, b, p, q, near_p, near_q, middle, variances;
+    for (std::size_t k = 0; k < noise.channels.size(); ++k) {
+      const Channel channel(noise, k, first, size);
+      channel.read(noisy, z);
+      channel.read(probe, b);
+      channel.read(estimates.first, p);
+      channel.read(estimates.second, q);
+      channel.read(estimates.near_first, near_p);
+      channel.read(estimates.near_second, near_q);
+      for (std::size_t i = 0; i < size; ++i) middle[i] = (p[i] + q[i]) * 0.5F;
+      channel.variance_within(middle, variances);
+      channel.cut_off(z);
+      for (Run* values : {&p, &q, &near_p, &near_q}) channel.expect(*values);
+      for (std::size_t i = 0; i < size; ++i) {
+        const float difference = q[i] - p[i], moved = near_q[i] - near_p[i];
+        slope[i] += (z[i] - p[i]) * difference - variances[i] * b[i] * (moved - difference);
+        square[i] += difference * difference;
+      }
+    }
+    for (std::size_t i = 0; i < size; ++i) {
+      terms.at(0, first + i) = slope[i];
+      terms.at(1, first + i) = square[i];
+    }
+  });
+}
+
+void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, std::size_t count,
+                    const Layout<float>& residual, unsigned threads) {
+  each_run(count, threads, [&](std::size_t first, std::size_t size) {
+    Run z, p;
+    for (std::size_t k = 0; k < noise.channels.size(); ++k) {
+      const Channel channel(noise, k, first, size);
+      channel.read(noisy, z);
+      channel.read(estimate, p);
+      channel.cut_off(z);
+      channel.expect(p);
+      for (std::size_t i = 0; i < size; ++i) residual.at(k, first + i) = z[i] - p[i];
+    }
+  });
+}
+
+}  // namespace beltrami::patches

@@ -1,0 +1,56 @@
+// Sums over channels for Stein's unbiased estimate of the error of a blend of two estimates, which flow/patches.py explains,
+// where noise may have been cut off at 0 and at full scale.
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+namespace beltrami::patches {
+
+// Channels of samples, in planes or in rows.
+template <class Value>
+struct Layout {
+  Value* values;
+  std::ptrdiff_t channel_step, sample_step;
+
+  Value& at(std::size_t channel, std::size_t sample) const {
+    return values[static_cast<std::ptrdiff_t>(channel) * channel_step + static_cast<std::ptrdiff_t>(sample) * sample_step];
+  }
+};
+using Values = Layout<const float>;
+
+// Of a normal variable z with a deviation of 1, for limits a from `-furthest` to `furthest` in even steps: E max(z - a, 0) and
+// P(z > a).
+struct NormalTables {
+  float furthest;
+  std::span<const float> lost, share;
+};
+
+// The noise of a channel, and whether it was cut off at 0 and at 1.
+struct ChannelNoise {
+  float variance;  // what the estimate of the error reckons with
+  float sigma;     // before it was cut off
+  bool low, high;
+};
+
+struct BlendNoise {
+  std::span<const ChannelNoise> channels;
+  NormalTables tables;
+  Values relative;  // what the variance of a sample is multiplied by; one channel
+};
+
+// Two estimates, and the same after the perturbation of the noisy colours.
+struct Estimates {
+  Values first, second, near_first, near_second;
+};
+
+// Writes the terms of the numerator and of the denominator of the weight of the second estimate, two channels. `probe`: the
+// perturbation divided by its squared size.
+void blend_terms(const Values& noisy, const Values& probe, const Estimates& estimates, const BlendNoise& noise,
+                 std::size_t count, const Layout<float>& terms, unsigned threads);
+
+// Writes the noisy colours, cut off as they were, less what they are on average by an estimate.
+void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, std::size_t count,
+                    const Layout<float>& residual, unsigned threads);
+
+}  // namespace beltrami::patches
