@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
 from beltrami_cli.flow.beltrami_flow import in_partitions
-from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from flow.split_surfaces import (
@@ -42,6 +43,20 @@ def cut_off_samples(level, count=200_000):
     return np.clip(level + SIGMA * RANDOM.standard_normal((1, count)), 0, 1).astype(np.float32)
 
 
+def noise_of_blend(clipped, relative):
+    """Return what the core takes: (variance, sigma, low, high) of the channels, tables, and relative variances."""
+    rows = np.column_stack([np.square(clipped.sigma), clipped.sigma, clipped.low, clipped.high])
+    tables = normal_tables()
+    return rows.astype(np.float32), tables.furthest, tables.lost, tables.share, relative
+
+
+def residual(noisy, estimate, clipped):
+    found = np.empty_like(noisy)
+    relative = np.broadcast_to(ONE, (1, noisy.shape[1]))
+    _native.blend_residual(noisy, estimate, noise_of_blend(clipped, relative), found, 1)
+    return found
+
+
 @pytest.mark.parametrize("level", LEVELS)
 def test_imputed_samples_have_the_true_mean_and_are_cut_off_as_they_were(level):
     samples = cut_off_samples(level)
@@ -51,17 +66,17 @@ def test_imputed_samples_have_the_true_mean_and_are_cut_off_as_they_were(level):
     assert abs(imputed.mean(dtype=np.float64) - level) < 4 * SIGMA / np.sqrt(samples.size)
     inside = (samples > 0) & (samples < 1)
     assert np.array_equal(imputed[inside], samples[inside])
-    np.testing.assert_allclose(BOTH.cut_off(imputed), samples, atol=1e-6)
+    assert np.array_equal(BOTH.is_within(imputed), inside)
+    # What is compared with an estimate is the same as before.
+    middle = np.full_like(samples, 0.5)
+    assert np.array_equal(residual(imputed, middle, BOTH), residual(samples, middle, BOTH))
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_expected_is_the_mean_of_cut_off_noise(level):
-    samples, true = cut_off_samples(level), np.full((1, 1), level, np.float32)
-    assert abs(BOTH.expected(true, ONE)[0, 0] - samples.mean(dtype=np.float64)) < 4 * SIGMA / np.sqrt(
-        samples.size
-    )
-    within = np.mean((samples > 0) & (samples < 1))
-    assert abs(BOTH.share_within(true, 0, ONE)[0] - within) < 4 * 0.5 / np.sqrt(samples.size)
+def test_the_residual_of_the_truth_has_no_mean(level):
+    samples = cut_off_samples(level)
+    mean = residual(samples, np.full_like(samples, level), BOTH).mean(dtype=np.float64)
+    assert abs(mean) < 4 * SIGMA / np.sqrt(samples.size)
 
 
 def test_only_limits_at_which_noise_was_cut_off_count():
@@ -72,8 +87,55 @@ def test_only_limits_at_which_noise_was_cut_off_count():
     assert np.array_equal(imputed[0], colours[0])
     assert np.array_equal(imputed[1, :2], colours[1, :2])
     assert imputed[1, 2] > 1
-    np.testing.assert_allclose(high.expected(colours, ONE)[:, :2], colours[:, :2], atol=1e-9)
-    assert high.expected(colours, ONE)[1, 2] < 1
+    found = residual(colours, colours, high)
+    np.testing.assert_allclose([*found[0], *found[1, :2]], 0, atol=1e-9)
+    assert found[1, 2] > 0
+
+
+def clipped_mean_and_share(true, sigma, clipped):
+    """Return the mean of normal noise that is cut off, and the share of it that is not, in closed form."""
+    mean, share = true.copy(), np.ones_like(true)
+    density = np.vectorize(NormalDist().pdf)
+    beyond = np.vectorize(lambda a: 1 - NormalDist().cdf(a))
+    for k in range(len(true)):
+        for at_limit, limit, sign in ((clipped.high[k], 1, -1), (clipped.low[k], 0, 1)):
+            a = sign * (true[k] - limit) / sigma[k]
+            if at_limit:
+                mean[k] += sign * sigma[k] * (density(a) - a * beyond(a))
+                share[k] -= beyond(a)
+    return mean, share
+
+
+@pytest.mark.parametrize("in_rows", [False, True])
+def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
+    count = 5000  # more than one run, and no multiple of it
+    clipped = ClippedChannels((True, False, True), (True, True, False), np.array([0.1, 0.05, 0.2]))
+    noisy, probe, *estimates = RANDOM.uniform(-0.2, 1.2, (6, 3, count)).astype(np.float32)
+    relative = RANDOM.uniform(0.3, 3, (1, count)).astype(np.float32)
+    sigma = clipped.sigma[:, None] * np.sqrt(relative.astype(np.float64))
+    p, q, near_p, near_q = (
+        clipped_mean_and_share(own.astype(np.float64), sigma, clipped)[0] for own in estimates
+    )
+    within = clipped_mean_and_share((estimates[0] + estimates[1]) / 2.0, sigma, clipped)[1]
+    z = noisy.copy()
+    z[[0, 2]] = np.maximum(z[[0, 2]], 0)
+    z[[0, 1]] = np.minimum(z[[0, 1]], 1)
+    change = q - p
+    slope = (z - p) * change - np.square(sigma) * within * probe * (near_q - near_p - change)
+    stacks = [noisy, probe, *estimates]
+    if in_rows:
+        stacks = [np.ascontiguousarray(stack.T).T for stack in stacks]
+    found = []
+    for threads in (1, 2):
+        terms = np.empty((2, count), np.float32)
+        noise = noise_of_blend(clipped, relative)
+        _native.blend_terms(*stacks[:2], tuple(stacks[2:]), noise, terms, threads)
+        found.append(terms)
+    assert np.array_equal(*found)
+    # Linear interpolation in steps of 1/256 errs by 1/8 of the squared step times a second derivative of at most 0.4, in
+    # units of sigma; each term is a sum of a dozen such values and their roundings, times differences below 2.
+    np.testing.assert_allclose(found[0][0], slope.sum(axis=0), atol=2e-5)
+    np.testing.assert_allclose(found[0][1], np.square(change).sum(axis=0), atol=2e-5)
 
 
 def pixel_flow(image, **parameters):

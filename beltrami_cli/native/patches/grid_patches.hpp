@@ -18,8 +18,12 @@ namespace beltrami::patches {
 // How far a patch reaches from its centre, and the distance between the centres that start groups.
 constexpr int patch_reach = 3, spacing = 7;
 
-// The window of candidates: rows above and below, columns to the left, and columns in all.
-constexpr int rows_beside = 12, columns_before = 16, candidate_columns = 32;
+// The window of candidates: rows above and below, columns to the left, and columns in all. Without a pilot few are needed,
+// and those nearby serve better.
+constexpr int rows_beside = 12, rows_beside_few = 7, columns_before = 16, candidate_columns = 32;
+
+// A centre starts no group if all cells of its patch have this many estimates from groups before it.
+constexpr int enough_estimates = 4;
 
 // Cells a side of the tiles of work.
 constexpr int tile_side = 63;
@@ -45,6 +49,7 @@ struct Tile {
 struct TileScratch {
   std::vector<float> noisy, pilot, relative, estimates, weights, distances;
   std::vector<std::uint8_t> kind;
+  std::vector<std::uint16_t> counts;  // of estimates
   std::vector<std::uint32_t> keys;
   Group group{};
 };

@@ -31,6 +31,7 @@ class TilePlanes {
     own_.pilot.assign(all, far_away);
     own_.estimates.assign(all, 0);
     own_.weights.assign(all, 0);
+    own_.counts.assign(static_cast<std::size_t>(area), 0);
     own_.distances.resize(static_cast<std::size_t>(candidates));
     own_.keys.resize(static_cast<std::size_t>(candidates));
     if (canvas.relative != nullptr) own_.relative.assign(static_cast<std::size_t>(area), 1);
@@ -103,10 +104,11 @@ static_assert(patch_side * row_length <= Index{long_row} && patch_side <= row_le
 
 struct Shape {
   alignas(64) std::array<float, long_row> is_there{};  // 1 or 0
+  std::array<std::uint16_t, long_row> ones{};                        // the same
   std::array<std::int32_t, patch_cells> offsets;                     // relative to the centre
   std::array<std::uint8_t, long_row> used;                           // places in the rows, one after the other
-  std::array<std::int32_t, patch_cells> compared;                    // every second of the offsets, like black on a chessboard
-  std::size_t count = 0, compared_count = 0;
+  std::array<std::int32_t, patch_cells> every_second;                // of the offsets, like black on a chessboard
+  std::size_t count = 0, half_count = 0;
 
   Shape(const std::uint8_t* kind, Index centre) {
     for (Index y = 0; y < patch_side; ++y)
@@ -114,29 +116,35 @@ struct Shape {
         const Index offset = (y - patch_reach) * side + x - patch_reach;
         if (kind[centre + offset] == grid::empty) continue;
         is_there[static_cast<std::size_t>(y * row_length + x)] = 1;
+        ones[static_cast<std::size_t>(y * row_length + x)] = 1;
         used[count] = static_cast<std::uint8_t>(y * row_length + x);
         offsets[count++] = static_cast<std::int32_t>(offset);
-        if ((x + y) % 2 == 0) compared[compared_count++] = static_cast<std::int32_t>(offset);
+        if ((x + y) % 2 == 0) every_second[half_count++] = static_cast<std::int32_t>(offset);
       }
   }
 };
 
-// Candidates: their squared differences are summed for some rows of the window at a time. Neighbours in the pilot are alike,
-// so every second cell says as much.
+// Candidates: their squared differences are summed for some rows of the window at a time. The first channel is compared on all
+// cells, so that candidates have all that the patch has; of the others every second says as much, as neighbours are alike.
 constexpr Index rows_at_once = 5;
-static_assert((2 * rows_beside + 1) % rows_at_once == 0);
+static_assert((2 * rows_beside + 1) % rows_at_once == 0 && (2 * rows_beside_few + 1) % rows_at_once == 0);
 
-// Sums of squared differences of the pilot between the patch at `centre` and those of all candidates.
-void compare(const float* pilot, std::size_t channels, const Shape& shape, Index centre, float* distances) {
-  for (Index y = -rows_beside; y <= rows_beside; y += rows_at_once)
+// Sums of squared differences of the pilot between the patch at `centre` and those of all candidates; beyond the window they
+// are far away.
+void compare(const float* pilot, std::size_t channels, const Shape& shape, Index centre, bool has_pilot, float* distances) {
+  const Index rows = has_pilot ? rows_beside : rows_beside_few;
+  if (!has_pilot) std::fill_n(distances, candidates, 2 * too_far);
+  for (Index y = -rows; y <= rows; y += rows_at_once)
     for (Index x = 0; x < candidate_columns; x += Index{lane_count}) {
       const Index first = centre + y * side + x - columns_before;
       std::array<Lanes, rows_at_once> sums{};
       for (std::size_t channel = 0; channel < channels; ++channel) {
         const float* plane = pilot + static_cast<Index>(channel) * area;
-        for (std::size_t p = 0; p < shape.compared_count; ++p) {
-          const Lanes own = splat(plane[centre + shape.compared[p]]);
-          const float* other = plane + first + shape.compared[p];
+        const auto& offsets = channel == 0 ? shape.offsets : shape.every_second;
+        const std::size_t count = channel == 0 ? shape.count : shape.half_count;
+        for (std::size_t p = 0; p < count; ++p) {
+          const Lanes own = splat(plane[centre + offsets[p]]);
+          const float* other = plane + first + offsets[p];
           for (Index row = 0; row < rows_at_once; ++row) {
             const Lanes difference = load(other + row * side) - own;
             sums[static_cast<std::size_t>(row)] += difference * difference;
@@ -234,6 +242,20 @@ void add_patch(const float* values, const Shape& shape, std::int32_t place, floa
   }
 }
 
+// Counts one more estimate of the cells of a patch.
+void count_patch(const Shape& shape, std::int32_t place, std::uint16_t* BELTRAMI_ALONE counts) {
+  const Index corner = place - patch_reach * side - patch_reach;
+  for (Index y = 0; y < patch_side; ++y)
+    for (Index x = 0; x < row_length; ++x)
+      counts[corner + y * side + x] =
+          static_cast<std::uint16_t>(counts[corner + y * side + x] + shape.ones[static_cast<std::size_t>(y * row_length + x)]);
+}
+
+bool has_enough(const Shape& shape, Index centre, const std::uint16_t* counts) {
+  return std::all_of(shape.offsets.begin(), shape.offsets.begin() + static_cast<Index>(shape.count),
+                     [&](std::int32_t offset) { return counts[centre + offset] >= enough_estimates; });
+}
+
 // The mean of a patch.
 float mean_of(const float* plane, const Shape& shape, Index centre) {
   float sum = 0;
@@ -241,10 +263,11 @@ float mean_of(const float* plane, const Shape& shape, Index centre) {
   return sum / static_cast<float>(shape.count);
 }
 
-// Estimates the patches that look like the one at `centre`.
+// Estimates the patches that look like the one at `centre`, unless its cells have been estimated with others.
 void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
   const Shape shape(scratch.kind.data(), centre);
-  compare(channels.pilot, channels.count, shape, centre, scratch.distances.data());
+  if (has_enough(shape, centre, scratch.counts.data())) return;
+  compare(channels.pilot, channels.count, shape, centre, has_pilot, scratch.distances.data());
   Group& group = scratch.group;
   group.size = has_pilot ? many : few;
   group.length = long_row;
@@ -259,6 +282,7 @@ void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums&
                                           number % candidate_columns - columns_before);
     relative[k] = static_cast<float>(shape.count);
     if (channels.relative != nullptr) relative[k] *= mean_of(channels.relative, shape, places[k]);
+    count_patch(shape, places[k], scratch.counts.data());
   }
   for (std::size_t channel = 0; channel < channels.count; ++channel) {
     const std::size_t plane = channel * channels.stride;
