@@ -20,9 +20,10 @@ from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
 from beltrami_cli.flow.tuning.sure import wanted_probes
+from beltrami_cli.flow.vertex_clusters import Graph, clusters_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.mesh_partitions import MeshPartition
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.records import Mixing, Step
+    from beltrami_cli.flow.vertex_clusters import Clusters
     from beltrami_cli.surface.records import SampledSurface
 
 # Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
@@ -171,8 +173,13 @@ class MeshManifold(MeshKernels):
         joined[self.edges] = True
         axes, around = _axes(places[joined], self.colours[joined]), fingerprints(coarse, self.edges)
         self._patches = SurfacePatches(places, self.edges, axes, around, self.threads)
+        self._graph, self._axes = Graph(places, self.edges, around), axes
         signs: Float32s = random_signs(coarse, around, 1)[0]
         return signs
+
+    def coarse_levels(self) -> Iterator[Clusters]:
+        """Go through clusters of samples."""
+        yield from clusters_for(self._graph, self._axes, self.differing, self.threads)
 
     def planes(self, count: int) -> Float32s:
         """Return rows of zeros."""

@@ -132,8 +132,8 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
         _native.blend_terms(*stacks[:2], tuple(stacks[2:]), noise, terms, threads)
         found.append(terms)
     assert np.array_equal(*found)
-    # Linear interpolation in steps of 1/256 errs by 1/8 of the squared step times a second derivative of at most 0.4, in
-    # units of sigma; each term is a sum of a dozen such values and their roundings, times differences below 2.
+    # Linear interpolation in steps of 1/256 errs by 1/8 of the squared step times a second derivative of at most 0.4,
+    # in units of sigma; each term is a sum of a dozen such values and their roundings, times differences below 2.
     np.testing.assert_allclose(found[0][0], slope.sum(axis=0), atol=2e-5)
     np.testing.assert_allclose(found[0][1], np.square(change).sum(axis=0), atol=2e-5)
 

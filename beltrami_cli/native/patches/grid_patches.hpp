@@ -22,15 +22,15 @@ constexpr int patch_reach = 3, spacing = 7;
 // and those nearby serve better.
 constexpr int rows_beside = 12, rows_beside_few = 7, columns_before = 16, candidate_columns = 32;
 
-// A centre starts no group if all cells of its patch have this many estimates from groups before it.
-constexpr int enough_estimates = 4;
-
 // Cells a side of the tiles of work.
 constexpr int tile_side = 63;
 
 // What is around a tile: candidates, and their patches.
 constexpr int margin = columns_before + patch_reach;
 static_assert(tile_side >= 2 * margin && tile_side % spacing == 0);
+
+// No group starts where all cells of a patch have this many estimates from groups before it.
+constexpr std::uint16_t enough_estimates = 4;
 
 struct Canvas {
   std::size_t rows, columns;

@@ -12,7 +12,7 @@ namespace beltrami::patches {
 namespace {
 
 // Vertices around one that its lattice is looked for in, and that its patches are compared with.
-constexpr std::size_t enough_for_lattice = 50, enough_candidates = 150;
+constexpr std::size_t enough_for_lattice = 50, enough_candidates = 200;
 
 // In units of the lattice: how far from its node a vertex may be, and how far off the tangent plane.
 constexpr double furthest = 0.8, highest = 2.0;

@@ -1,0 +1,89 @@
+"""Clusters of vertices: what they are, whatever the order of the vertices, and what their means are good for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beltrami_cli import smooth
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.vertex_clusters import Graph, clusters_for
+from oracles import surfaces
+from oracles.paintings import psnr
+
+RANDOM = np.random.default_rng(11)
+
+
+def graph_of(positions, faces, priorities):
+    pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    return Graph(positions, np.unique(pairs, axis=0).astype(np.int32), priorities)
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    positions, faces = surfaces.icosphere(4)
+    priorities = RANDOM.integers(0, 2**63, len(positions), dtype=np.uint64)
+    # Samples without edges are clusters of their own.
+    positions = np.vstack([positions, [[5, 5, 5], [6, 6, 6]]])
+    return graph_of(positions, faces, np.r_[priorities, np.uint64(1), np.uint64(1)])
+
+
+def test_clusters_are_samples_and_neighbours_of_theirs(sphere):
+    members, centres = sphere.clusters()
+    neighbours = {(a, b) for pair in sphere.edges.tolist() for a, b in (pair, pair[::-1])}
+    assert np.array_equal(members[centres], np.arange(len(centres)))
+    for sample, centre in enumerate(centres[members].tolist()):
+        assert sample == centre or (sample, centre) in neighbours
+    chosen = set(centres.tolist())
+    assert not any(a in chosen and b in chosen for a, b in neighbours)
+    # On a triangle lattice a centre has six neighbours, and no two are adjacent: a third to a seventh are centres.
+    assert 1 / 7 < len(centres) / sphere.size < 1 / 3
+
+
+def test_clusters_do_not_depend_on_the_order_of_the_samples(sphere):
+    order = RANDOM.permutation(sphere.size)
+    rank = np.argsort(order).astype(np.int32)
+    # Equal priorities are told apart by their order.
+    distinct = np.unique(sphere.priorities, return_inverse=True)[1][:-2].astype(np.uint64)
+    one = Graph(sphere.positions, sphere.edges, np.r_[distinct, np.uint64(10**6), np.uint64(10**6 + 1)])
+    other = Graph(one.positions[order], rank[one.edges], one.priorities[order])
+    centre_of, other_centre_of = (centres[members] for members, centres in (one.clusters(), other.clusters()))
+    assert np.array_equal(order[other_centre_of], centre_of[order])
+
+
+def test_clusters_are_joined_where_their_samples_are(sphere):
+    members, centres = sphere.clusters()
+    found = sphere.clustered(members, centres)
+    wanted = {(min(a, b), max(a, b)) for a, b in members[sphere.edges].tolist() if a != b}
+    assert {tuple(pair) for pair in found.edges.tolist()} == wanted
+    np.testing.assert_allclose(
+        found.positions[members[0]], sphere.positions[members == members[0]].mean(axis=0)
+    )
+
+
+def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
+    axes = np.eye(3)[:2]
+    stack = RANDOM.random((sphere.size, 3)).astype(np.float32)
+    whole = stack.sum(axis=0, dtype=np.float64)
+    levels = clusters_for(sphere, axes, None, 1)
+    assert levels
+    for level in levels:
+        means = level.means(stack)
+        assert len(means) < sphere.size / 3
+        # The mean over clusters, each by its samples, is that over samples.
+        np.testing.assert_allclose(level.total(np.ascontiguousarray(means.T)), whole, rtol=1e-5)
+        changed = stack.copy()
+        level.add_enlarged(changed, np.full_like(means, 0.25))
+        np.testing.assert_allclose(changed, stack + 0.25, atol=1e-5)
+
+
+def test_plain_colours_lose_noise_that_single_vertices_keep(monkeypatch):
+    positions, faces = surfaces.icosphere(5)
+    random = np.random.default_rng(3)
+    clean = (0.5 + 0.2 * positions @ random.normal(size=(3, 3))).clip(0.1, 0.9)
+    noisy = (clean + 0.1 * random.normal(size=clean.shape)).astype(np.float32)
+    given = {"beta": 0.5, "t": 2.0, "iterations": 2, "patches": "on"}
+    with_clusters = psnr(smooth(positions, faces, noisy, **given).colours, clean)
+    monkeypatch.setattr(MeshManifold, "coarse_levels", lambda _: iter(()))
+    without = psnr(smooth(positions, faces, noisy, **given).colours, clean)
+    assert with_clusters > without + 0.2
