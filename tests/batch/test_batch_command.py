@@ -245,6 +245,7 @@ def test_a_manifest_has_parameters_for_each_file(name, scans, tmp_path):
     assert (out / "b.obj").read_bytes() == smoothed(scans / "b.obj", tmp_path / "b.obj", *options)
 
 
+@pytest.mark.slow
 def test_noise_is_added_as_alone_and_another_kind_is_another_job(scans, tmp_path):
     out, noise = tmp_path / "out", ["--sigma", "20", "--seed", "3"]
     batch(scans, "--out-dir", out, "--add-noise", *noise)

@@ -116,6 +116,7 @@ def test_overlap_is_counted_for_the_texture_that_has_it(tmp_path):
     assert (shared["charts"], own["charts"], own["overlapped"]) == (2, 1, 0)
 
 
+@pytest.mark.slow
 def test_the_mesh_under_textures_is_described():
     closed, opened = (
         info("head-tex-clean.glb", "--fast")["surface"],
@@ -127,6 +128,7 @@ def test_the_mesh_under_textures_is_described():
     assert closed["vertices"] - closed["coincident_vertices"] - closed["edges"] + closed["triangles"] == 2
 
 
+@pytest.mark.slow
 def test_textures_in_other_slots_are_named(tmp_path):
     model = json.loads((SAMPLES / "torus-two-noisy.gltf").read_text())
     model["materials"][0]["emissiveTexture"] = {"index": 0}
@@ -176,6 +178,7 @@ def test_facts_are_of_json_types_alone_and_can_be_shown(options):
     assert (run.returncode, run.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_many_files_make_a_table_with_a_line_for_each_part(tmp_path):
     for name in ("knot-noisy.ply", "torus-two-noisy.gltf", "torus-two-noisy.bin", "scan-noisy.jpg"):
         shutil.copy(SAMPLES / name, tmp_path / name)

@@ -57,7 +57,14 @@ def test_beside_the_source_no_files_pile_up(name, square):
     assert after == before | {name: before["square.obj"]}
 
 
-@pytest.mark.parametrize("name", ["head-clean.ply", "head-tex-clean.glb", "head-tex-clean.png"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "head-clean.ply",
+        pytest.param("head-tex-clean.glb", marks=pytest.mark.slow),
+        pytest.param("head-tex-clean.png", marks=pytest.mark.slow),
+    ],
+)
 def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):
     result, report = tmp_path / name, tmp_path / "report.json"
     run = beltrami("smooth", SAMPLES / name, result, "--report", report)

@@ -59,6 +59,7 @@ def step(path):
     return beltrami_cli.level_file(path, "none.glb", job=job).levelled[0].before
 
 
+@pytest.mark.slow
 def test_level_takes_steps_out_and_changes_nothing_but_colours(exposed, tmp_path):
     target, run = tmp_path / "level.glb", tmp_path / "run.json"
     done = beltrami("level", exposed, target, "--report", run)
@@ -71,18 +72,21 @@ def test_level_takes_steps_out_and_changes_nothing_but_colours(exposed, tmp_path
     assert {each["chart"] for each in report["exposures"]} == set(range(report["charts"]))
 
 
+@pytest.mark.slow
 def test_a_model_without_exposure_steps_stays_and_is_said_to(tmp_path):
     done = beltrami("level", HEAD, tmp_path / "same.glb")
     assert "left as they are; no exposure steps" in done.stderr
     assert (tmp_path / "same.glb").read_bytes() == HEAD.read_bytes()
 
 
+@pytest.mark.slow
 def test_the_result_is_the_same_for_any_number_of_threads(exposed, tmp_path):
     for threads in (1, 3):
         beltrami("level", exposed, tmp_path / f"{threads}.glb", "--threads", threads)
     assert (tmp_path / "1.glb").read_bytes() == (tmp_path / "3.glb").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flag", ["--level", "--level-seams"])
 def test_smooth_levels_first(exposed, tmp_path, flag):
     target = tmp_path / "smooth.glb"
@@ -92,6 +96,7 @@ def test_smooth_levels_first(exposed, tmp_path, flag):
     assert step(target) < 0.1 * step(exposed)
 
 
+@pytest.mark.slow
 def test_smooth_with_no_iterations_only_levels(exposed, tmp_path):
     beltrami("smooth", exposed, tmp_path / "level.glb", "--level", "-n", 0)
     assert step(tmp_path / "level.glb") < 0.1 * step(exposed)

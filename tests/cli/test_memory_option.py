@@ -123,6 +123,7 @@ def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(
     assert run.stderr.endswith(b"million texels do not fit into memory to be drawn; raise --max-memory\n")
 
 
+@pytest.mark.slow
 def test_models_are_drawn_in_little_memory(tmp_path: Path) -> None:
     """Not so little that Embree cannot start its threads, at which it crashes."""
     model = tiled_model(tmp_path / "in", size=1)

@@ -86,6 +86,7 @@ def test_a_texture_reports_its_share_and_takes_a_bound_on_memory(tmp_path):
     assert 0 <= slot["patches"] <= 1
 
 
+@pytest.mark.slow
 def test_info_shows_what_would_be_done(mesh):
     for options, shown in (
         ((), "on"),

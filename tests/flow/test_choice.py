@@ -220,6 +220,7 @@ def test_a_path_ends_where_an_iteration_gains_too_little(least_gain, iterations,
     assert estimate.steps == steps
 
 
+@pytest.mark.slow
 def test_the_choice_does_not_depend_on_threads_or_repetition():
     image = noisy(painting(64))
     first = beltrami_cli.smooth_image(image, space="data", threads=1)

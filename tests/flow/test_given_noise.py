@@ -81,6 +81,7 @@ def test_pixels_are_smoothed_by_their_own_noise():
     assert psnr(own[:half], clean[:half]) > psnr(noisy[:half], clean[:half])
 
 
+@pytest.mark.slow
 def test_vertices_are_smoothed_by_their_own_noise():
     positions, faces = icosphere(5)
     clean = np.stack([0.5 + 0.3 * np.sin(5 * positions @ axis) for axis in np.eye(3)], axis=1)

@@ -123,6 +123,7 @@ def test_a_texture_that_all_levels_but_the_darkest_have_is_no_noise_by_level():
     assert found_at.sigma[:, 0] == pytest.approx(20, rel=0.2)
 
 
+@pytest.mark.slow
 def test_noise_by_level_is_smoothed_better_than_noise_of_one_size():
     """On an image and on a surface; and the noise that is told lies between that of dark and bright colours."""
     clean = scene()
@@ -192,7 +193,9 @@ def test_means_are_of_owned_cells_and_changes_go_to_them():
     assert (after == planes)[:, kind != OWNED].all()
 
 
-@pytest.mark.parametrize("size", [2, 3, 4])
+@pytest.mark.parametrize(
+    "size", [2, pytest.param(3, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow)]
+)
 def test_coarse_grain_is_removed(size):
     """Of 12 of 255, as large as some texels, to a third and less; finest details alone would show a fifth of it."""
     clean, random = scene(), np.random.default_rng(2)

@@ -65,6 +65,7 @@ def test_textures_and_even_noise_are_the_same_everywhere(sigma):
     assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
 
 
+@pytest.mark.slow
 def test_both_halves_are_smoothed_as_their_noise_asks():
     """Nearly as each half by itself; by one noise for both, most of the noise of the louder half stays."""
     clean, noisy = of_two_photographs()
@@ -75,6 +76,7 @@ def test_both_halves_are_smoothed_as_their_noise_asks():
     assert psnr(together[half:], clean[half:]) > psnr(noisy[half:], clean[half:]) + 4
 
 
+@pytest.mark.slow
 def test_blocks_of_rows_give_the_same(monkeypatch):
     noisy = of_two_photographs()[1]
     whole = beltrami_cli.smooth_image(noisy).colours

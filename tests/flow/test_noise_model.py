@@ -31,6 +31,7 @@ def test_white_noise_has_the_grain_of_one_sample(tmp_path):
     assert model_of(photograph(SIDE) + 10 / 255 * noise(), tmp_path) == {"grain": 1.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [2, 3])
 def test_the_grain_is_as_wide_as_what_was_averaged(size, tmp_path):
     """Within a third; means of squares of cells have the power of independent noise at coarse scales."""
@@ -42,6 +43,7 @@ def test_the_grain_is_as_wide_as_what_was_averaged(size, tmp_path):
     assert found["grain"] == pytest.approx(size, rel=1 / 3)
 
 
+@pytest.mark.slow
 def test_noise_of_a_camera_is_said_by_level(tmp_path):
     """Shot noise in linear light is, in sRGB, strongest in the dark; within 20 % of what was made."""
     levels = np.broadcast_to(np.linspace(0.05, 0.95, SIDE)[None, :, None], (SIDE, SIDE, 3))
@@ -54,6 +56,7 @@ def test_noise_of_a_camera_is_said_by_level(tmp_path):
         assert found[name] == pytest.approx(np.sqrt(0.004 * own + 0.005**2) / slope, rel=0.2)
 
 
+@pytest.mark.slow
 def test_quiet_and_loud_places_are_named(tmp_path):
     sigma = np.where(np.arange(SIDE) < SIDE // 2, 5, 20)[:, None, None] / 255
     found = model_of(photograph(SIDE, contrast=0.04) + sigma * noise(), tmp_path)

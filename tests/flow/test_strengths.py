@@ -27,7 +27,7 @@ def rms(change):
 
 
 @pytest.mark.parametrize(("width", "sigma"), [(0, 4), (0, 20), (1.0, 12)])
-@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("channels", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_stronger_changes_images_more(width, sigma, channels):
     clean = photograph(SIZE, contrast=0.08)[..., :channels]
     noisy = np.clip(clean + sigma / 255 * noise(width, clean.shape), 0, 1).astype(np.float32)
@@ -36,6 +36,7 @@ def test_stronger_changes_images_more(width, sigma, channels):
     assert changes[0] < changes[1] < changes[2]
 
 
+@pytest.mark.slow
 def test_stronger_changes_vertices_more():
     positions, faces = icosphere(4)
     clean = 0.5 + 0.2 * np.sin(6 * positions)

@@ -176,6 +176,7 @@ def test_converted_tiles_show_the_same_colours(suffix: str, tmp_path: Path) -> N
         np.testing.assert_allclose(shown, wanted, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_triangles_over_millions_of_tiles_are_refused(tmp_path: Path) -> None:
     model = tiled_model(tmp_path)
     text = model.read_text()
@@ -185,6 +186,7 @@ def test_triangles_over_millions_of_tiles_are_refused(tmp_path: Path) -> None:
         open_document(str(model)).textured("baseColor")
 
 
+@pytest.mark.slow
 def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path: Path) -> None:
     """Within a picture neighbours share the noise of colours, but not over the border of two pictures."""
     side, random = 512, np.random.default_rng(4)

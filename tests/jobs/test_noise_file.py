@@ -219,7 +219,9 @@ def test_that_jpeg_takes_noise_away_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["camera", "grain"])
-@pytest.mark.parametrize("name", ["tiled-clean.glb", "nonmanifold-clean.ply"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("tiled-clean.glb", marks=pytest.mark.slow), "nonmanifold-clean.ply"]
+)
 def test_a_seed_gives_its_noise_and_another_seed_another(kind, name, tmp_path):
     made = []
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):

@@ -27,13 +27,14 @@ def head():
     [({}, 12), ({"clipped": True}, 8), ({"fall_off": True}, 8)],
     ids=["plain", "clipped", "fall-off"],
 )
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_known_exposures_are_taken_out(head, kind, least, seed):
     truth, exposed = head.exposed(seed, **kind)
     after, _ = head.levelled(exposed)
     assert fall(exposed, after, truth) >= least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["head-tex-noisy.glb", "sphere-exr-clean.obj"])
 def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name):
     """What 24 charts with noise of 20/255, or six charts, show of it in each channel is too little by itself."""
@@ -53,7 +54,13 @@ def test_two_charts_are_enough():
 
 
 @pytest.mark.parametrize(
-    "name", ["head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-noisy.gltf", "sphere-exr-clean.obj"]
+    "name",
+    [
+        pytest.param("head-tex-clean.glb", marks=pytest.mark.slow),
+        pytest.param("head-tex-noisy.glb", marks=pytest.mark.slow),
+        "torus-two-noisy.gltf",
+        "sphere-exr-clean.obj",
+    ],
 )
 def test_a_model_without_exposure_steps_keeps_every_bit(name):
     scene = ExposureScene.of(SAMPLES / name)
@@ -62,12 +69,14 @@ def test_a_model_without_exposure_steps_keeps_every_bit(name):
     assert found.exposures is None
 
 
+@pytest.mark.slow
 def test_the_mean_stays(head):
     _, exposed = head.exposed(1)
     after, _ = head.levelled(exposed)
     assert after.mean(axis=0) == pytest.approx(exposed.mean(axis=0), abs=0.2 / 255)
 
 
+@pytest.mark.slow
 def test_reference_charts_keep_every_bit_and_give_the_others_their_exposure(head):
     truth, exposed = head.exposed(1)
     fixed = np.arange(head.samples.atlas.charts) == 3
@@ -78,6 +87,7 @@ def test_reference_charts_keep_every_bit_and_give_the_others_their_exposure(head
     assert np.sqrt(np.mean(np.square(after - truth))) < 0.25 * np.sqrt(np.mean(np.square(exposed - truth)))
 
 
+@pytest.mark.slow
 def test_half_the_strength_goes_half_the_way(head):
     _, exposed = head.exposed(1)
     whole, half = (head.levelled(exposed, strength)[0] for strength in (1.0, 0.5))
@@ -92,6 +102,7 @@ def stripes(scene, chart):
     return inside, pattern
 
 
+@pytest.mark.slow
 def test_painted_edges_along_seams_move_by_less_than_a_step(head):
     inside, pattern = stripes(head, 5)
     painted_head = ExposureScene(head.samples, head.truth.copy())

@@ -174,6 +174,7 @@ def test_vertices_without_a_colour_stay_white_and_do_not_count(tmp_path):
     assert len(document.contents().offsets) - 1 > len(painted.faces)  # the surface itself has no hole
 
 
+@pytest.mark.slow
 def test_turned_mirrored_and_scaled_grids_give_the_same_colours(tmp_path):
     values, steps, _ = sphere(0.3)
     colours = RANDOM.random((3, *values.shape)).astype(np.float32)

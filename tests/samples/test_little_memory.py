@@ -127,6 +127,7 @@ def test_parameters_are_chosen_once_for_all_groups(tmp_path, monkeypatch):
     assert np.abs(np.array(groups) - np.array(whole)).mean() < 0.5  # of 255
 
 
+@pytest.mark.slow
 def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
     """Noise that grows with the level is made even, as on the whole, although no group alone shows all levels."""
     side = 96
@@ -154,7 +155,7 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
         assert np.array_equal(other.sigma, first.sigma)
 
 
-@pytest.mark.parametrize("noise", ["12", "shot:0.002,read:0.03"])
+@pytest.mark.parametrize("noise", ["12", pytest.param("shot:0.002,read:0.03", marks=pytest.mark.slow)])
 def test_groups_take_the_noise_that_is_given(tmp_path, monkeypatch, noise):
     model = tiled_model(tmp_path / "in", size=SIDE)
     settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=noise))
@@ -189,6 +190,7 @@ def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_
     assert results[0]["new_skin.1023.png"] != (tmp_path / "in" / "skin.1023.png").read_bytes()
 
 
+@pytest.mark.slow
 def test_images_inside_a_file_count_as_memory(tmp_path, on_disk):
     """Those of a GLB stay in memory, as they are and as they are written; so there is a group more for a byte less."""
     smooth_file(tiled_model(tmp_path / "in", size=SIDE), tmp_path / "model.glb", GIVEN, iterations=0)
