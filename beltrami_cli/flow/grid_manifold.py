@@ -19,12 +19,11 @@ from beltrami_cli.flow.clipping import find_clipped_on_canvas
 from beltrami_cli.flow.coarse_levels import denoise_means, left_for_cells, squares_for
 from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
-from beltrami_cli.flow.kernel_work import KernelWork
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.grid_scales import GridNoise, estimate_sigma_on_grid, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
-from beltrami_cli.flow.records import NewColours
+from beltrami_cli.flow.records import KernelWork, NewColours
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo

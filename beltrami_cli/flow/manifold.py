@@ -27,11 +27,10 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.geometry import MovingPositions
-    from beltrami_cli.flow.kernel_work import KernelWork
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Partition
-    from beltrami_cli.flow.records import Averaged, Mixing, NewColours, SampledKernel, Step
+    from beltrami_cli.flow.records import Averaged, KernelWork, Mixing, NewColours, SampledKernel, Step
     from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
     from beltrami_cli.flow.search_range import Rule, SearchRange
 

@@ -9,13 +9,12 @@ import numpy as np
 
 from beltrami_cli.flow.clipping import find_clipped
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
-from beltrami_cli.flow.kernel_work import MeshWork, without_hubs
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
 from beltrami_cli.flow.noise.by_place import relative_to_mean
 from beltrami_cli.flow.noise.mesh import estimate_sigma, find_relative, find_stabiliser
-from beltrami_cli.flow.records import NewColours
+from beltrami_cli.flow.records import MeshWork, NewColours, without_hubs
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs

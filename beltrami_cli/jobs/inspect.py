@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.recolour import open_input
-from beltrami_cli.samples.memory_check import checked_memory, memory_beside
-from beltrami_cli.samples.reports import atlas_counts
+from beltrami_cli.samples.memory_check import checked_memory, memory_beside, too_many_together
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures, only_textures
@@ -103,8 +102,11 @@ def _too_many_together(
         return {}
     chosen = {slot: choose_textures(document.textured(slot), settings.textures) for slot in selection.slots}
     memory = memory_beside(document, access)
-    groups = {slot: TileGroups.of(surface, memory) for slot, surface in chosen.items()}
-    return {slot: each for slot, each in groups.items() if each is not None}
+    return {
+        slot: TileGroups(surface, *many)
+        for slot, surface in chosen.items()
+        if (many := too_many_together(surface.textures, memory)) is not None
+    }
 
 
 def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
@@ -116,7 +118,7 @@ def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSetting
     for index in range(len(groups.surface.textures)):
         samples = TexelSamples(only_textures(groups.surface, [index]), slot, plain)
         images += cast("list[object]", samples.describe()["images"])
-        counts.update(atlas_counts(samples.atlas))
+        counts.update(samples.atlas.counts)
     return {**facts, "images": images, **counts}
 
 

@@ -12,8 +12,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.jobs.job import PLAIN_JOB, peak_memory
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.smoothing import Levelling
-from beltrami_cli.samples.reports import describe_settings
-from beltrami_cli.samples.settings import DEFAULTS, LevelSettings
+from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, describe_settings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.job import Job

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from beltrami_cli.jobs.job import peak_memory
 from beltrami_cli.samples.levelled_charts import photographs_of
-from beltrami_cli.samples.reports import SlotReport, describe_settings
+from beltrami_cli.samples.reports import SlotReport
 from beltrami_cli.samples.samples import Change
 from beltrami_cli.samples.selection import require_geometry, require_scale
-from beltrami_cli.samples.settings import LevelSettings
+from beltrami_cli.samples.settings import LevelSettings, describe_settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

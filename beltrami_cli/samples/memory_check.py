@@ -110,6 +110,16 @@ def fit_in_files(sizes: Iterable[ImageSize], memory: int) -> bool:
     return largest + TEXEL_BYTES_ON_DISK * texels <= memory
 
 
+def too_many_together(textures: Sequence[Texture], memory: int | None) -> tuple[list[ImageSize], int] | None:
+    """Return the sizes of textures that do not fit together, not even in files, and the memory; None: they do."""
+    if memory is None or len(textures) < 2:
+        return None
+    sizes = [measure_image(texture.data, texture.name) for texture in textures]
+    known = [size for size in sizes if size is not None]  # of others the decoder says what is wrong
+    memory -= held_by_files(textures)
+    return None if len(known) < len(sizes) or fit_in_files(known, memory) else (known, memory)
+
+
 def memory_beside(document: Document, access: Access) -> int | None:
     """Return the bytes that are left beside a file; None: there is no limit."""
     return None if access.memory is None else access.memory - len(document.data)

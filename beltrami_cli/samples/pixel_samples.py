@@ -18,7 +18,7 @@ from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.reports import ImageReport, describe_kernel
+from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
     Grains,
@@ -27,6 +27,7 @@ from beltrami_cli.samples.samples import (
     Samples,
     as_jpeg,
     channel_numbers,
+    describe_kernel,
     encoded,
     refuse_options_of_meshes,
     store,

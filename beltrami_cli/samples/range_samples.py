@@ -10,8 +10,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import Guide, to_space
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
-from beltrami_cli.samples.reports import VertexReport, describe_kernel
-from beltrami_cli.samples.samples import Repainted, options_of_meshes
+from beltrami_cli.samples.samples import Repainted, describe_kernel, options_of_meshes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.records import NewColours
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
+    from beltrami_cli.samples.reports import VertexReport
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import PaintedVertices
 

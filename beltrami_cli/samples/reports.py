@@ -1,24 +1,9 @@
-"""What was asked for and done to the samples of a document; `dataclasses.asdict` of the records gives JSON types."""
+"""What was done to the samples of a document; `dataclasses.asdict` of the records gives JSON types."""
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
-
-if TYPE_CHECKING:
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.tuning.choice import Choice
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.atlas import Atlas
-
-_UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
-_UNSEEN = (
-    "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
-)
-_PARTS = ("textures", "image", "level_set", "embedding")
-# Per cent of texels with several places; fewer are due to rounding at the borders of charts.
-_WORTH_REPORTING = 1.0
+from typing import TypeAlias
 
 
 @dataclass(frozen=True)
@@ -185,54 +170,3 @@ class LevelReport:
 
 
 SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport
-
-
-def describe_settings(settings: SmoothSettings) -> dict[str, object]:
-    """Return what was asked for."""
-    return {
-        **dataclasses.asdict(settings.kernel),
-        "threads": settings.kernel.thread_count,
-        **{name: getattr(settings, name) for name in ("space", "channels", "on", "level_seams")},
-        **{name: dataclasses.asdict(getattr(settings, name)) for name in _PARTS},
-    }
-
-
-def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
-    """Return the parameters of the kernel that a flow uses."""
-    choice = describe_choice(flow.choice)
-    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
-    del used["free"]  # nothing is any more
-    return {
-        **used,
-        "patches": "on" if flow.takes_patches else "off",
-        "threads": settings.kernel.thread_count,
-        "space": settings.space,
-        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
-        **({"choice": choice} if choice else {}),
-    }
-
-
-def describe_choice(choice: Choice | None) -> dict[str, object] | None:
-    """Return what was chosen, and by what estimate."""
-    if choice is None:
-        return None
-    interval = None if choice.interval is None else list(choice.interval)
-    return {**dataclasses.asdict(choice), "doubt": list(choice.doubt), "interval": interval}
-
-
-def atlas_counts(atlas: Atlas) -> dict[str, int]:
-    """Return the numbers of charts, seams and texels of an atlas."""
-    return {name: getattr(atlas, name) for name in ("charts", "seams", "covered", "overlapped")}
-
-
-def atlas_notices(atlas: Atlas) -> tuple[str, ...]:
-    """Return notices about texels that are covered more than once, or not at all."""
-    if not len(atlas.owned_texels):
-        return (_UNSEEN if atlas.covered else _UNCOVERED,)
-    share = 100 * atlas.overlapped / max(1, atlas.covered)
-    if share < _WORTH_REPORTING:
-        return ()
-    return (
-        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
-        "charts); each was smoothed at one of them",
-    )

@@ -18,9 +18,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import Picture, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.samples.reports import LevelReport, SamplesReport, describe_choice
 from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS
-from beltrami_cli.surface.colour_values import store_integers
+from beltrami_cli.surface.atlas import store_integers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -31,8 +30,10 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
     from beltrami_cli.flow.parameters import Space
     from beltrami_cli.flow.records import NewColours
+    from beltrami_cli.flow.tuning.choice import Choice
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
+    from beltrami_cli.samples.reports import LevelReport, SamplesReport
     from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, TextureSettings
     from beltrami_cli.surface.atlas import Indices
     from beltrami_cli.surface.baking import Cells
@@ -194,6 +195,29 @@ class Samples(ABC):
     def named(self, values: Float64s) -> dict[str, float]:
         """Pair a value per channel with the channels' names."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+
+
+def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
+    """Return the parameters of the kernel that a flow uses."""
+    choice = describe_choice(flow.choice)
+    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
+    del used["free"]  # nothing is any more
+    return {
+        **used,
+        "patches": "on" if flow.takes_patches else "off",
+        "threads": settings.kernel.thread_count,
+        "space": settings.space,
+        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
+        **({"choice": choice} if choice else {}),
+    }
+
+
+def describe_choice(choice: Choice | None) -> dict[str, object] | None:
+    """Return what was chosen, and by what estimate."""
+    if choice is None:
+        return None
+    interval = None if choice.interval is None else list(choice.interval)
+    return {**dataclasses.asdict(choice), "doubt": list(choice.doubt), "interval": interval}
 
 
 @dataclass(frozen=True)

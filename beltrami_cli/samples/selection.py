@@ -100,19 +100,21 @@ def samples_of(
     if selection.vertices:
         yield vertex_samples(document, settings, access)
     if selection.slots:
-        from beltrami_cli.samples.memory_check import memory_beside
+        from beltrami_cli.samples.memory_check import memory_beside, too_many_together
         from beltrami_cli.samples.samples import SharedImages
         from beltrami_cli.samples.texel_colours import choose_textures
         from beltrami_cli.samples.texel_samples import TexelSamples
-        from beltrami_cli.samples.tile_groups import CommonChoice, TileGroups
 
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
         shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
         for slot, surface in zip(selection.slots, chosen, strict=True):
-            groups = TileGroups.of(surface, memory_beside(document, access)) if in_groups else None
-            if groups is None:
+            many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
+            if many is None:
                 yield TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
                 continue
+            from beltrami_cli.samples.tile_groups import CommonChoice, TileGroups
+
+            groups = TileGroups(surface, *many)
             common = CommonChoice.of(TexelSamples(groups.evenly_chosen(), slot, settings), settings)
             for group in groups.parted(common):
                 yield TexelSamples(group.surface, slot, common.settings, shared=shared, group=group)

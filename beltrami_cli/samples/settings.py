@@ -330,3 +330,14 @@ class SmoothSettings:
 
 
 DEFAULTS = SmoothSettings()
+_PARTS = ("textures", "image", "level_set", "embedding")
+
+
+def describe_settings(settings: SmoothSettings) -> dict[str, object]:
+    """Return what was asked for."""
+    return {
+        **dataclasses.asdict(settings.kernel),
+        "threads": settings.kernel.thread_count,
+        **{name: getattr(settings, name) for name in ("space", "channels", "on", "level_seams")},
+        **{name: dataclasses.asdict(getattr(settings, name)) for name in _PARTS},
+    }

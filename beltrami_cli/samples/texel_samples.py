@@ -18,7 +18,7 @@ from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
-from beltrami_cli.samples.reports import LevelReport, SlotReport, atlas_counts, atlas_notices, describe_kernel
+from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
 from beltrami_cli.surface import large_arrays
@@ -35,6 +35,13 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.tile_groups import TileGroup
+
+_UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
+_UNSEEN = (
+    "all texels on the surface have an opacity of 0, so nothing was smoothed; --alpha smooth counts them, too"
+)
+# Per cent of texels with several places; fewer are due to rounding at the borders of charts.
+_WORTH_REPORTING = 1.0
 
 
 class TexelSamples(samples.Samples):
@@ -158,7 +165,7 @@ class TexelSamples(samples.Samples):
         if not flow.parameters.iterations and not self.settings.level_seams:
             self._gutter = None  # what is not smoothed stays as it is
         self._is_smoothed = flow.parameters.iterations > 0
-        used, counts = self._used(flow, result), atlas_counts(self.atlas)
+        used, counts = self._used(flow, result), self.atlas.counts
         if self._group is not None:
             used |= self._group.common.described
             counts |= self._group.counts(self.atlas, self._written())
@@ -186,14 +193,14 @@ class TexelSamples(samples.Samples):
         return {
             "slot": self.slot,
             "images": described,
-            **atlas_counts(self.atlas),
+            **self.atlas.counts,
             "seams_between_textures": max(0, self.atlas.seams - seams),
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
             "noise": self.named(flow.manifold.noise),
             "noise_model": flow.noise_model,
             "exposure": exposure,
-            "smooth": describe_kernel(self.settings, flow),
+            "smooth": samples.describe_kernel(self.settings, flow),
         }
 
     def _alone(self, index: int) -> BeltramiFlow[GridManifold]:
@@ -220,7 +227,7 @@ class TexelSamples(samples.Samples):
 
     def repaint(self, new: NewColours) -> samples.Repainted:
         is_covered = len(self.atlas.owned_texels) > 0
-        notices = list(atlas_notices(self.atlas)) if self._is_smoothed or not is_covered else []
+        notices = _notices_of(self.atlas) if self._is_smoothed or not is_covered else []
         painter = self._painter(self._gutter)
         del self.atlas  # all on the canvas but the colours, before pictures as large are made
         suffix, changes = self.settings.textures.image_suffix, []
@@ -315,3 +322,16 @@ def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: Kern
     """Make the atlas of the texels of pictures, continued beyond seams as far as a kernel reads."""
     sizes = [(picture.pixels.shape[1], picture.pixels.shape[0]) for picture in pictures]
     return build_atlas(surface, sizes, canvas_margin(kernel), kernel.thread_count)
+
+
+def _notices_of(atlas: Atlas) -> list[str]:
+    """Return notices about texels that are covered more than once, or not at all."""
+    if not len(atlas.owned_texels):
+        return [_UNSEEN if atlas.covered else _UNCOVERED]
+    share = 100 * atlas.overlapped / max(1, atlas.covered)
+    if share < _WORTH_REPORTING:
+        return []
+    return [
+        f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
+        "charts); each was smoothed at one of them",
+    ]

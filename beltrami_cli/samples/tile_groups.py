@@ -17,9 +17,8 @@ import numpy as np
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
-from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.samples import memory_check
-from beltrami_cli.samples.reports import describe_choice
+from beltrami_cli.samples.samples import describe_choice
 from beltrami_cli.samples.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float64s, Int64s
     from beltrami_cli.flow.noise.grid_scales import GridNoise
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.image.reading import ImageSize
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import TexturedSurface
 
@@ -105,23 +105,11 @@ class CommonChoice:
 
 @dataclass(frozen=True)
 class TileGroups:
-    """Textures that do not fit into memory together, not even with all large arrays in files."""
+    """Textures that are `too_many_together`."""
 
     surface: TexturedSurface
     sizes: Sequence[ImageSize]
     memory: int
-
-    @classmethod
-    def of(cls, surface: TexturedSurface, memory: int | None) -> TileGroups | None:
-        """Take the textures of a surface; None if they fit."""
-        if memory is None or len(surface.textures) < 2:
-            return None
-        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
-        known = [size for size in sizes if size is not None]  # of others the decoder says what is wrong
-        memory -= memory_check.held_by_files(surface.textures)
-        if len(known) < len(sizes) or memory_check.fit_in_files(known, memory):
-            return None
-        return cls(surface, known, memory)
 
     def evenly_chosen(self) -> TexturedSurface:
         """Return the surface with textures spread evenly over all, as many as are worth smoothing together."""

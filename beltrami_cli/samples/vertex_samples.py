@@ -18,7 +18,7 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
-from beltrami_cli.samples.reports import LevelReport, VertexReport, describe_kernel
+from beltrami_cli.samples.samples import describe_kernel
 from beltrami_cli.surface.geometry import bounds
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
+    from beltrami_cli.samples.reports import LevelReport, VertexReport
     from beltrami_cli.samples.samples import Repainted
     from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from beltrami_cli._native import build_atlas as build_native_atlas
-from beltrami_cli._native import nearest_marked
+from beltrami_cli._native import nearest_marked, store_colours
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
@@ -76,6 +76,11 @@ class Atlas:
     seam_edges: int
     covered: int  # texels covered by the surface, and of these the texels covered more than once
     overlapped: int
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The numbers of charts, seams and texels."""
+        return {name: getattr(self, name) for name in ("charts", "seams", "covered", "overlapped")}
 
     @cached_property
     def halo_nearest(self) -> Indices:
@@ -298,6 +303,17 @@ def _scaled(colours: Array, share: Float32s) -> Array:
     if colours.dtype.kind != "f":
         scaled = np.minimum(np.rint(scaled), np.iinfo(colours.dtype).max)
     return scaled.astype(colours.dtype)
+
+
+def store_integers(
+    table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
+) -> tuple[float, float, float]:
+    """Put values into pixels of integers, in place; return sum, sum of squares and maximum of the changes."""
+    # What is beyond full scale is clipped; what is no number becomes 0.
+    rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
+    total, squares, largest = store_colours(table, pixels, rows, columns, threads)
+    one = float(np.iinfo(table.dtype).max)
+    return total / one, squares / one**2, largest / one
 
 
 def within(covered: Bools, reach: int) -> Bools:

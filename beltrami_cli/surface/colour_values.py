@@ -1,4 +1,4 @@
-"""Colours as numbers: the sRGB transfer function, rounding to integers, and values drawn as colours."""
+"""Colours as numbers: the sRGB transfer function, and values drawn as colours."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
-    from beltrami_cli.surface.atlas import Indices
 
 _SLOPE = 12.92  # of the straight piece near black
 _OFFSET = 0.055
@@ -53,19 +50,6 @@ def _magnitude(values: ArrayLike) -> tuple[Array, Float64s]:
 def _signed(size: Float64s, given: Array) -> NDArray[np.floating[Any]]:
     values: Float64s = np.copysign(size, given)
     return values.astype(np.float32) if given.dtype == np.float32 else values
-
-
-def store_integers(
-    table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
-) -> tuple[float, float, float]:
-    """Put values into pixels of integers, in place; return sum, sum of squares and maximum of the changes."""
-    # What is beyond full scale is clipped; what is no number becomes 0.
-    from beltrami_cli._native import store_colours
-
-    rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
-    total, squares, largest = store_colours(table, pixels, rows, columns, threads)
-    one = float(np.iinfo(table.dtype).max)
-    return total / one, squares / one**2, largest / one
 
 
 def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, override, parameters
 from beltrami_cli.flow.parameters import TUNABLE
-from beltrami_cli.samples.reports import describe_settings
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings, describe_settings
 from beltrami_cli.view.pages import table
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
-from beltrami_cli.flow.kernel_work import LOG
 from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS
-from beltrami_cli.flow.records import Step
+from beltrami_cli.flow.records import LOG, Step
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
 
 if TYPE_CHECKING:

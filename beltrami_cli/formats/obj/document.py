@@ -4,31 +4,42 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
+import os
 from functools import cached_property, partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.document import Document, Fingerprint, NamedImage, Written
-from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.document import Bytes, Document, Fingerprint, NamedImage, Written
+from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference, path_inside
 from beltrami_cli.formats.obj.materials import Materials
-from beltrami_cli.formats.obj.patching import new_colours, new_positions, renumbered, repainted
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates, read_textured_mesh
-from beltrami_cli.formats.obj.vertices import Scan, among, read_normals, repainted_entries, scan_file
-from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
+from beltrami_cli.formats.obj.vertices import (
+    Scan,
+    among,
+    new_colours,
+    new_positions,
+    read_normals,
+    renumbered,
+    repainted_entries,
+    scan_file,
+)
+from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, new_files, slots_by_path
 from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
+from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.document import Changes, Naming
+    from beltrami_cli.formats.document import Changes, Naming, NewImages
+    from beltrami_cli.formats.obj.materials import Library, Map
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
@@ -84,7 +95,7 @@ class ObjDocument(Document):
         beside = Written([])
         spans: Spans = {}
         if new.images or naming.copies:
-            beside, spans = repainted(self._materials, new.images, self.name, naming)
+            beside, spans = _repainted(self._materials, new.images, self.name, naming)
         data = exchange_spans(self.data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -241,3 +252,98 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             if path is not None and not tiles:
                 paintings[label] = NamedImage(found.name, partial(materials.read, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
+
+
+def _repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
+    """Return the files beside an OBJ file, without the file itself, and the new names in it."""
+    missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
+    names = NewNames(naming, source, materials.paths, missing)
+    sidecars: dict[str, Bytes] = {}
+    copies: dict[str, str] = {}
+    edits = _take_images(materials, images, names, sidecars, copies)
+    if names.copies:
+        copies |= _copy_images(materials, names, edits)
+    spans: Spans = {}
+    for library in materials.libraries:
+        own = edits.get(library.path, {})
+        outside = is_outside(library.path)
+        is_new = bool(own) and (outside or exchange_spans(library.data, own) != library.data)
+        if not is_new and (outside or not names.copies):
+            continue
+        if outside:
+            _take_along(materials, library, own, sidecars, names)
+        new = names.other(library.path, ".mtl")
+        for name, start, end in library.mentions:
+            spans[start, end] = new_reference(name, library.path, new)
+        if is_new:
+            sidecars[new] = exchange_spans(library.data, own)
+        else:
+            copies[new] = library.path
+    return Written([], sidecars, copies=copies), spans
+
+
+def _take_images(
+    materials: Materials,
+    images: NewImages,
+    names: NewNames,
+    sidecars: dict[str, Bytes],
+    copies: dict[str, str],
+) -> dict[str, Spans]:
+    """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
+    edits: dict[str, Spans] = {}
+    for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
+        # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
+        maps = [each for slot in slots for each in materials.affected(slot, path)]
+        affected = list({id(found): (library, found) for library, found in maps}.values())
+        # Its name is free only if no map that keeps the old image has it.
+        is_replaced = len(affected) == materials.uses(path)
+        suffix = common_suffix(image.suffix for _, image in files)
+        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.tiles.get(path, ()))
+        new_of = new_files(path, new, materials.tiles)
+        sidecars |= {new_of.pop(file): image.content for file, image in files}
+        copies |= {file: old for old, file in new_of.items() if file != old}
+        for library, found in affected:
+            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
+    return edits
+
+
+def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans]) -> dict[str, str]:
+    """Name the images that stay as they are, in libraries inside the folder; return the old paths by the new ones."""
+    new_of: dict[str, str] = {}
+    for library in materials.libraries:
+        for found, path in library.maps:
+            if path is None or is_outside(path) or is_outside(library.path):
+                continue
+            own = edits.setdefault(library.path, {})
+            if (found.start, found.end) not in own:
+                if path not in new_of:
+                    new_of[path] = names.image(path, tiles=materials.tiles.get(path, ()))
+                own[found.start, found.end] = _spelled(found, path, new_of[path], library)
+    files = [new_files(path, new, materials.tiles) for path, new in new_of.items()]
+    return {file: old for of_path in files for old, file in of_path.items()}
+
+
+def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
+    """Return how a library names an image that was at one path and is to be at another."""
+    climbs = ".." in PurePosixPath(found.name.replace("\\", "/")).parts
+    if is_outside(path) or is_outside(library.path) or (climbs and new != path):
+        home = PurePosixPath(path_inside(library.path)).parent
+        return os.fsencode("../" * len(home.parts) + new)
+    return new_reference(found.name, path, new)
+
+
+def _take_along(
+    materials: Materials, library: Library, edits: Spans, sidecars: dict[str, Bytes], names: NewNames
+) -> None:
+    """Make a library from outside the folder, which is written inside, find its other images from there."""
+    copies: dict[str, str] = {}
+    for found, path in library.maps:
+        if path is None or (found.start, found.end) in edits:
+            continue
+        if path not in copies:
+            is_copied = is_outside(path) or names.copies
+            copies[path] = names.image(path, tiles=materials.tiles.get(path, ())) if is_copied else path
+            if is_copied:
+                new_of = new_files(path, copies[path], materials.tiles)
+                sidecars |= {file: materials.read(old) for old, file in new_of.items()}
+        edits[found.start, found.end] = os.fsencode(copies[path])

@@ -1,4 +1,4 @@
-"""The vertices of an OBJ file: positions, and the colours that are common behind them or come from ZBrush.
+"""The vertices of an OBJ file: positions, the colours that are common behind them or come from ZBrush, and new ones.
 
 Numbers of a `v` line: six are x y z r g b, and eight x y z w r g b a. Seven are x y z r g b a, unless all such lines
 of the file have 1 as the fourth number and not all of them 1 as the seventh: then they are x y z w r g b. With three
@@ -18,21 +18,30 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj.statements import Statements
+from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.surface.geometry import unit_vectors
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+    from beltrami_cli.formats.document import Bytes
 
 _SIZES = (3, 4, 5, 6, 7, 8)
 _PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
 
 MARK = b"#MRGB"
 _LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
-_DIGITS = 8  # of an entry of polypaint
+_ENTRY = 8  # digits of an entry of polypaint
 _UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABCDEF", b"0123456789abcdef"))
 # By ASCII code, the value of a hexadecimal digit, 255 for anything else.
 _VALUES = np.full(256, 255, np.uint8)
 _VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
+
+# Of new numbers.
+_DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
+_DIGITS = 8  # of the largest coordinate, at least: a little more than float32 has
+_MOST_DECIMALS = 17
 
 
 @dataclass(frozen=True)
@@ -101,17 +110,17 @@ def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     lines = [match.span(1) for match in _LINE.finditer(data)]
     if not lines:
         return None
-    starts = np.concatenate([np.arange(begin, end, _DIGITS) for begin, end in lines])
+    starts = np.concatenate([np.arange(begin, end, _ENTRY) for begin, end in lines])
     text = np.frombuffer(data, np.uint8)
     if len(starts) != vertices:
         cause = f"there are {len(starts)} colours in its #MRGB lines, but {vertices} vertices"
         raise InputError(name, cause, "export the mesh again")
     for begin, end in lines:
-        if (end - begin) % _DIGITS or (_VALUES[text[begin:end]] > 15).any():
+        if (end - begin) % _ENTRY or (_VALUES[text[begin:end]] > 15).any():
             line = data.count(b"\n", 0, begin) + 1
-            cause = f"line {line}: its #MRGB colours are not of {_DIGITS} hexadecimal digits each"
+            cause = f"line {line}: its #MRGB colours are not of {_ENTRY} hexadecimal digits each"
             raise InputError(name, cause)
-    digits = _VALUES[text[starts[:, None] + np.arange(2, _DIGITS)]].reshape(-1, 3, 2)
+    digits = _VALUES[text[starts[:, None] + np.arange(2, _ENTRY)]].reshape(-1, 3, 2)
     return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
 
 
@@ -131,13 +140,73 @@ def painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> 
 def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: Bools) -> bytes:
     """Exchange the digits of the colours that changed, (N, 3), rounded to 8 bit; every other byte stays."""
     text = np.frombuffer(data, np.uint8).copy()
-    written = text[starts[:, None] + np.arange(_DIGITS)]
+    written = text[starts[:, None] + np.arange(_ENTRY)]
     digits = _LOWER if (written >= ord("a")).any() else _UPPER
     rows, channels = np.nonzero(changed)
     values = np.rint(np.clip(colours[rows, channels].astype(np.float64), 0, 1) * 255).astype(np.uint8)
     places = starts[rows] + 2 + 2 * channels
     text[places], text[places + 1] = digits[values >> 4], digits[values & 15]
     return text.tobytes()
+
+
+@dataclass(frozen=True)
+class NewNumbers:
+    """Tokens of a file and the numbers that replace them."""
+
+    starts: Int64s  # (K,) where the tokens stand
+    ends: Int64s
+    values: Float64s
+    decimals: int
+
+
+def new_colours(
+    data: bytes, starts: Int64s, ends: Int64s, colours: Float32s, changed: Bools, scale: float
+) -> NewNumbers:
+    """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
+    values = colours[changed].astype(np.float64) * scale
+    decimals = 0
+    found = _most_decimals(data, starts, ends) if len(values) else 0
+    if found < 0 and scale != 1:
+        values = np.clip(np.rint(values), 0, scale)
+    else:
+        least, most = _DECIMALS[scale]
+        decimals = min(max(found, least), most)
+    return NewNumbers(starts[changed], ends[changed], values, decimals)
+
+
+def new_positions(
+    data: bytes, starts: Int64s, ends: Int64s, positions: Float64s, changed: Bools
+) -> NewNumbers:
+    """Spell the coordinates that changed with as many decimals as the old ones, and no less than float32 has."""
+    largest = float(np.abs(positions).max(initial=0)) or 1.0
+    enough = _DIGITS - 1 - int(np.floor(np.log10(largest)))
+    found = _most_decimals(data, starts, ends) if changed.any() else 0
+    decimals = min(max(found, enough, 0), _MOST_DECIMALS)
+    return NewNumbers(starts[changed], ends[changed], positions[changed], decimals)
+
+
+def renumbered(data: bytes, parts: Sequence[NewNumbers]) -> list[Bytes]:
+    """Exchange tokens for numbers, each token once, and keep every other byte; return the file in pieces."""
+    starts = np.concatenate([part.starts for part in parts])
+    if not len(starts):
+        return [data]
+    ends = np.concatenate([part.ends for part in parts])
+    values = np.concatenate([part.values for part in parts])
+    decimals = np.repeat([part.decimals for part in parts], [len(part.starts) for part in parts])
+    order = np.argsort(starts)
+
+    def spell(block: slice) -> list[bytes]:
+        chosen = order[block]
+        pairs = zip(decimals[chosen].tolist(), values[chosen].tolist(), strict=True)
+        return [b"%.*f" % pair for pair in pairs]
+
+    return [*exchange_tokens(data, starts[order], ends[order], spell)]
+
+
+def _most_decimals(data: bytes, starts: Int64s, ends: Int64s) -> int:
+    """Return how many characters stand behind the point at most; negative if no token has one."""
+    points = np.append(np.flatnonzero(np.frombuffer(data, np.uint8) == ord(".")), len(data))
+    return int((ends - points[np.searchsorted(points, starts)] - 1).max())
 
 
 _DROPPED = {
