@@ -5,9 +5,9 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
 - The constructor takes the bytes, the name for messages, the folder of sidecar files (None: there are none, as for
   standard input) and the `Access`, and calls `_open` with the folder. Files may be parsed lazily, and every count is
   held against the length of the data before anything is allocated.
-- `_painted`, `_patched`, `contents` and `facts` are required; the others have defaults for a format without textures,
-  files beside it, range images, further attributes or movable vertices. With textures, `slots` and `_gathered` are
-  required, too; `formats/textured_mesh.py` collects their images.
+- `_mesh` or `_painted`, `_patched`, `contents` and `facts` are required; the others have defaults for a format without
+  textures, files beside it, range images, further attributes or movable vertices. With textures, `slots` and
+  `_gathered` are required, too; `formats/textured_mesh.py` collects their images.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """
@@ -17,10 +17,13 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.records import PaintedVertices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -132,13 +135,26 @@ class Document(ABC):
         """Read what must be sound in every file of the format."""
         del folder  # for formats that refer to files beside them
 
-    def painted(self) -> records.PaintedVertices:
+    def painted(self) -> PaintedVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
         return self._painted
 
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        mesh = self._mesh
+        faces = triangulate(mesh.positions, mesh.corners, mesh.offsets)
+        return PaintedVertices(
+            mesh.positions, faces, mesh.colours, self._channels, mesh.encoding, mesh.stored
+        )
+
     @property
-    @abstractmethod
-    def _painted(self) -> records.PaintedVertices: ...
+    def _mesh(self) -> records.MeshContents:
+        """The polygons and their colours, with whatever else of `contents` costs nothing."""
+        raise NotImplementedError
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return ("red", "green", "blue")
 
     def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""

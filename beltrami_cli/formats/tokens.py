@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -21,7 +22,9 @@ PLACEHOLDER = b"\0"
 Spans = dict[tuple[int, int], bytes]
 """New bytes by where the old ones start and end."""
 
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
+_MOST_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
 _BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the pieces take
 
@@ -56,6 +59,65 @@ def require_short_lines(text: bytes, name: str) -> None:
                 line = text.count(b"\n", 0, begin) + 1
                 cause = f"line {line} has more than {_LONGEST_LINE} characters"
                 raise InputError(name, cause, "write one record a line")
+
+
+def without_comments(text: bytes, *marks: bytes) -> bytes:
+    """Blank a byte order mark, and what stands from a mark to its line's end; every other byte stays at its place."""
+    if text.startswith(_BYTE_ORDER_MARK):
+        text = b"   " + text[3:]
+    if any(mark in text for mark in marks):
+        text = re.sub(rb"(?:%s)[^\r\n]*" % b"|".join(marks), lambda found: b" " * len(found[0]), text)
+    return text
+
+
+class Lines:
+    """The tokens of a file by lines: line l, of those that have any, has the tokens `heads[l]` to `stops[l]`."""
+
+    def __init__(self, data: bytes, text: bytes, name: str) -> None:
+        """Find them in `text`, which is the data but for blanks in place of what is no token."""
+        require_short_lines(text, name)
+        self.data, self.name = data, name
+        self.characters = np.frombuffer(text, np.uint8)
+        self.starts, self.ends = find_tokens(text)
+        line_ends = np.flatnonzero(self.characters == ord("\n"))
+        if b"\r" in text:
+            line_ends = np.union1d(line_ends, np.flatnonzero(self.characters == ord("\r")))
+        # The tokens before a line end are those that start before it.
+        stops = np.append(np.searchsorted(self.starts, line_ends), len(self.starts))
+        heads = np.append(0, stops[:-1])
+        self.heads, self.stops = heads[heads < stops], stops[heads < stops]
+
+    def numbers(self, tokens: Int64s) -> Float64s:
+        """Read tokens, given in file order, as numbers; InputError if one is none."""
+        if not tokens.size:
+            return np.empty(0)
+        begin, end = int(self.starts[tokens[0]]), int(self.ends[tokens[-1]])
+        only = self.characters[begin:end]
+        if len(tokens) <= tokens[-1] - tokens[0]:  # there are others among them
+            inside = np.zeros(end - begin + 1, np.int8)
+            inside[self.starts[tokens] - begin] = 1
+            inside[self.ends[tokens] - begin] = -1
+            np.cumsum(inside, out=inside)
+            only = np.where(inside[:-1].view(np.bool_), only, np.uint8(ord(" ")))
+        values = read_numbers(only.tobytes())
+        if len(values) < len(tokens):
+            raise self.error(tokens[len(values)], "is no number")
+        return values
+
+    def word(self, token: int | np.int64) -> bytes:
+        """Return a token."""
+        return self.data[int(self.starts[token]) : int(self.ends[token])]
+
+    def error(self, token: int | np.int64, cause: str) -> InputError:
+        """Return an error about a token, with its line."""
+        shown = self.word(token)[:_MOST_SHOWN].decode("ascii", "backslashreplace")
+        printable = "".join(c if c.isprintable() else "?" for c in shown)
+        return InputError(self.name, f"line {self.line(token)}: '{printable}' {cause}")
+
+    def line(self, token: int | np.int64) -> int:
+        """Return the number of the line that a token stands on, from 1."""
+        before = self.data[: int(self.starts[token])]
+        return max(before.count(b"\n"), before.count(b"\r")) + 1
 
 
 def read_numbers(text: bytes) -> Float64s:

@@ -30,8 +30,7 @@ from beltrami_cli.formats.obj.vertices import (
 )
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, new_files, slots_by_path
 from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
-from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
+from beltrami_cli.surface.records import MeshContents, VertexColours
 from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.obj.texturing import Coordinates
     from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
 
-_CHANNELS = ("red", "green", "blue")
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
@@ -60,18 +58,10 @@ class ObjDocument(Document):
         self._folder = ModelFolder(folder, self.access)
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
+    def _mesh(self) -> MeshContents:
         colours = self._colours
         positions = self._scan.vertices.positions[self._scan.vertices.coloured]
-        corners, offsets = self._polygons
-        return PaintedVertices(
-            positions=positions,
-            faces=triangulate(positions, corners, offsets),
-            colours=colours,
-            channels=_CHANNELS,
-            encoding="srgb",
-            stored=self._stored,
-        )
+        return MeshContents(positions, *self._polygons, colours, "srgb", self._stored)
 
     @property
     def _stored(self) -> str:
@@ -136,19 +126,7 @@ class ObjDocument(Document):
         return self._materials.paths
 
     def contents(self) -> MeshContents:
-        colours = self._colours
-        vertices = self._scan.vertices
-        corners, offsets = self._polygons
-        return MeshContents(
-            positions=vertices.positions[vertices.coloured],
-            corners=corners,
-            offsets=offsets,
-            colours=colours,
-            encoding="srgb",
-            stored=self._stored,
-            alpha=self._alpha(),
-            left_out=self._scan.dropped,
-        )
+        return dataclasses.replace(self._mesh, alpha=self._alpha(), left_out=self._scan.dropped)
 
     def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         statements, vertices = Statements(self.data, self.name), self._scan.vertices

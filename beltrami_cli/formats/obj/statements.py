@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
-from beltrami_cli.formats.tokens import blocks, find_tokens, read_numbers, require_short_lines
+from beltrami_cli.formats.tokens import Lines, blocks, without_comments
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float64s, Int64s
@@ -23,32 +22,20 @@ _INDICES = {b"v": (0, "vertex"), b"vt": (1, "texture coordinates"), b"vn": (2, "
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _BLOCK = 1 << 18  # indices read at a time, which bounds the memory for their digits
 
 
-class Statements:
+class Statements(Lines):
     """The statements of a file: s has the keyword `heads[s]` and the tokens up to `stops[s]`."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        self._data, self._name = data, name
-        text = _plain(data)
-        require_short_lines(text, name)
-        self._characters = np.frombuffer(text, np.uint8)
-        self.starts, self.ends = find_tokens(text)
-        line_ends = np.flatnonzero(self._characters == ord("\n"))
-        if b"\r" in text:
-            line_ends = np.union1d(line_ends, np.flatnonzero(self._characters == ord("\r")))
-        # The tokens before a line end are those that start before it; the text ends with one.
-        stops = np.searchsorted(self.starts, line_ends)
-        heads = np.concatenate([[0], stops[:-1]])
-        self.heads, self.stops = heads[heads < stops], stops[heads < stops]
+        super().__init__(data, _plain(data), name)
 
     def select(self, keyword: bytes) -> Int64s:
         """Return which statements have a keyword, in file order."""
         chosen = np.flatnonzero(self.ends[self.heads] - self.starts[self.heads] == len(keyword))
         for place, character in enumerate(keyword):
-            chosen = chosen[self._characters[self.starts[self.heads[chosen]] + place] == character]
+            chosen = chosen[self.characters[self.starts[self.heads[chosen]] + place] == character]
         return chosen
 
     def arguments(self, chosen: Int64s) -> tuple[Int64s, Int64s]:
@@ -58,22 +45,6 @@ class Statements:
         offsets = np.zeros(len(chosen) + 1, np.int64)
         np.cumsum(sizes, out=offsets[1:])
         return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
-
-    def numbers(self, tokens: Int64s) -> Float64s:
-        """Read tokens, given in file order, as numbers; InputError if one is none."""
-        if not tokens.size:
-            return np.empty(0)
-        begin, end = int(self.starts[tokens[0]]), int(self.ends[tokens[-1]])
-        inside = np.zeros(end - begin + 1, np.int8)
-        inside[self.starts[tokens] - begin] = 1
-        inside[self.ends[tokens] - begin] = -1
-        np.cumsum(inside, out=inside)
-        only = np.full(end - begin, ord(" "), np.uint8)
-        np.copyto(only, self._characters[begin:end], where=inside[:-1].view(np.bool_))
-        values = read_numbers(only.tobytes())
-        if len(values) < len(tokens):
-            raise self.error(tokens[len(values)], "is no number")
-        return values
 
     def finite_numbers(self, tokens: Int64s) -> Float64s:
         """Read tokens as `numbers` does; InputError if one is not finite."""
@@ -110,13 +81,13 @@ class Statements:
         """Read the whole numbers that tokens have behind their first or second "/"; 0 where there is none."""
         of = "texture coordinates" if slash == 1 else "a normal"
         values = np.zeros(len(tokens), np.int64)
-        ends = np.full(slash, len(self._characters))
-        slashes = np.append(np.flatnonzero(self._characters == ord("/")), ends)
+        ends = np.full(slash, len(self.characters))
+        slashes = np.append(np.flatnonzero(self.characters == ord("/")), ends)
         for block in blocks(len(tokens), _BLOCK):
             chosen = tokens[block]
             begins = slashes[np.searchsorted(slashes[:-slash], self.starts[chosen]) + slash - 1] + 1
             given = begins < self.ends[chosen]
-            given[given] = self._characters[begins[given]] != ord("/")
+            given[given] = self.characters[begins[given]] != ord("/")
             cause = f"has no index of {of} behind its {'first' if slash == 1 else 'second'} '/'"
             values[block][given], zeros = self._whole(chosen[given], begins[given], cause)
             if zeros.any():
@@ -127,19 +98,19 @@ class Statements:
     def _whole(self, tokens: Int64s, first: Int64s, cause: str) -> tuple[Int64s, Bools]:
         """Read whole numbers that start at some places in tokens; return them, and which of them are 0."""
         ends = self.ends[tokens]
-        negative = self._characters[first] == ord("-")
+        negative = self.characters[first] == ord("-")
         at = first + negative
         begin = at.copy()
         values = np.zeros(len(tokens), np.int64)
         going = np.ones(len(tokens), np.bool_)
         for _ in range(_DIGITS):
-            digits = self._characters[at] - np.uint8(ord("0"))
+            digits = self.characters[at] - np.uint8(ord("0"))
             going &= digits < 10
             if not going.any():
                 break
             values = np.where(going, 10 * values + digits, values)
             at += going
-        wrong = (at == begin) | ((at < ends) & (self._characters[at] != ord("/")))
+        wrong = (at == begin) | ((at < ends) & (self.characters[at] != ord("/")))
         if wrong.any():
             raise self.error(tokens[int(np.argmax(wrong))], cause)
         return np.where(negative, -values, values), values == 0
@@ -147,41 +118,14 @@ class Statements:
     def rest(self, statement: int | np.int64) -> tuple[bytes, int]:
         """Return what stands behind the keyword of a statement up to the end of its line, untouched, and where."""
         begin = int(self.ends[self.heads[statement]])
-        found = _LINE_END.search(self._data, begin)
-        line = self._data[begin : found.start() if found else len(self._data)]
+        found = _LINE_END.search(self.data, begin)
+        line = self.data[begin : found.start() if found else len(self.data)]
         return line.strip(), begin + len(line) - len(line.lstrip())
-
-    def error(self, token: int | np.int64, cause: str) -> InputError:
-        """Return an error about a token, with its line."""
-        word = self._data[int(self.starts[token]) : int(self.ends[token])][:40]
-        shown = word.decode("ascii", "backslashreplace")
-        printable = "".join(c if c.isprintable() else "?" for c in shown)
-        return InputError(self._name, f"line {self.line(token)}: '{printable}' {cause}")
-
-    def line(self, token: int | np.int64) -> int:
-        """Return the number of the line that a token stands on, from 1."""
-        before = self._data[: int(self.starts[token])]
-        return max(before.count(b"\n"), before.count(b"\r")) + 1
 
 
 def _plain(data: bytes) -> bytes:
     """Blank comments, a byte order mark and joints of continued lines, and end with a line end; no byte moves."""
-    text = data if data.endswith(b"\n") else data + b"\n"
-    if text.startswith(_BYTE_ORDER_MARK):
-        text = b"   " + text[3:]
-    if b"#" in text:
-        text = _without_comments(text)
+    text = without_comments(data if data.endswith(b"\n") else data + b"\n", b"#")
     if b"\\" in text:
         text = text.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
     return text if text.endswith(b"\n") else text + b"\n"
-
-
-def _without_comments(text: bytes) -> bytes:
-    plain = bytearray(text)
-    begin = text.find(b"#")
-    while begin >= 0:
-        line_end = _LINE_END.search(text, begin)
-        end = line_end.start() if line_end else len(text)
-        plain[begin:end] = b" " * (end - begin)
-        begin = text.find(b"#", end)
-    return bytes(plain)

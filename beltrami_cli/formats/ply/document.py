@@ -17,8 +17,7 @@ from beltrami_cli.formats.ply.header import Header, read_header
 from beltrami_cli.formats.ply.tables import Table, read_tables
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, PaintedVertices, VertexColours
+from beltrami_cli.surface.records import MeshContents, VertexColours
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -37,17 +36,15 @@ class PlyDocument(Document):
         self._header = read_header(self.data, self.name)
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
+    def _mesh(self) -> MeshContents:
         corners, offsets = self._polygons
         positions = self._positions if len(corners) else self._measured
-        return PaintedVertices(
-            positions=positions,
-            faces=triangulate(positions, corners, offsets),
-            colours=self._colours.values,
-            channels=self._paint.channels,
-            encoding="srgb",
-            stored=str(np.dtype(self._paint.type)),
-        )
+        stored = str(np.dtype(self._paint.type))
+        return MeshContents(positions, corners, offsets, self._colours.values, "srgb", stored)
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return self._paint.channels
 
     def grid(self) -> Int64s | None:
         return elements.read_grid(self.data[: self._header.end], self._tables, self.name)
@@ -111,17 +108,12 @@ class PlyDocument(Document):
         return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
-        corners, offsets = self._polygons
         has_normals = self._kinds.keys() >= {*elements.NORMAL}
         used = {*elements.POSITION, *self._paint.names, self._paint.alpha}
         used |= {*elements.NORMAL} if has_normals else set()
-        return MeshContents(
+        return dataclasses.replace(
+            self._mesh,
             positions=self._positions,
-            corners=corners,
-            offsets=offsets,
-            colours=self._colours.values,
-            encoding="srgb",
-            stored=str(np.dtype(self._paint.type)),
             alpha=self._alpha(),
             normals=self._normals() if has_normals else None,
             left_out=_left_out(self._header, used),

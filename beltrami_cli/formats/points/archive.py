@@ -19,6 +19,7 @@ they are.
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import math
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ from beltrami_cli.formats.colours import display_colours, intensity_scale, left_
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,16 +89,16 @@ class NpzPointsDocument(Document):
         self._archive = NpzArchive(self.data, self.name)
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
-        grey = "intensity" if self._arrays.is_intensity else "grey"
-        return PaintedVertices(
-            positions=self._positions[self._measured],
-            faces=self._faces,
-            colours=self._colours,
-            channels=("red", "green", "blue") if self._arrays.channels == 3 else (grey,),
-            encoding="srgb",
-            stored=str(self._stored.dtype),
-        )
+    def _mesh(self) -> MeshContents:
+        positions, faces = self._positions[self._measured], self._faces
+        corners, offsets = faces.ravel(), 3 * np.arange(len(faces) + 1)
+        return MeshContents(positions, corners, offsets, self._colours, "srgb", str(self._stored.dtype))
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        if self._arrays.channels == 3:
+            return super()._channels
+        return ("intensity",) if self._arrays.is_intensity else ("grey",)
 
     def grid(self) -> Int64s | None:
         if len(self._arrays.shape) != 2 or min(self._arrays.shape) < 2 or self._arrays.faces:
@@ -130,18 +131,13 @@ class NpzPointsDocument(Document):
         return Written([self._archive.with_array(key, stored.reshape(shape))])
 
     def contents(self) -> MeshContents:
-        painted, arrays = self.painted(), self._arrays
+        arrays = self._arrays
         used = {arrays.positions, arrays.colours, arrays.normals, arrays.faces}
         dropped = [f"the array {name}" for name in self._archive.names if name not in used]
         if len(self._measured) < arrays.count:
             dropped.append("points without a place")
-        return MeshContents(
-            positions=painted.positions,
-            corners=painted.faces.ravel(),
-            offsets=3 * np.arange(len(painted.faces) + 1),
-            colours=painted.colours,
-            encoding="srgb",
-            stored=painted.stored,
+        return dataclasses.replace(
+            self._mesh,
             alpha=self._alpha(),
             normals=self.attribute("normal").astype(np.float32) if arrays.normals else None,
             left_out=tuple(dropped),

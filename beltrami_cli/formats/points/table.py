@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.tokens import find_tokens, read_numbers, require_short_lines
+from beltrami_cli.formats.tokens import Lines, without_comments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Float64s, Int64s
 
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SEPARATORS = bytes.maketrans(b",;", b"  ")
 _COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")
 _HEAD = 4096  # bytes in which a comment may name the columns
@@ -63,28 +62,17 @@ def read_table(data: bytes, name: str) -> PointTable:
     return _Reader(data, name).read()
 
 
-class _Reader:
-    """The tokens of a text by lines; `rows` are lines that have any."""
+class _Reader(Lines):
+    """The lines of a text; `rows` are those that have any token."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        self._name = name
         head = data[:_HEAD].translate(_SEPARATORS)
         self._comments = [found.split() for found in _COMMENT.findall(head)]
-        text = _without_comments(data)
-        require_short_lines(text, name)
-        self._text = text
-        self._starts, self._ends = find_tokens(text)
-        characters = np.frombuffer(text, np.uint8)
-        breaks = np.flatnonzero(characters == ord("\n"))
-        if b"\r" in text:
-            breaks = np.union1d(breaks, np.flatnonzero(characters == ord("\r")))
-        stops = np.append(np.searchsorted(self._starts, breaks), len(self._starts))
-        heads = np.append(0, stops[:-1])
-        self._heads, self._stops = heads[heads < stops], stops[heads < stops]
+        super().__init__(data, without_comments(data.translate(_SEPARATORS), b"#", b"//"), name)
 
     def read(self) -> PointTable:
         names = self._take_names()
-        sizes = self._stops - self._heads
+        sizes = self.stops - self.heads
         # Where every line has one number, that is what the points have.
         announcing = (sizes == 1) & bool((sizes > 1).any() or len(sizes) == 1)
         points = np.flatnonzero(~announcing)
@@ -92,23 +80,23 @@ class _Reader:
         if (uneven := sizes[points] != width).any():
             row = points[int(np.argmax(uneven))]
             raise self._error(row, f"{sizes[row]} numbers, but the first point has {width}")
-        tokens = self._heads[points][:, None] + np.arange(width)
+        tokens = self.heads[points][:, None] + np.arange(width)
         counts = self._counts(np.flatnonzero(announcing), len(points))
-        values = self._numbers(tokens.ravel()).reshape(tokens.shape)
+        values = self.numbers(tokens.ravel()).reshape(tokens.shape)
         if not names:
             fits = [words for words in self._comments if len(words) == width and width > 0]
             names = _column_names(fits[0]) if fits else ()
         elif width not in (0, len(names)):
-            raise InputError(self._name, f"the first line names {len(names)} columns, but there are {width}")
-        return PointTable(names, counts, values, self._starts[tokens], self._ends[tokens])
+            raise InputError(self.name, f"the first line names {len(names)} columns, but there are {width}")
+        return PointTable(names, counts, values, self.starts[tokens], self.ends[tokens])
 
     def _take_names(self) -> tuple[str, ...]:
         """Take off the first line with more than a count, if it has words in place of numbers."""
-        for row in range(min(2, len(self._heads))):
-            first, stop = self._heads[row], self._stops[row]
-            words = [self._word(t) for t in range(first, stop)]
+        for row in range(min(2, len(self.heads))):
+            first, stop = self.heads[row], self.stops[row]
+            words = [self.word(t) for t in range(first, stop)]
             if not any(_is_number(word) for word in words):
-                self._heads, self._stops = np.delete(self._heads, row), np.delete(self._stops, row)
+                self.heads, self.stops = np.delete(self.heads, row), np.delete(self.stops, row)
                 return _column_names(words)
         return ()
 
@@ -117,7 +105,7 @@ class _Reader:
             return ()
         if rows[0] != 0:
             raise self._error(rows[0], "one number only, and it is not at the head of the points")
-        values = self._numbers(self._heads[rows])
+        values = self.numbers(self.heads[rows])
         # Between two announcements there are as many points as rows, less one.
         there = np.diff(np.append(rows, points + len(rows))) - 1
         if (wrong := values != there).any():
@@ -126,40 +114,8 @@ class _Reader:
             raise self._error(rows[row], cause)
         return tuple(there.tolist())
 
-    def _numbers(self, tokens: NDArray[np.intp]) -> Float64s:
-        if not len(tokens):
-            return np.empty(0)
-        begin, end = int(self._starts[tokens[0]]), int(self._ends[tokens[-1]])
-        if len(tokens) == tokens[-1] - tokens[0] + 1:
-            text = self._text[begin:end]
-        else:
-            text = b" ".join([self._word(t) for t in tokens.tolist()])
-        values = read_numbers(text)
-        if len(values) < len(tokens):
-            token = tokens[len(values)]
-            shown = _printable(self._word(token))
-            raise InputError(self._name, f"line {self._line(token)}: '{shown}' is no number")
-        return values
-
-    def _word(self, token: int | np.intp) -> bytes:
-        return self._text[self._starts[token] : self._ends[token]]
-
     def _error(self, row: int | np.intp, cause: str) -> InputError:
-        return InputError(self._name, f"line {self._line(self._heads[row])}: {cause}")
-
-    def _line(self, token: int | np.intp) -> int:
-        before = self._text[: int(self._starts[token])]
-        return max(before.count(b"\n"), before.count(b"\r")) + 1
-
-
-def _without_comments(data: bytes) -> bytes:
-    """Blank separators, comments and a byte order mark; every other byte stays at its place."""
-    text = data.translate(_SEPARATORS)
-    if text.startswith(_BYTE_ORDER_MARK):
-        text = b"   " + text[3:]
-    if b"#" in text or b"//" in text:
-        text = _COMMENT.sub(lambda found: b" " * len(found[0]), text)
-    return text
+        return InputError(self.name, f"line {self.line(self.heads[row])}: {cause}")
 
 
 def _is_number(word: bytes) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint,
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
 from beltrami_cli.formats.tokens import blocks, exchange_tokens, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
-from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -38,15 +39,14 @@ class TextPointsDocument(Document):
         return "pts" if self.name.lower().endswith(".pts") else "xyz"
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
-        return PaintedVertices(
-            positions=self._picked(self._columns.position),
-            faces=np.empty((0, 3), np.int32),
-            colours=self._colours,
-            channels=self._columns.channels,
-            encoding="srgb",
-            stored="text",
-        )
+    def _mesh(self) -> MeshContents:
+        positions = self._picked(self._columns.position)
+        no_corners, offsets = np.empty(0, np.int32), np.zeros(1, np.int64)
+        return MeshContents(positions, no_corners, offsets, self._colours, "srgb", "text")
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return self._columns.channels
 
     def attributes(self) -> tuple[str, ...]:
         return (*(("normal",) if self._columns.normal else ()), *self._columns.others)
@@ -62,20 +62,12 @@ class TextPointsDocument(Document):
         return Written(_with_colours(self.data, *self._places(), self._colours, new.colours, self._scale))
 
     def contents(self) -> MeshContents:
-        painted, columns = self.painted(), self._columns
+        columns = self._columns
         dropped = [f"columns {', '.join(columns.others)}"] if columns.others else []
         if len(self._measured) < len(self._table.values):
             dropped.append("points without a place")
-        return MeshContents(
-            positions=painted.positions,
-            corners=np.empty(0, np.int32),
-            offsets=np.zeros(1, np.int64),
-            colours=painted.colours,
-            encoding="srgb",
-            stored="text",
-            normals=self._picked(columns.normal).astype(np.float32) if columns.normal else None,
-            left_out=tuple(dropped),
-        )
+        normals = self._picked(columns.normal).astype(np.float32) if columns.normal else None
+        return dataclasses.replace(self._mesh, normals=normals, left_out=tuple(dropped))
 
     def fingerprint(self) -> Fingerprint:
         if not self.has_vertex_colours():

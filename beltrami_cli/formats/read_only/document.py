@@ -13,8 +13,7 @@ from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.read_only.off import HEADER, read_off
 from beltrami_cli.formats.read_only.polygons import check_polygons, colours_of_vertices, joined
 from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
-from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,23 +51,11 @@ class ReadOnlyDocument(Document):
         assert kind is not None
         self._kind = kind
 
-    @cached_property
-    def _painted(self) -> PaintedVertices:
-        contents = self._contents
-        return PaintedVertices(
-            positions=contents.positions,
-            faces=triangulate(contents.positions, contents.corners, contents.offsets),
-            colours=contents.colours,
-            channels=("red", "green", "blue"),
-            encoding=contents.encoding,
-            stored=contents.stored,
-        )
-
     def contents(self) -> MeshContents:
-        return self._contents
+        return self._mesh
 
     @cached_property
-    def _contents(self) -> MeshContents:
+    def _mesh(self) -> MeshContents:
         found = self._read()
         check_polygons(found, self.name)
         self.notices.append(_READ_ONLY.format(self._kind.upper()))
@@ -111,7 +98,7 @@ class ReadOnlyDocument(Document):
         """Check nothing: the output is written anew."""
 
     def facts(self) -> dict[str, object]:
-        contents = self._contents
+        contents = self._mesh
         return {
             "format": self._kind,
             "vertices": len(contents.positions),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import posixpath
 from functools import cached_property, partial
 from pathlib import Path, PurePath
@@ -16,8 +17,7 @@ from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
 from beltrami_cli.formats.textured_mesh import new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
-from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents, PaintedVertices
+from beltrami_cli.surface.records import MeshContents
 from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class UsdDocument(Document):
         return bool(self._words["blocks"])
 
     @cached_property
-    def _painted(self) -> PaintedVertices:
+    def _mesh(self) -> MeshContents:
         if not self.has_vertex_colours():
             cause = "its meshes have no colours of vertices (displayColor)"
             raise UnpaintedError(self.name, cause, "paint them first")
@@ -85,15 +85,8 @@ class UsdDocument(Document):
             if not np.isfinite(values).all():
                 raise InputError(self.name, f"some {what} of its vertices are no finite numbers")
         kinds = {block["type"] for block in self._words["blocks"]}
-        corners, offsets = self._coloured_polygons
-        return PaintedVertices(
-            positions=positions,
-            faces=triangulate(positions, corners, offsets),
-            colours=colours,
-            channels=("red", "green", "blue"),
-            encoding="linear",
-            stored=kinds.pop() if len(kinds) == 1 else "float32",
-        )
+        stored = kinds.pop() if len(kinds) == 1 else "float32"
+        return MeshContents(positions, *self._coloured_polygons, colours, "linear", stored)
 
     @cached_property
     def _coloured_polygons(self) -> tuple[Int32s, Int64s]:
@@ -194,16 +187,9 @@ class UsdDocument(Document):
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:
-        painted = self._painted
-        corners, offsets = self._coloured_polygons
         opacity = self._arrays["opacity"]
-        return MeshContents(
-            positions=painted.positions,
-            corners=corners,
-            offsets=offsets,
-            colours=painted.colours,
-            encoding="linear",
-            stored=painted.stored,
+        return dataclasses.replace(
+            self._mesh,
             alpha=opacity.clip(0, 1).astype(np.float32) if self._words["counts"].get("transparent") else None,
             left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
         )
