@@ -82,7 +82,6 @@ class GridManifold(GridKernels):
         whole: Whole | None = None,
     ) -> None:
         self.colours = planes
-        self.noise_covariances: Float64s | None = None
         if whole is None or whole.noise is None:
             self._find_noise(atlas, parameters, deviations)
         else:
@@ -253,11 +252,6 @@ class GridManifold(GridKernels):
         """Turn averages of clipped colours into estimates of the colours without noise."""
         for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
             clipped.restore(colours[:, rows], marks[:, rows], self.relative[0, rows])
-
-    @property
-    def shares_noise(self) -> bool:
-        """Whether neighbouring cells share noise."""
-        return self.noise_covariances is not None
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels
+from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels, noise_of
 from beltrami_cli.flow.noise.stabilising import COLOURS
 
 if TYPE_CHECKING:
@@ -35,10 +34,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.search_range import Rule, SearchRange
 
     Stack = Float32s
-
-
-# Noise that is reckoned with at least where colours are to be smoothed strongly: a step of an 8-bit file.
-LEAST_STRONG = 1 / 255
 
 
 class Domain(ABC):
@@ -128,10 +123,13 @@ class Manifold(Domain):
     stabiliser: VarianceStabiliser | None = None
     """What made the noise of the colours the same at all levels."""
 
+    noise_covariances: Float64s | None = None
+    """The noise at each scale, shape (L, N, N), if neighbouring samples share it."""
+
     @property
     def shares_noise(self) -> bool:
         """Whether neighbouring samples share noise."""
-        return False
+        return self.noise_covariances is not None
 
     @property
     def grain(self) -> float:
@@ -155,33 +153,15 @@ class Manifold(Domain):
     @property
     def noise(self) -> Float64s:
         """Estimated standard deviation of the noise of the colours as they were given, by channel."""
-        return self.sigma * self._growth
-
-    @property
-    def _growth(self) -> Float64s:
-        """By what factor differences of channels grow, in the mean, when they are given back."""
-        growth = np.ones(len(self.sigma))
+        noise = self.sigma.astype(np.float64)
         if self.stabiliser is not None:
-            growth[:COLOURS] = self.stabiliser.growth
-        return growth
+            noise[:COLOURS] *= self.stabiliser.growth
+        return noise
 
     def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
-        """Set the noise of the colours to what is given; to smooth strongly, to at least what rounding hides."""
-        given, colours = parameters.given_noise, min(COLOURS, len(self.sigma))
-        if sigma is not None:
-            if len(sigma) not in (1, colours):
-                raise UsageError(
-                    f"noise has {len(sigma)} channels, but must have one, or one for each colour"
-                )
-            self.sigma[:colours] = sigma
-        elif given is not None and given.source:
-            raise UsageError(
-                f"noise is {given.source}, but several textures have no such file in common; choose one"
-            )
-        elif given is not None:
-            self.sigma[:colours] = given.sigma if self.stabiliser is None else self.stabiliser.scale
-        elif parameters.strength == "strong":
-            self.sigma[:colours] = np.maximum(self.sigma[:colours], LEAST_STRONG)
+        """Set the noise of the colours to what is reckoned with; `sigma` is of noise that is given by sample."""
+        colours = self.sigma[:COLOURS]
+        colours[:] = noise_of(parameters, colours, sigma, self.stabiliser)
 
     def given_beta(self, beta: float) -> float:
         """Return beta in units of length per unit of the colours as they were given."""
