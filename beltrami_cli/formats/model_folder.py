@@ -11,6 +11,7 @@ import unicodedata
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
 from beltrami_cli.formats.image.picture import format_of_suffix
 from beltrami_cli.surface.tiling import Tile, found_tiles, has_token, tile_name, token_in, usual_tiles
@@ -51,6 +52,7 @@ class ModelFolder:
         self._folder = None if folder is None else folder.resolve()
         self._known: dict[tuple[str, PurePosixPath], str | UnfitReferenceError] = {}
         self._listings: dict[Path, dict[str, str]] = {}
+        self.tiles: dict[str, dict[Tile, str]] = {}  # files of the sets that were located, by the set's path
         self.access = access
 
     def find(self, name: str, within: PurePosixPath = _HERE) -> str | None:
@@ -96,8 +98,10 @@ class ModelFolder:
             return there.relative_to(self._folder).as_posix()
         return path
 
-    def locate_tiles(self, pattern: str, within: PurePosixPath = _HERE) -> tuple[str, dict[Tile, str]]:
-        """Return the path that a set of tiles has, and those of its files; UnfitReferenceError if there are none."""
+    def locate_any(self, pattern: str, within: PurePosixPath = _HERE) -> str:
+        """Return the path of a file, or of a set of tiles; UnfitReferenceError if it is not there."""
+        if not has_token(pattern):
+            return self.locate(pattern, within)
         path = checked_path(pattern, within, outside=self.access.outside, tiles=True)
         if self._folder is None:
             raise UnfitReferenceError(_NOWHERE)
@@ -110,7 +114,12 @@ class ModelFolder:
         tiles = found_tiles(PurePosixPath(path).name, names)
         if not tiles:
             raise UnfitReferenceError(f"{_MISSING} (no tile of it is there)")
-        return path, {tile: self.locate(str(folder / name)) for tile, name in tiles.items()}
+        self.tiles[path] = {tile: self.locate(str(folder / name)) for tile, name in tiles.items()}
+        return path
+
+    def files(self, path: str) -> list[str]:
+        """Return the file of a path, or those of a set of tiles."""
+        return list(self.tiles[path].values()) if path in self.tiles else [path]
 
     def _like_named(self, path: str) -> str | None:
         """Return a file whose path differs only in capitals, or in how accents are coded."""
@@ -139,6 +148,13 @@ class ModelFolder:
         if self._folder is None:
             raise FileNotFoundError(path)
         return read_regular(self._folder / path, self.access, most)
+
+    def content(self, path: str) -> bytes:
+        """Return the content of a located file; InputError if it has become unreadable."""
+        try:
+            return self.read(path)
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})") from error
 
 
 def _case_folded(name: str) -> str:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from beltrami_cli.errors import InputError
 from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
@@ -40,16 +41,15 @@ _NUMBER = re.compile(r"[1-9]\d{3}")
 _PAIR = re.compile(r"[uU](\d{1,3})_[vV](\d{1,3})")
 
 
-class TilingError(ValueError):
-    """Triangles that reach over more tiles than those of any real model."""
+def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]], name: str) -> TexturedSurface:
+    """Give triangles of set k, whose `texture_of` is -2 - k, the texture of their tile; -1 where there is none.
 
-
-def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]]) -> TexturedSurface:
-    """Give triangles of set k, whose `texture_of` is -2 - k, the texture of their tile; -1 where there is none."""
+    InputError with the name if they reach over more tiles than those of any real model.
+    """
     if not sets:
         return surface
     with np.errstate(over="ignore", invalid="ignore"):  # where there is no texture, coordinates mean nothing
-        surface = _cut(surface)
+        surface = _cut(surface, name)
     texture_of, uv = surface.texture_of.copy(), surface.uv.copy()
     for number, known in enumerate(sets):
         faces = np.flatnonzero(texture_of == -2 - number)
@@ -70,7 +70,7 @@ def tiles_under(uv: Float64s) -> Float64s:
     return np.asarray(np.floor(np.column_stack([centre[:, 0], 1 - centre[:, 1]])))
 
 
-def _cut(surface: TexturedSurface) -> TexturedSurface:
+def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
     """Cut triangles of tiles, and those beside them alike, so that edges still fit, until none crosses a border."""
     most = 4 * len(surface.faces) + _MOST_NEW
     while True:
@@ -91,7 +91,8 @@ def _cut(surface: TexturedSurface) -> TexturedSurface:
         low, high = (first[part] for part in np.divmod(cut, len(first)))
         surface = _split(_with_vertices(surface, low, high, at), rows, along)
         if len(surface.faces) > most:
-            raise TilingError("its triangles reach over more tiles of their texture than those of any model")
+            cause = "its triangles reach over more tiles of their texture than those of any model"
+            raise InputError(name, cause, "check its texture coordinates")
 
 
 def _crossings(uv: Float64s, ends: Int32s) -> Float64s:

@@ -75,7 +75,7 @@ class ObjDocument(Document):
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
         mesh = self._scan.vertices.positions, self._scan.corners, self._scan.offsets
-        images = self._materials, self._folder, slot
+        images = self._materials, slot
         surface, notices = gather_textured(mesh, self._coordinates, *images, self.name)
         self.notices += notices
         return surface
@@ -223,12 +223,12 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
         parts[f"material library {number + 1}"] = exchange_spans(library.data, names)
         for index, (found, path) in enumerate(library.maps):
             label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"
-            tiles = materials.tiles.get(path or "", {})
+            tiles = materials.folder.tiles.get(path or "", {})
             for tile, file in tiles.items():
                 name = file.rpartition("/")[2]
-                paintings[f"{label}, tile {tile}"] = NamedImage(name, partial(materials.read, file))
+                paintings[f"{label}, tile {tile}"] = NamedImage(name, partial(materials.folder.content, file))
             if path is not None and not tiles:
-                paintings[label] = NamedImage(found.name, partial(materials.read, path))
+                paintings[label] = NamedImage(found.name, partial(materials.folder.content, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
 
 
@@ -276,8 +276,8 @@ def _take_images(
         # Its name is free only if no map that keeps the old image has it.
         is_replaced = len(affected) == materials.uses(path)
         suffix = common_suffix(image.suffix for _, image in files)
-        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.tiles.get(path, ()))
-        new_of = new_files(path, new, materials.tiles)
+        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
+        new_of = new_files(path, new, materials.folder.tiles)
         sidecars |= {new_of.pop(file): image.content for file, image in files}
         copies |= {file: old for old, file in new_of.items() if file != old}
         for library, found in affected:
@@ -295,9 +295,9 @@ def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans])
             own = edits.setdefault(library.path, {})
             if (found.start, found.end) not in own:
                 if path not in new_of:
-                    new_of[path] = names.image(path, tiles=materials.tiles.get(path, ()))
+                    new_of[path] = names.image(path, tiles=materials.folder.tiles.get(path, ()))
                 own[found.start, found.end] = _spelled(found, path, new_of[path], library)
-    files = [new_files(path, new, materials.tiles) for path, new in new_of.items()]
+    files = [new_files(path, new, materials.folder.tiles) for path, new in new_of.items()]
     return {file: old for of_path in files for old, file in of_path.items()}
 
 
@@ -320,8 +320,10 @@ def _take_along(
             continue
         if path not in copies:
             is_copied = is_outside(path) or names.copies
-            copies[path] = names.image(path, tiles=materials.tiles.get(path, ())) if is_copied else path
+            copies[path] = (
+                names.image(path, tiles=materials.folder.tiles.get(path, ())) if is_copied else path
+            )
             if is_copied:
-                new_of = new_files(path, copies[path], materials.tiles)
-                sidecars |= {file: materials.read(old) for old, file in new_of.items()}
+                new_of = new_files(path, copies[path], materials.folder.tiles)
+                sidecars |= {file: materials.folder.content(old) for old, file in new_of.items()}
         edits[found.start, found.end] = os.fsencode(copies[path])

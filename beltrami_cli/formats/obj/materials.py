@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from beltrami_cli.errors import InputError
 from beltrami_cli.formats import model_folder
-from beltrami_cli.surface.tiling import Tile, has_token
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -122,8 +120,7 @@ class Materials:
     def __init__(self, folder: model_folder.ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
         self.notices: list[str] = []  # one sentence for each file that is missing or lies elsewhere
-        self.tiles: dict[str, dict[Tile, str]] = {}  # the files of each set of tiles, by the set's path
-        self._folder = folder
+        self.folder = folder
         self._reasons: dict[str, str] = {}
         self._listed: set[str] = set()
         mentions: dict[str, list[tuple[str, int, int]]] = {}
@@ -151,20 +148,9 @@ class Materials:
         """Return why a file is not read that a map names."""
         return self._reasons.get(name, "cannot be read").rstrip(".")
 
-    def read(self, path: str) -> bytes:
-        """Return the content of a file that was found; InputError if it has become unreadable."""
-        try:
-            return self._folder.read(path)
-        except OSError as error:
-            raise InputError(path, f"cannot be read ({error.strerror})") from error
-
-    def files(self, path: str) -> list[str]:
-        """Return the file of a path, or those of a set of tiles."""
-        return list(self.tiles[path].values()) if path in self.tiles else [path]
-
     def named(self, file: str) -> list[str]:
         """Return the paths by which maps name a file: its own, and those of sets that it is a tile of."""
-        sets = [path for path, tiles in self.tiles.items() if file in tiles.values()]
+        sets = [path for path, tiles in self.folder.tiles.items() if file in tiles.values()]
         return [*([file] if self.uses(file) or not sets else []), *sets]
 
     def slots(self) -> set[Slot]:
@@ -190,7 +176,7 @@ class Materials:
         whole = os.fsdecode(text)
         if len(whole) > 2 and whole[0] == whole[-1] == '"':
             whole, start = whole[1:-1], start + 1
-        if self._folder.find(whole) is not None:
+        if self.folder.find(whole) is not None:
             yield whole, start
             return
         done = 0
@@ -201,7 +187,7 @@ class Materials:
 
     def _read(self, path: str, mentions: list[tuple[str, int, int]]) -> Library:
         try:
-            data = self._folder.read(path, _LARGEST + 1)
+            data = self.folder.read(path, _LARGEST + 1)
         except OSError as error:
             self.notices.append(f"'{path}' cannot be read ({error.strerror}){model_folder.LEFT_ALONE}")
             data = b""
@@ -216,18 +202,14 @@ class Materials:
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file or a set of tiles, adding it once, or None with a notice if it is not there."""
         try:
-            if has_token(name):
-                path, tiles = self._folder.locate_tiles(name, within)
-                self.tiles[path] = tiles
-            else:
-                path = self._folder.locate(name, within)
+            path = self.folder.locate_any(name, within)
         except model_folder.UnfitReferenceError as error:
             self._notice(name, str(error), model_folder.LEFT_ALONE)
             return None
         if model_folder.is_outside(path):
             self._notice(name, model_folder.LEFT_OUTSIDE)
             return path
-        for file in self.files(path):
+        for file in self.folder.files(path):
             if file not in self._listed:
                 self._listed.add(file)
                 self.paths.append(file)

@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.model_folder import ModelFolder, remedy_for
+from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.polygons import triangulate_corners
@@ -67,13 +67,12 @@ def gather_textured(
     mesh: tuple[Float64s, Int32s, Int64s],
     coordinates: Coordinates,
     materials: Materials,
-    folder: ModelFolder,
     slot: records.Slot,
     name: str,
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Return all triangles, the images of one slot of their materials, and notices."""
     positions, corners, offsets = mesh
-    palette = _Palette(materials, folder, slot, len(coordinates.names))
+    palette = _Palette(materials, slot, len(coordinates.names))
     for material in np.unique(coordinates.material_of).tolist():
         palette.take(material, coordinates.names[material] if material >= 0 else "")
     cut, polygon = triangulate_corners(positions, corners, offsets)
@@ -94,17 +93,14 @@ def gather_textured(
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
     texture_of, textures = texture_of.astype(np.int32), palette.shown.textures()
     surface = records.TexturedSurface(positions, corners[cut], uv, texture_of, textures)
-    try:
-        return tiling.on_tiles(surface, palette.shown.sets), notices
-    except tiling.TilingError as error:
-        raise InputError(name, str(error), "check its texture coordinates") from error
+    return tiling.on_tiles(surface, palette.shown.sets, name), notices
 
 
 class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
-    def __init__(self, materials: Materials, folder: ModelFolder, slot: records.Slot, count: int) -> None:
-        self._materials, self._folder, self.slot = materials, folder, slot
+    def __init__(self, materials: Materials, slot: records.Slot, count: int) -> None:
+        self._materials, self.slot = materials, slot
         self.shown = textured_mesh.SlotImages()
         self._missing: dict[str, list[str]] = {}
         self.texture_of = np.full(count + 1, -1, np.int64)
@@ -116,13 +112,13 @@ class _Palette:
         if painting is None:
             return
         found, path = painting
-        is_tiled = path in self._materials.tiles
-        files = [] if path is None else self._materials.files(path)
+        is_tiled = path in self._materials.folder.tiles
+        files = [] if path is None else self._materials.folder.files(path)
         files = [file for file in files if self._loaded(file, in_tiles=is_tiled)]
         if not files:
             self._missing.setdefault(found.name, []).append(material)
             return
-        tiles = self._materials.tiles.get(path or "")
+        tiles = self._materials.folder.tiles.get(path or "")
         wrap: records.Wrap = "clamp" if found.clamped or tiles else "repeat"
         number_of = {file: self.shown.show(file, material, (wrap, wrap)) for file in files}
         self.texture_of[number] = number_of[files[0]]
@@ -134,10 +130,12 @@ class _Palette:
     def _loaded(self, path: str, *, in_tiles: bool) -> bool:
         if path not in self.shown:
             try:
-                data = self._folder.read(path)
+                data = self._materials.folder.read(path)
             except OSError:
                 return False
-            content = partial(self._materials.read, path) if in_tiles or len(data) >= LARGE else data
+            content = (
+                partial(self._materials.folder.content, path) if in_tiles or len(data) >= LARGE else data
+            )
             self.shown.take(path, path.rpartition("/")[2], content)
         return True
 
@@ -259,11 +257,11 @@ class _Reading:
         return {}
 
     def _image(self, path: str) -> int:
-        return self.shown.take_file(path, self._materials.tiles, self._materials.read)
+        return self.shown.take_file(path, self._materials.folder.tiles, self._materials.folder.content)
 
     def _is_grey(self, path: str) -> bool:
-        path = self._materials.files(path)[0]
-        picture = read_image(self._materials.read(path), path, finite=False)
+        path = self._materials.folder.files(path)[0]
+        picture = read_image(self._materials.folder.content(path), path, finite=False)
         colours = picture.pixels[..., list(picture.colour)]
         return bool((colours == colours[..., :1]).all())
 

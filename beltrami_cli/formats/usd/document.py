@@ -161,7 +161,7 @@ class UsdDocument(Document):
             attributes = shown.attributes(path, slots)
             is_replaced = attributes == shown.attributes(path)
             new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
-            own = new_files(path, new, self._layers.tiles)
+            own = new_files(path, new, self._layers.folder.tiles)
             files |= {own.pop(file): image.content for file, image in changed}
             copies |= {file: old for old, file in own.items() if file != old}
             if new != path:
@@ -183,7 +183,7 @@ class UsdDocument(Document):
         unfit = {image.suffix for image in new.values()} - {*IMAGES}
         if self._layers.package is not None and unfit and not stays:
             raise UsageError(f"{self.name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}")
-        tiles = self._layers.tiles.get(path, ())
+        tiles = self._layers.folder.tiles.get(path, ())
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:

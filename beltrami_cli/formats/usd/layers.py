@@ -26,7 +26,7 @@ from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.surface.tiling import Tile, found_tiles, has_token
+from beltrami_cli.surface.tiling import found_tiles, has_token
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -143,7 +143,6 @@ class Layers:
     contents: dict[str, bytes]  # by their paths from the folder of the root, the root first
     refused: list[tuple[str, str]] = field(default_factory=list)
     reasons: dict[str, str] = field(default_factory=dict)  # why, by what the path is
-    tiles: dict[str, dict[Tile, str]] = field(default_factory=dict)  # files of sets, by the set's path
 
     @classmethod
     def of(cls, data: bytes, name: str, folder: Path | None, access: Access) -> Layers:
@@ -195,10 +194,7 @@ class Layers:
         """Return the path of a file, or of a set of tiles, that the scene names; UnfitReferenceError if it is none."""
         if self.package is not None:
             return self._in_package(path)
-        if has_token(path):
-            found, self.tiles[path] = self.folder.locate_tiles(path)
-        else:
-            found = self.folder.locate(path)
+        found = self.folder.locate_any(path)
         if is_outside(found):
             raise UnfitReferenceError("lies outside the model's folder, and USD files there are not read")
         return found
@@ -211,24 +207,15 @@ class Layers:
             near = [each.name for each in names if each.parent == beside.parent]
             tiles = found_tiles(beside.name, near)
             if tiles:
-                self.tiles[path] = {tile: str(beside.with_name(file)) for tile, file in tiles.items()}
+                self.folder.tiles[path] = {tile: str(beside.with_name(file)) for tile, file in tiles.items()}
                 return path
         elif path in self.package.members:
             return path
         raise UnfitReferenceError("is not in the package")
 
-    def files(self, path: str) -> list[str]:
-        """Return the file of a path, or those of a set of tiles."""
-        return list(self.tiles[path].values()) if path in self.tiles else [path]
-
     def image(self, file: str) -> bytes:
         """Return the content of a file that was located; InputError if it cannot be read."""
-        if self.package is not None:
-            return self.package.read(file)
-        try:
-            return self.folder.read(file)
-        except OSError as error:
-            raise InputError(file, f"cannot be read ({error.strerror})") from error
+        return self.folder.content(file) if self.package is None else self.package.read(file)
 
     def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
         """Let usd-core carry out an order on the layers."""

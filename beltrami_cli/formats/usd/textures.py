@@ -52,7 +52,7 @@ class Textures:
     def files(self) -> list[str]:
         """Return all image files that are named, in a slot or elsewhere, each once."""
         paths = dict.fromkeys(path for path in self._path_of if path is not None)
-        shown = [file for path in paths for file in self._layers.files(path)]
+        shown = [file for path in paths for file in self._layers.folder.files(path)]
         return list(dict.fromkeys([*shown, *self.labelled().values()]))
 
     def missing(self) -> list[str]:
@@ -67,7 +67,7 @@ class Textures:
                 path = self._layers.locate(file)
             except UnfitReferenceError:
                 continue
-            tiles = self._layers.tiles.get(path, {})
+            tiles = self._layers.folder.tiles.get(path, {})
             found |= {f"{attribute}, tile {tile}": each for tile, each in tiles.items()} or {attribute: path}
         return found
 
@@ -85,7 +85,7 @@ class Textures:
 
         def paths_of(slot: records.Slot, file: str) -> list[str]:
             paths = dict.fromkeys(self._path_of[number] for number in self._uses(slot))
-            return [path for path in paths if path is not None and file in self._layers.files(path)]
+            return [path for path in paths if path is not None and file in self._layers.folder.files(path)]
 
         return textured_mesh.slots_by_path(images, paths_of)
 
@@ -97,7 +97,7 @@ class Textures:
             slots = [slot for (its, _), found in replaced.items() if its == path for slot in found]
             if self.attributes(path, slots) != self.attributes(path):
                 gone.discard(path)
-        replaced_files = {file for path in gone for file in self._layers.files(path)}
+        replaced_files = {file for path in gone for file in self._layers.folder.files(path)}
         return [file for file in self.files() if file not in replaced_files]
 
     def surface(self, slot: records.Slot) -> records.TexturedSurface:
@@ -124,17 +124,14 @@ class Textures:
         uv[..., 1] = 1 - uv[..., 1]
         faces = self._arrays["corners"][cut].astype(np.int32)
         surface = records.TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
-        try:
-            return tiling.on_tiles(surface, shown.sets)
-        except tiling.TilingError as error:
-            raise InputError(self._name, str(error), "check its texture coordinates") from error
+        return tiling.on_tiles(surface, shown.sets, self._name)
 
     def _take(self, shown: textured_mesh.SlotImages, path: str, use: dict[str, Any]) -> int:
         """Take what a material shows; return the number of its texture, or of its set."""
-        tiles, number_of = self._layers.tiles.get(path), {}
-        for file in self._layers.files(path):
+        tiles, number_of = self._layers.folder.tiles.get(path), {}
+        for file in self._layers.folder.files(path):
             if file not in shown:
-                is_tile = any(file in files.values() for files in self._layers.tiles.values())
+                is_tile = any(file in files.values() for files in self._layers.folder.tiles.values())
                 data = self._layers.image(file)
                 content = partial(self._layers.image, file) if is_tile or len(data) >= LARGE else data
                 shown.take(file, posixpath.basename(file), content)
@@ -221,7 +218,7 @@ class _Materials:
             if path is None:
                 self.lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
             else:
-                image = self.shown.take_file(path, self._layers.tiles, self._layers.image)
+                image = self.shown.take_file(path, self._layers.folder.tiles, self._layers.image)
                 maps[slot] = records.MaterialMap(image, tuple(self._words["uses"][use]["wrap"]))
         values = known["values"]
         opacity = values.get("opacity", 1.0)
