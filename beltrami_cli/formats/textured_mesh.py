@@ -11,9 +11,9 @@ import numpy as np
 
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.model_folder import NewNames
+from beltrami_cli.formats.model_folder import NewNames, tile_name
 from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, Texture
-from beltrami_cli.surface.tiling import Tile, tile_name, tiles_under
+from beltrami_cli.surface.tiling import Tile, tiles_under
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -133,6 +133,12 @@ def new_files(path: str, new: str, sets: Mapping[str, Mapping[Tile, str]]) -> di
     """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
     tiles = sets[path].items() if path in sets else ()
     return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
+
+
+def common_suffix(suffixes: Iterable[str]) -> str | None:
+    """Return the suffix that all tiles of a set have; None if they differ, so that their name cannot have it."""
+    distinct = set(suffixes)
+    return distinct.pop() if len(distinct) == 1 else None
 
 
 def image_names(mesh: TexturedMesh, stem: str) -> list[str]:

@@ -14,13 +14,13 @@ from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.model_folder import found_tiles, tile_name, tile_of
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.lookup import look_up
-from beltrami_cli.surface.tiling import found_tiles, tile_name, tile_of
 from formats.image_files import encode
 from formats.tile_files import GIVEN, SIDE, TILES, obj_text, painting, part, sheet, tiled_model
 

@@ -17,6 +17,7 @@ from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.model_folder import tile_name
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
@@ -28,7 +29,6 @@ from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, grid_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
-from beltrami_cli.surface.tiling import tile_name
 from formats.image_files import encode
 from formats.tile_files import GIVEN, tiled_model
 

@@ -28,10 +28,9 @@ from beltrami_cli.formats.obj.vertices import (
     repainted_entries,
     scan_file,
 )
-from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, new_files, slots_by_path
+from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, common_suffix, new_files, slots_by_path
 from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
 from beltrami_cli.surface.records import MeshContents, VertexColours
-from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -93,7 +93,9 @@ def gather_textured(
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
     texture_of, textures = texture_of.astype(np.int32), palette.shown.textures()
     surface = records.TexturedSurface(positions, corners[cut], uv, texture_of, textures)
-    return tiling.on_tiles(surface, palette.shown.sets, name), notices
+    if palette.shown.sets:
+        surface = tiling.on_tiles(surface, palette.shown.sets, name)
+    return surface, notices
 
 
 class _Palette:

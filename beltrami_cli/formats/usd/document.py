@@ -14,11 +14,10 @@ from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, NamedImage, Naming, Written
 from beltrami_cli.formats.image.picture import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
-from beltrami_cli.formats.textured_mesh import new_files
+from beltrami_cli.formats.textured_mesh import common_suffix, new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
 from beltrami_cli.surface.records import MeshContents
-from beltrami_cli.surface.tiling import common_suffix
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

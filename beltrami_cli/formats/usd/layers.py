@@ -25,8 +25,13 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
-from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError, is_outside
-from beltrami_cli.surface.tiling import found_tiles, has_token
+from beltrami_cli.formats.model_folder import (
+    ModelFolder,
+    UnfitReferenceError,
+    found_tiles,
+    has_token,
+    is_outside,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -124,7 +124,7 @@ class Textures:
         uv[..., 1] = 1 - uv[..., 1]
         faces = self._arrays["corners"][cut].astype(np.int32)
         surface = records.TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
-        return tiling.on_tiles(surface, shown.sets, self._name)
+        return tiling.on_tiles(surface, shown.sets, self._name) if shown.sets else surface
 
     def _take(self, shown: textured_mesh.SlotImages, path: str, use: dict[str, Any]) -> int:
         """Take what a material shows; return the number of its texture, or of its set."""
