@@ -48,7 +48,7 @@ class FileError(BeltramiError):
     """
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
-        self.name, self.cause, self.remedy = name, cause, remedy
+        self.name, self.cause, self.remedy = name, one_line(cause), remedy
         super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
 
 

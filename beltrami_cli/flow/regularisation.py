@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.surface.atlas import EMPTY
+from beltrami_cli.surface.atlas import EMPTY, STEPS, ends_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -148,8 +148,6 @@ def gaussian_taps(scale: float) -> Float32s:
     return np.asarray(taps / taps.sum(), np.float32)
 
 
-# Row and column of the neighbours whose lengths an atlas keeps: right, below, below right, below left.
-_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 # Window cells that are processed together: some tens of megabytes.
 _AT_ONCE = 1 << 20
 
@@ -214,8 +212,8 @@ class CutMeans:
         reached = np.zeros_like(filled)
         reached[:, self._reach, self._reach] = True
         edges = []
-        for lengths, step in zip(atlas.squared_lengths, _STEPS, strict=True):
-            here, there = _ends(step)
+        for lengths, step in zip(atlas.squared_lengths, STEPS, strict=True):
+            here, there = ((..., *slices) for slices in ends_of(step))
             joined = np.isfinite(lengths.reshape(-1)[window]).reshape(filled.shape)
             edges.append((here, there, joined[here] & filled[here] & filled[there]))
         before, count = -1, 0
@@ -225,15 +223,3 @@ class CutMeans:
                 reached[here] |= reached[there] & joined
             before, count = count, int(np.count_nonzero(reached))
         return np.asarray(reached.reshape(len(cells), -1), bool)
-
-
-def _ends(step: tuple[int, int]) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return the slices of windows at which edges in one direction start and end."""
-    down, right = step
-    rows = (slice(None, -1), slice(1, None)) if down else (slice(None), slice(None))
-    columns = {
-        1: (slice(None, -1), slice(1, None)),
-        0: (slice(None), slice(None)),
-        -1: (slice(1, None), slice(None, -1)),
-    }[right]
-    return (slice(None), rows[0], columns[0]), (slice(None), rows[1], columns[1])

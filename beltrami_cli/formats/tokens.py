@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.surface.large_arrays import blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Float64s, Int64s
 
@@ -27,12 +28,6 @@ _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MOST_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
 _BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the pieces take
-
-
-def blocks(count: int, size: int) -> Iterator[slice]:
-    """Split the numbers from 0 to `count` into slices of `size`, the last one shorter."""
-    for first in range(0, count, size):
-        yield slice(first, min(first + size, count))
 
 
 def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
@@ -111,8 +106,7 @@ class Lines:
     def error(self, token: int | np.int64, cause: str) -> InputError:
         """Return an error about a token, with its line."""
         shown = self.word(token)[:_MOST_SHOWN].decode("ascii", "backslashreplace")
-        printable = "".join(c if c.isprintable() else "?" for c in shown)
-        return InputError(self.name, f"line {self.line(token)}: '{printable}' {cause}")
+        return InputError(self.name, f"line {self.line(token)}: '{shown}' {cause}")
 
     def line(self, token: int | np.int64) -> int:
         """Return the number of the line that a token stands on, from 1."""

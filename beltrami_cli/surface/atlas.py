@@ -175,7 +175,7 @@ def build_atlas(
 
 
 # Row and column of the neighbours whose distances an atlas keeps: right, below, below right, below left.
-_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
+STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, valid: Bools) -> Atlas:
@@ -184,9 +184,9 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
     # pixels lie on the plane, 1 apart. Nothing crosses a hole, and holes that touch at corners are a closed barrier.
     filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
     kind = np.pad(np.where(filled, np.uint8(OWNED), np.uint8(EMPTY)), margin)
-    lengths = np.full((len(_STEPS), *kind.shape), np.inf, np.float32)
+    lengths = np.full((len(STEPS), *kind.shape), np.inf, np.float32)
     image = lengths[:, margin : margin + shape[0], margin : margin + shape[1]]
-    for plane, step in zip(image, _STEPS, strict=True):
+    for plane, step in zip(image, STEPS, strict=True):
         _measure(plane, step, filled, positions)
     owned = np.flatnonzero(kind).astype(np.int64, copy=False)
     nothing = np.zeros(0, np.int64)
@@ -207,7 +207,7 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
 
 def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: Float64s | None) -> None:
     """Write the squared lengths of the edges in one direction; those at holes stay infinite."""
-    here, there = _ends(step)
+    here, there = ends_of(step)
     edges = filled[here] & filled[there]
     if 0 not in step:  # a diagonal is an edge of triangles, of which a hole at its side takes one away
         edges &= filled[here[0], there[1]] | filled[there[0], here[1]]
@@ -224,7 +224,7 @@ def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: F
         np.copyto(plane[here], total, where=edges, casting="same_kind")
 
 
-def _ends(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def ends_of(step: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the cells at which edges in one direction start, and those at which they end."""
     down, right = step
     rows = slice(None, -down or None), slice(down, None)

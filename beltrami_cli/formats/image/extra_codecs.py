@@ -101,8 +101,7 @@ def encoding_cost(known: str, pixels: Uint8s, data: bytes, name: str) -> str:
 
 
 def _damaged(name: str, label: str, error: object) -> InputError:
-    shown = "".join(c if c.isprintable() else "?" for c in str(error)[:150])
-    return InputError(name, f"the {label} image is damaged or cut off ({shown})", "export it anew")
+    return InputError(name, f"the {label} image is damaged or cut off ({str(error)[:150]})", "export it anew")
 
 
 def _measured_ktx2(data: bytes, name: str) -> tuple[int, int, int]:

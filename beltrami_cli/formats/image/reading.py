@@ -221,7 +221,7 @@ def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int,
 
 def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
     lines = [line.strip() for line in error.replace(str(path), "it").splitlines() if line.strip()]
-    shown = "".join(c if c.isprintable() else "?" for c in lines[0][:150]) if lines else "no reason given"
+    shown = lines[0][:150] if lines else "no reason given"
     if any(word in shown for word in _NOT_BUILT_IN):
         cause = f"this build of OpenImageIO does not read how the {label_of(known)} image is compressed"
         return InputError(name, f"{cause} ({shown})", "save it without compression, or with another one")

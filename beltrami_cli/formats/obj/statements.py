@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.formats.tokens import Lines, blocks, without_comments
+from beltrami_cli.formats.tokens import Lines, without_comments
+from beltrami_cli.surface.large_arrays import blocks
 
 if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float64s, Int64s

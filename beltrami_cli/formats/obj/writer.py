@@ -19,9 +19,9 @@ from beltrami_cli.formats.textured_mesh import (
     plain_name,
     with_slots,
 )
-from beltrami_cli.formats.tokens import blocks
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import distinct_corners
+from beltrami_cli.surface.large_arrays import blocks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -144,5 +144,4 @@ class _Lines:
 
     def _error(self, cause: str) -> InputError:
         shown = cause.encode("ascii", "backslashreplace").decode()
-        printable = "".join(c if c.isprintable() else "?" for c in shown)
-        return InputError(self.name, f"line {self.number} of the header: {printable}")
+        return InputError(self.name, f"line {self.number} of the header: {shown}")

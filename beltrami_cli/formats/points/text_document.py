@@ -12,8 +12,9 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
-from beltrami_cli.formats.tokens import blocks, exchange_tokens, without_tokens
+from beltrami_cli.formats.tokens import exchange_tokens, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
+from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import MeshContents
 
 if TYPE_CHECKING:

@@ -18,11 +18,11 @@ import numpy as np
 from beltrami_cli.formats.colours import left_out, linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, plain_name
-from beltrami_cli.formats.tokens import blocks
 from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import distinct_corners
+from beltrami_cli.surface.large_arrays import blocks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
