@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.json_tree import Entry, Tree, parsed, revised
+from beltrami_cli.formats.gltf.json_text import parsed, revised
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
