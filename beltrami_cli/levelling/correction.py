@@ -1,9 +1,4 @@
-"""Whether there are exposure steps at all, and of which kind; and colours without them.
-
-A fit can take out any step. But only if steps are of exposure does a fit to some seams also foretell the steps at the
-others, for each chart has several seams, and one exposure: each seam is foretold from the others. Of charts that hang
-together the mean stays.
-"""
+"""Colours without exposure steps, if there are any. Of charts that hang together the mean stays."""
 
 from __future__ import annotations
 
@@ -12,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.levelling.fit import SHORT, fit_exposures, known_channels, may_be_exposure
+from beltrami_cli.levelling.fit import fit_exposures
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_edges, steps_over_seams, weighted_median
+from beltrami_cli.levelling.verdict import judge
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import refresh_halo
 
@@ -23,26 +19,11 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.levelling.fit import Exposures
     from beltrami_cli.levelling.steps import Steps
+    from beltrami_cli.levelling.verdict import Verdict
     from beltrami_cli.surface.atlas import Atlas, Indices
 
     Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 
-# Expected deviations of gains, offsets, and tilts if any: strong and faint.
-STRONG, FAINT = (0.1, 0.03), (0.03, 0.01)
-_TILTS = 0.8  # of the gains
-_FOLDS = 4
-_FEWEST_SEAMS = 8  # below, parts of seams are foretold from the others
-_STRETCHES = 4  # whose mean step is foretold: the pattern on it is averaged away
-_SATURATED = 14 / 255  # steps count no more than this
-_SURE = 0.25  # strong steps that are foretold so well are not tried as faint ones
-# What is left must fall to this for another kind than the first: others have more terms, or fainter ones.
-_BETTER = 7 / 8
-# Shares of the energy of steps that must be foretold, and in how many standard errors over the seams: where it is more,
-# one will do, as there may be few seams.
-_ENOUGH = ((0.12, 2.0), (0.2, 0.9))
-# Painted models have faint steps of which some is foretold, by shading that was painted too: unless most is, what is
-# foretold must be larger.
-_LEAST_REMOVED, _MOST = 3.2 / 255, 0.5
 # Seams with a mean weight below this are painted, with a step above the other have one at all.
 _PAINTED, _STEP = 0.3, 2 / 255
 # A mean change below this is none that anybody could see: the colours stay.
@@ -50,81 +31,6 @@ LEAST_CHANGE = 0.5 / 255
 _PROBED = 1 << 21  # samples from which means are taken
 _BLOCK = 1 << 18
 _NOWHERE = np.zeros((0, 2))  # places, where they make no difference
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The deviations that foretell the steps best, and what share of their energy they do foretell."""
-
-    spread: tuple[float, ...]
-    share: float
-    errors: float
-    removed: float  # root mean square of what is foretold of the steps
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether there are exposure steps."""
-        is_large = self.removed >= _LEAST_REMOVED or self.share >= _MOST
-        return is_large and any(self.share >= share and self.errors >= errors for share, errors in _ENOUGH)
-
-
-def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
-    """Choose the kind of exposure steps by cross-validation over the seams."""
-    seams, groups = np.unique(steps.seams), _groups(steps)
-    # A stretch is of the fold of its seam; if there are few of those, folds follow each other along each.
-    folds = np.arange(len(steps.seams)) // (2 * _STRETCHES) % _FOLDS
-    if len(seams) >= _FEWEST_SEAMS:
-        drawn = np.random.default_rng(0).permutation(len(seams)) % _FOLDS
-        folds = drawn[np.searchsorted(seams, steps.seams)]
-
-    def tried(base: tuple[float, float]) -> list[Verdict]:
-        tilt = _TILTS * base[0]
-        return [_foretold(steps, each, folds, groups, fixed) for each in (base, (*base, tilt, tilt))]
-
-    found = tried(STRONG)
-    if max(each.share for each in found) < _SURE:
-        found += tried(FAINT)
-    best = found[0]
-    for other in found[1:]:
-        if other.is_sure > best.is_sure or 1 - other.share < _BETTER * (1 - best.share):
-            best = other
-    return best
-
-
-def _groups(steps: Steps) -> Int64s:
-    """Divide stretches into groups of neighbours on a seam, with the same two charts, and return their numbers."""
-    keys = np.column_stack([steps.seams, steps.ends])
-    starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)][: len(keys)])
-    within = np.arange(len(keys)) - np.repeat(starts, np.diff(np.r_[starts, len(keys)]))
-    return np.cumsum(within % _STRETCHES == 0) - 1
-
-
-def _foretold(
-    steps: Steps, spread: tuple[float, ...], folds: Int64s, groups: Int64s, fixed: Bools | None
-) -> Verdict:
-    after = np.empty_like(steps.colours)
-    for fold in range(_FOLDS):
-        held = folds == fold
-        others = fit_exposures(steps.part(~held), spread, SHORT, fixed)
-        after[held] = others.sides(steps.part(held))
-    seam_of = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
-    seam_of[groups] = steps.seams
-    part = steps.counts * (may_be_exposure(steps) & known_channels(steps).any(axis=1))
-    before, left = (_energy(sides, groups, part) for sides in (steps.colours, after))
-    units = seam_of if len(np.unique(seam_of)) >= _FEWEST_SEAMS else np.arange(len(seam_of))
-    each = np.bincount(units, before - left)
-    error, gained, total = float(np.sqrt(np.square(each).sum())), float(each.sum()), float(before.sum())
-    if not total or not error:
-        return Verdict(spread, 0.0, 0.0, 0.0)
-    return Verdict(spread, gained / total, gained / error, float(np.sqrt(max(0.0, gained) / part.sum())))
-
-
-def _energy(sides: Float64s, groups: Int64s, counts: Float64s) -> Float64s:
-    """Return the squared mean step of each group, of which paint cannot make much, times its texels."""
-    texels = np.bincount(groups, counts)
-    step = sides[:, 1] - sides[:, 0]
-    means = [np.bincount(groups, each * counts) / np.maximum(texels, 1) for each in step.T]
-    return np.asarray(texels * np.minimum(np.mean(np.square(means), axis=0), _SATURATED**2))
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,6 @@ _DEVIATIONS = 2.5
 _STRICTER = (0.3, 0.5)
 # So are all seams of charts of which less than this share agrees.
 _LEAST_AGREED = 0.25
-# Beside this a colour may have been cut off at 0 or 1.
-_CUT_OFF = 1.5 / 255
 # A step of so many deviations is none of exposure, if gains and offsets of cameras deviate by these.
 _LARGEST, _USUAL = 2.0, (0.1, 0.03)
 # Neighbouring texels of a seam share errors: so many say as much as one, and a whole seam as so many of these.
@@ -102,6 +100,7 @@ def fit_exposures(
             noise = np.minimum(noise, with_noise(replace(steps, colours=sides)).noise)
         if place == 0 and rounds > 0:
             system.drop(found, _STRICTER[rounds - 1])
+        system.known = known_steps(steps, sides)
         residual = _distances(sides[:, 1] - sides[:, 0], system.known)
         if rounds < 0:
             weights = 1 / (1 + residual / (noise + _ALLOWED))
@@ -109,7 +108,7 @@ def fit_exposures(
             scale = max(1.0, _NARROWING * scale)
             allowed = scale * (_DEVIATIONS * noise + _ALLOWED)
             weights = 1 / np.square(1 + np.square(residual / allowed))
-        weights = np.where(system.used, weights, 0)
+        weights = np.where(system.used & system.known.any(axis=1), weights, 0)
         terms = system.solve(found, sides.mean(axis=1), weights * system.trust / np.square(noise))
         terms = found.terms + _DAMPING * (terms - found.terms)
         terms[..., GAIN] = terms[..., GAIN].clip(*_GAINS)
@@ -117,10 +116,14 @@ def fit_exposures(
     return found
 
 
-def known_channels(steps: Steps) -> Bools:
-    """Return where colours on both sides were not cut off, shape (K, N)."""
-    low, high = steps.colours.min(axis=1), steps.colours.max(axis=1)
-    return np.asarray((low > _CUT_OFF) & (high < 1 - _CUT_OFF))
+def known_steps(steps: Steps, sides: Float64s) -> Bools:
+    """Return where corrected sides must agree, shape (K, N).
+
+    A colour that was cut off is a bound of what it was, and tells nothing of a side within it.
+    """
+    low, high = steps.low, steps.high
+    may_rise, may_fall = high[:, 0] | low[:, 1], low[:, 0] | high[:, 1]  # the first side beside the second
+    return np.asarray(~np.where(sides[:, 0] < sides[:, 1], may_rise, may_fall))
 
 
 def may_be_exposure(steps: Steps) -> Bools:
@@ -141,12 +144,13 @@ class _System:
         self._step = after - before
         lengths = np.bincount(steps.seams, steps.counts)[steps.seams]
         self.trust = steps.counts / np.maximum(_ALIKE, lengths / _MOST)
-        self.known = known_channels(steps)
-        self.used = may_be_exposure(steps) & self.known.any(axis=1)
+        self.known = known_steps(steps, steps.colours)
+        self.used = may_be_exposure(steps)
 
     def drop(self, found: Exposures, least: float) -> None:
         """Use no seam any more whose mean weight is below the least, and none of charts that are painted themselves."""
-        steps, counts = self._steps, self._steps.counts
+        steps = self._steps
+        counts = steps.counts * self.known.any(axis=1)
         totals = np.maximum(np.bincount(steps.seams, counts), 1)
         shares = np.bincount(steps.seams, found.weights * counts) / totals
         self.used &= shares[steps.seams] >= least

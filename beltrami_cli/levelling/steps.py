@@ -23,6 +23,8 @@ _UNUSUAL, _ALLOWED = 2.5, 12 / 255
 # Deviations of 8-bit colours are not known better than this.
 _FINEST = 1 / 255
 _PRIOR = 4  # stretches
+# Beside 0 and full scale a colour was cut off there; a stretch was, of which more than this share of the lines was.
+_CUT_OFF, _CUT_SHARE = 0.6 / 255, 0.1
 _GAINS = (-0.3, -0.15, 0.0, 0.15, 0.3)
 UNKNOWN = (np.zeros(0), np.zeros(0, bool))
 _CELLS = 1 << 20  # whose places are added up at a time
@@ -39,6 +41,8 @@ class Steps:
     places: Float64s  # (K, 2, 2): in the charts, about their centres, of deviation 1/2
     seams: Int64s  # (K,): the seam that a stretch is of
     counts: Float64s  # (K,): texels in it
+    low: Bools  # (K, 2, N): where colours of a side were cut off at 0, so that these are upper bounds
+    high: Bools  # (K, 2, N): where they were cut off at full scale
     noise: Float64s  # (K,): deviation of the steps along its seam
     is_paint: Bools  # (K,): whether the steps along its seam vary so much that they are painted
 
@@ -84,14 +88,14 @@ class ChartPlaces:
 def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Steps:
     """Measure the colours of both sides of all seams of an atlas; its halo is interpolated in place."""
     refresh_halo(planes, atlas, interpolated=True)
-    inner, outer, colours = _both_sides(atlas, planes)
+    inner, outer, colours, cut = _both_sides(atlas, planes)
     halo = np.searchsorted(atlas.halo_cells, outer)
     cells = np.column_stack([inner, atlas.halo_nearest[halo]]).astype(np.int64)
     ends = atlas.chart_of[np.searchsorted(atlas.owned_cells, cells)].astype(np.int64)
     columns = atlas.kind.shape[1]
     where = np.stack([places.at(cells[:, side], ends[:, side], columns) for side in (0, 1)], axis=1)
     seams = atlas.halo_seams[halo].astype(np.int64)
-    found = Steps(atlas.charts, ends, colours, where, seams, np.ones(len(seams)), *UNKNOWN)
+    found = Steps(atlas.charts, ends, colours, where, seams, np.ones(len(seams)), *cut, *UNKNOWN)
     stretch = _STRETCH
     while True:
         row, column = np.divmod(inner.astype(np.int64), columns)
@@ -101,11 +105,11 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
         stretch *= 2
 
 
-def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s]:
-    """Return the cells on both sides of seams, and the colours there, extrapolated to the seam."""
+def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s, tuple[Bools, Bools]]:
+    """Return the cells on both sides of seams, the colours there, extrapolated to the seam, and which were cut off."""
     flat = planes.reshape(len(planes), -1)
-    inner, outer, colours = [], [], []
-    known = np.zeros(max(1, atlas.seams), bool)
+    inner, outer, colours, low, high = [], [], [], [], []
+    known, (floor, ceiling) = np.zeros(max(1, atlas.seams), bool), limits_of(planes)
     for reach in (3, 1):
         for line in lines_over_seams(atlas, reach):
             seams = atlas.halo_seams[np.searchsorted(atlas.halo_cells, line[reach])]
@@ -113,12 +117,21 @@ def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64
             cells = [each[wanted] for each in line]
             inner.append(cells[0])
             outer.append(cells[reach])
-            sides = [at_seam([flat[:, each] for each in half]) for half in (cells[:reach], cells[reach:])]
-            colours.append(np.stack(sides, axis=1).transpose(2, 1, 0))
+            halves = [[flat[:, each] for each in half] for half in (cells[:reach], cells[reach:])]
+            colours.append(np.stack([at_seam(half) for half in halves]))
+            low.append(np.stack([np.min(half, axis=0) <= floor + _CUT_OFF for half in halves]))
+            high.append(np.stack([np.max(half, axis=0) >= ceiling - _CUT_OFF for half in halves]))
         # Charts may be too narrow for lines of three cells.
         for cells_beyond in outer:
             known[atlas.halo_seams[np.searchsorted(atlas.halo_cells, cells_beyond)]] = True
-    return np.concatenate(inner), np.concatenate(outer), np.concatenate(colours)
+    both, *cut = (np.concatenate(each, axis=2).transpose(2, 0, 1) for each in (colours, low, high))
+    return np.concatenate(inner), np.concatenate(outer), both, (cut[0], cut[1])
+
+
+def limits_of(colours: Float32s | Float64s) -> tuple[float, float]:
+    """Return where colours are cut off: at 0 and 1, unless some lie beyond."""
+    low = 0.0 if colours.min(initial=0) >= 0 else -np.inf
+    return low, 1.0 if colours.max(initial=1) <= 1 else np.inf
 
 
 def _merged(steps: Steps, *blocks: Int64s) -> Steps:
@@ -129,13 +142,15 @@ def _merged(steps: Steps, *blocks: Int64s) -> Steps:
     starts = np.flatnonzero(np.r_[True, np.any(ordered[1:] != ordered[:-1], axis=1)][: len(ordered)])
     counts = np.add.reduceat(steps.counts[order], starts) if len(starts) else np.zeros(0)
 
-    def mean(values: Float64s) -> Float64s:
+    def mean(values: Float64s | Bools) -> Float64s:
         if not len(starts):
-            return values
-        return np.asarray(np.add.reduceat(values[order], starts) / counts[:, None, None])
+            return values.astype(np.float64)
+        sums = np.add.reduceat(values[order], starts, dtype=np.float64)
+        return np.asarray(sums / counts[:, None, None])
 
     first, sides = order[starts], (mean(steps.colours), mean(steps.places))
-    return Steps(steps.charts, steps.ends[first], *sides, steps.seams[first], counts, *UNKNOWN)
+    cut = mean(steps.low) > _CUT_SHARE, mean(steps.high) > _CUT_SHARE
+    return Steps(steps.charts, steps.ends[first], *sides, steps.seams[first], counts, *cut, *UNKNOWN)
 
 
 def with_noise(steps: Steps) -> Steps:
@@ -203,7 +218,11 @@ def steps_over_edges(
         colours[across[:, side]] + sign * np.einsum("kx,kxn->kn", half, slopes[across[:, side]])
         for side, sign in ((0, 1.0), (1, -1.0))
     ]
-    steps = Steps(count, ends, np.stack(sides, axis=1), places[across], seams, np.ones(len(ends)), *UNKNOWN)
+    floor, ceiling = limits_of(colours)
+    cut = colours[across] <= floor + _CUT_OFF, colours[across] >= ceiling - _CUT_OFF
+    steps = Steps(
+        count, ends, np.stack(sides, axis=1), places[across], seams, np.ones(len(ends)), *cut, *UNKNOWN
+    )
     return with_noise(steps), charts, places
 
 

@@ -16,6 +16,7 @@ from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_samples import TexelSamples
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
+LIGHT_GAINS = 0.6, 1.6  # of linear light
 
 
 @dataclass
@@ -34,21 +35,36 @@ class ExposureScene:
     def charts(self):
         return self.samples.atlas.chart_of
 
-    def exposed(self, seed, *, fall_off=False, clipped=False):
+    def exposed(self, seed, *, fall_off=False, clipped=False, in_light=False):
         """Return the truth, and that with a gain and an offset for each chart and channel, in 8 bits.
 
         Unless some is to be clipped, the truth is brought into the range in which nothing is.
         """
+        truth, expose = self.exposures(seed, fall_off=fall_off, clipped=clipped, in_light=in_light)
+        return truth, np.rint(np.clip(expose(truth), 0, 1) * 255) / 255
+
+    def restored(self, seed, *, fall_off=False, clipped=False):
+        """Return the colours that one has who knows the exposures, but not what they cut off."""
+        truth, exposed = self.exposed(seed, fall_off=fall_off, clipped=clipped)
+        _, expose = self.exposures(seed, fall_off=fall_off, clipped=clipped)
+        offset = expose(0 * truth)
+        return (exposed - offset) / (expose(1 + 0 * truth) - offset)
+
+    def exposures(self, seed, *, fall_off=False, clipped=False, in_light=False):
+        """Return the truth, and a function that exposes it."""
         random, atlas = np.random.default_rng(seed), self.samples.atlas
         truth = self.truth if clipped else 0.1 + 0.65 * self.truth
         shape = (atlas.charts, truth.shape[1])
+        if in_light:
+            gain = np.exp(random.uniform(*np.log(LIGHT_GAINS), shape))[self.charts]
+            return 0.8 * truth, lambda colours: from_light(gain * to_light(colours))
         gain, offset = random.uniform(*GAINS, shape), random.uniform(-OFFSET, OFFSET, shape)
-        colours = truth * gain[self.charts]
+        factor = gain[self.charts]
         if fall_off:
             places = ChartPlaces.of(atlas).at(atlas.owned_cells, self.charts, atlas.kind.shape[1])
             slope = random.uniform(-FALL_OFF, FALL_OFF, (atlas.charts, 2))
-            colours *= 1 + np.einsum("tk,tk->t", places.clip(-1, 1), slope[self.charts])[:, None]
-        return truth, np.rint(np.clip(colours + offset[self.charts], 0, 1) * 255) / 255
+            factor = factor * (1 + np.einsum("tk,tk->t", places.clip(-1, 1), slope[self.charts])[:, None])
+        return truth, lambda colours: colours * factor + offset[self.charts]
 
     def levelled(self, colours, strength=1.0, fixed=None):
         """Return the colours after levelling, and what was found."""
@@ -73,6 +89,16 @@ class ExposureScene:
         ends = np.array(pairs, int).reshape(-1, 2)
         graph = coo_array((np.ones(len(ends)), ends.T), shape=(atlas.charts,) * 2)
         return connected_components(graph, directed=False)[1][self.charts]
+
+
+def to_light(shown):
+    """Return linear light for display values of sRGB."""
+    return np.where(shown <= 0.04045, shown / 12.92, ((np.maximum(shown, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def from_light(light):
+    """Return display values of sRGB for linear light."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
 def error(colours, truth, groups=None):

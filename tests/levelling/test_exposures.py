@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.levelling.correction import STRONG, judge
-from beltrami_cli.levelling.fit import fit_exposures
+from beltrami_cli.levelling.fit import fit_exposures, known_steps
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
+from beltrami_cli.levelling.verdict import STRONG, bridges, judge
 from benchmarks.exposure_scene import ExposureScene, error, fall
 from cli.commands import SAMPLES
 
@@ -116,15 +118,20 @@ def test_painted_edges_along_seams_move_by_less_than_a_step(head):
     assert fall(exposed[~inside], after[~inside], truth[~inside]) >= 12
 
 
+def steps_of(ends, sides, seams, noise):
+    """Return stretches of seams, of one texel each, at which nothing is cut off."""
+    count, none = len(seams), np.zeros(sides.shape, bool)
+    places, deviation, plain = np.zeros((count, 2, 2)), np.full(count, noise), np.zeros(count, bool)
+    return Steps(ends.max() + 1, ends, sides, places, seams, np.ones(count), none, none, deviation, plain)
+
+
 def seam(paint):
     """Return a seam of two charts with a gain of 1.1 between them, of which a part is painted over on one side."""
     random = np.random.default_rng(4)
     colours = random.uniform(0.3, 0.7, (400, 1))
     sides = np.stack([colours, 1.1 * colours + random.normal(0, 0.002, colours.shape)], axis=1)
     sides[:paint, 1] = 0.9
-    ends, places = np.tile([0, 1], (400, 1)), np.zeros((400, 2, 2))
-    noise, plain = np.full(400, 2 / 255), np.zeros(400, bool)
-    return Steps(2, ends, sides, places, np.zeros(400, int), np.ones(400), noise, plain)
+    return steps_of(np.tile([0, 1], (400, 1)), sides, np.zeros(400, int), 2 / 255)
 
 
 def test_a_painted_tenth_of_a_seam_does_not_bend_the_rest():
@@ -138,20 +145,77 @@ def test_a_long_seam_of_nearly_one_colour_gives_charts_no_gain():
     random = np.random.default_rng(6)
     shade = random.choice([-1.0, 1.0], (1000, 1))
     sides = np.stack([0.17 + 1.5 * shade / 255, 0.17 + 2.5 * shade / 255], axis=1)
-    ends, places = np.tile([0, 1], (1000, 1)), np.zeros((1000, 2, 2))
-    noise, plain = np.full(1000, 1 / 255), np.zeros(1000, bool)
-    steps = Steps(2, ends, sides, places, np.zeros(1000, int), np.full(1000, 4.0), noise, plain)
+    steps = steps_of(np.tile([0, 1], (1000, 1)), sides, np.zeros(1000, int), 1 / 255)
+    steps = replace(steps, counts=np.full(1000, 4.0))
     assert np.abs(fit_exposures(steps, STRONG).terms[..., 0]).max() < STRONG[0]  # what is expected of gains
 
 
 def test_painted_steps_beside_a_seam_of_exposure_do_not_hide_it():
-    # Three quarters of the seams are painted, in steps that no camera makes.
+    # Two thirds of the seams are painted, in steps that no camera makes.
     steps = seam(0)
-    painted = np.arange(400) >= 100
+    painted = np.arange(400) >= 140
     sides = steps.colours.copy()
     sides[painted, 1] = np.where(sides[painted, 0] > 0.5, 0.1, 0.95)
     mixed = replace(steps, colours=sides, seams=np.arange(400) // 20)
     assert judge(mixed).is_sure
+
+
+def star(pattern):
+    """Return the seams of twelve charts with exposures of their own that all meet one chart, and nothing else."""
+    random = np.random.default_rng(7)
+    seams = np.repeat(np.arange(12), 40)
+    colours = np.repeat(random.uniform(0.3, 0.6, (12, 3)), 40, axis=0)
+    colours = colours + pattern * random.uniform(-1, 1, (480, 1))
+    gain = random.uniform(0.85, 1.1, (12, 3))[seams]
+    shown = gain * colours + random.normal(0, 0.002, colours.shape)
+    return steps_of(
+        np.column_stack([0 * seams, seams + 1]), np.stack([colours, shown], axis=1), seams, 1 / 255
+    )
+
+
+def test_a_chart_with_one_seam_is_told_by_the_pattern_that_goes_on_over_it():
+    assert judge(star(0.15)).is_sure
+    # Of colours without a pattern nobody knows whether these are painted.
+    assert not judge(star(0.0)).is_sure
+
+
+def test_bridges_are_the_seams_without_which_a_part_is_alone():
+    random = np.random.default_rng(8)
+    for charts in (1, 2, 9, 30):
+        ends = random.integers(0, charts, (charts * 6 // 5, 2))
+
+        def parts(kept, ends=ends, charts=charts):
+            graph = coo_array((np.ones(len(kept)), ends[kept].T), shape=(charts,) * 2)
+            return connected_components(graph, directed=False)[0]
+
+        every = np.arange(len(ends))
+        wanted = [parts(np.delete(every, each)) > parts(every) for each in every]
+        assert bridges(ends, charts).tolist() == wanted
+
+
+def test_a_colour_that_was_cut_off_is_a_bound():
+    sides = np.array([[0.9, 1.0], [0.9, 1.0], [0.1, 0.0], [0.1, 0.0], [1.0, 1.0]])[:, :, None]
+    steps = steps_of(np.tile([0, 1], (5, 1)), sides, np.zeros(5, int), 1 / 255)
+    high, low = sides >= 1, sides <= 0
+    steps = replace(steps, high=high, low=low)
+    # What was brighter than full scale is at least that, and too bright beside 0.9 ...
+    assert known_steps(steps, sides)[:, 0].tolist() == [True, True, True, True, False]
+    # ... but not beside what became as bright.
+    after = sides.copy()
+    after[:2, 0], after[2:4, 0] = 1.05, -0.05
+    assert not known_steps(steps, after).any()
+
+
+def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
+    sides = np.tile([[0.85], [1.0]], (400, 1, 1))
+    steps = steps_of(np.tile([0, 1], (400, 1)), sides, np.zeros(400, int), 1 / 255)
+    found = fit_exposures(replace(steps, high=sides >= 1), STRONG).sides(steps)
+    assert np.abs(found[:, 1] - found[:, 0]).max() < 2 / 255
+
+
+def test_gains_of_light_are_taken_out_of_display_values(head):
+    truth, exposed = head.exposed(1, in_light=True)
+    assert fall(exposed, head.levelled(exposed)[0], truth) >= 20
 
 
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):

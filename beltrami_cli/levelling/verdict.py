@@ -1,0 +1,190 @@
+"""Whether there are exposure steps at all, and of which kind.
+
+A fit can take out any step. But only if steps are of exposure does a fit to some seams also foretell the steps at the
+others, for each chart has several seams, and one exposure: each seam is foretold from the others. A seam that alone
+joins two parts of a surface is foretold from its other stretches, if the same pattern is on both of its sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.levelling.fit import SHORT, fit_exposures, known_steps, may_be_exposure
+
+if TYPE_CHECKING:
+    from beltrami_cli.arrays import Bools, Float64s, Int64s
+    from beltrami_cli.levelling.steps import Steps
+
+# Expected deviations of gains, offsets, and tilts if any: strong and faint. Of more terms less can be known, so that
+# with tilts all are drawn to 0 more strongly.
+STRONG, FAINT = (0.1, 0.03), (0.03, 0.01)
+STRONG_TILTED, FAINT_TILTED = (0.05, 0.02, 0.06, 0.06), (0.03, 0.01, 0.024, 0.024)
+_FOLDS = 4
+_MANY_SEAMS, _MORE_FOLDS = (
+    64,
+    12,
+)  # of fewer seams so many folds, or too much that tells of others is left out
+_PATTERN = 3.0  # times as far do colours vary along a seam as steps
+_FEWEST_SEAMS = 8  # below, parts of seams are foretold from the others
+_STRETCHES = 4  # whose mean step is foretold: the pattern on it is averaged away
+_SATURATED = 14 / 255  # steps count no more than this
+_SURE = 0.25  # strong steps that are foretold so well are not tried as faint ones
+# What is left must fall to this for another kind than the first: others have more terms, or fainter ones. Less will do
+# where it falls by more than so many standard errors over the seams.
+_BETTER, _CLEARLY_BETTER, _CLEAR = 0.85, 0.95, 4.0
+# Shares of the energy of steps that must be foretold, and in how many standard errors over the seams: where it is more,
+# one will do, as there may be few seams.
+_ENOUGH = ((0.12, 2.7), (0.25, 0.9))
+# Painted models have faint steps of which some is foretold, by shading that was painted too: unless most is, what is
+# foretold must be larger.
+_LEAST_REMOVED, _MOST = 3.2 / 255, 0.5
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The deviations that foretell the steps best, and what share of their energy they do foretell."""
+
+    spread: tuple[float, ...]
+    share: float
+    errors: float
+    removed: float  # root mean square of what is foretold of the steps
+    left: Float64s = field(repr=False, compare=False)  # of their energy, for each seam
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether there are exposure steps."""
+        is_large = self.removed >= _LEAST_REMOVED or self.share >= _MOST
+        return is_large and any(self.share >= share and self.errors >= errors for share, errors in _ENOUGH)
+
+
+def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
+    """Choose the kind of exposure steps by cross-validation over the seams."""
+    groups, folds, is_told = _groups(steps), *_folds(steps)
+
+    def tried(plain: tuple[float, ...], tilted: tuple[float, ...]) -> Verdict:
+        both = [_foretold(steps, each, folds, groups, is_told, fixed) for each in (plain, tilted)]
+        chosen, other = both[:: -1 if _is_better(both[1], both[0]) else 1]
+        # Whichever of the two foretells the steps, these are of exposure.
+        return replace(other, spread=chosen.spread) if other.is_sure > chosen.is_sure else chosen
+
+    strong = tried(STRONG, STRONG_TILTED)
+    if strong.share >= _SURE:
+        return strong
+    faint = tried(FAINT, FAINT_TILTED)
+    return faint if faint.is_sure > strong.is_sure or _is_better(faint, strong) else strong
+
+
+def _is_better(other: Verdict, first: Verdict) -> bool:
+    """Whether another kind than the first leaves so much less of the steps that its terms are worth it."""
+    gained = first.left - other.left
+    total, limit = float(other.left.sum()), float(first.left.sum())
+    is_clear = gained.sum() > _CLEAR * np.sqrt(np.square(gained).sum())
+    return total < (_CLEARLY_BETTER if is_clear else _BETTER) * limit
+
+
+def _folds(steps: Steps) -> tuple[Int64s, Bools]:
+    """Return the fold of each stretch, and of which the others tell anything."""
+    seams, first, seam = np.unique(steps.seams, return_index=True, return_inverse=True)
+    along = np.arange(len(seam)) // (2 * _STRETCHES)
+    if len(seams) < _FEWEST_SEAMS:
+        return along % _FOLDS, np.ones(len(seam), bool)
+    count = _FOLDS if len(seams) >= _MANY_SEAMS else _MORE_FOLDS
+    drawn = np.random.default_rng(0).permutation(len(seams)) % count
+    # What joins two parts of a model is foretold by nothing but its other stretches. They tell an exposure from paint
+    # only where the same pattern is on both sides.
+    alone = bridges(steps.ends[first], steps.charts)
+    return np.where(alone[seam], along % count, drawn[seam]), ~alone[seam] | _continues(steps)
+
+
+def _continues(steps: Steps) -> Bools:
+    """Return which stretches are of seams along which colours vary alike on both sides, by far more than steps do."""
+    starts = np.flatnonzero(np.r_[True, steps.seams[1:] != steps.seams[:-1]])
+    lengths = np.diff(np.r_[starts, len(steps.seams)])
+    middle = steps.colours.mean(axis=1)
+
+    def mean(values: Float64s) -> Float64s:
+        sums = np.add.reduceat(values * steps.counts[:, None], starts)
+        return np.asarray(np.repeat(sums / np.add.reduceat(steps.counts, starts)[:, None], lengths, axis=0))
+
+    spread = mean(np.abs(middle - mean(middle))).mean(axis=1)
+    return np.asarray(spread >= _PATTERN * steps.noise)
+
+
+def _groups(steps: Steps) -> Int64s:
+    """Divide stretches into groups of neighbours on a seam, with the same two charts, and return their numbers."""
+    keys = np.column_stack([steps.seams, steps.ends])
+    starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)][: len(keys)])
+    within = np.arange(len(keys)) - np.repeat(starts, np.diff(np.r_[starts, len(keys)]))
+    return np.cumsum(within % _STRETCHES == 0) - 1
+
+
+def _foretold(
+    steps: Steps,
+    spread: tuple[float, ...],
+    folds: Int64s,
+    groups: Int64s,
+    is_told: Bools,
+    fixed: Bools | None,
+) -> Verdict:
+    after = np.empty_like(steps.colours)
+    for fold in np.unique(folds):
+        held = folds == fold
+        others = fit_exposures(steps.part(~held), spread, SHORT, fixed)
+        after[held] = others.sides(steps.part(held))
+    seam_of = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
+    seam_of[groups] = steps.seams
+    part = steps.counts * (may_be_exposure(steps) & is_told)
+    before, left = (_energy(steps, sides, groups, part) for sides in (steps.colours, after))
+    units = seam_of if len(np.unique(seam_of)) >= _FEWEST_SEAMS else np.arange(len(seam_of))
+    each, kept = (np.bincount(units, energy).astype(np.float64) for energy in (before - left, left))
+    error, gained, total = float(np.sqrt(np.square(each).sum())), float(each.sum()), float(before.sum())
+    if not total or not error:
+        return Verdict(spread, 0.0, 0.0, 0.0, kept)
+    return Verdict(
+        spread, gained / total, gained / error, float(np.sqrt(max(0.0, gained) / part.sum())), left
+    )
+
+
+def _energy(steps: Steps, sides: Float64s, groups: Int64s, counts: Float64s) -> Float64s:
+    """Return the squared mean step of each group, of which paint cannot make much, times its texels."""
+    texels = np.bincount(groups, counts)
+    step = np.where(known_steps(steps, sides), sides[:, 1] - sides[:, 0], 0)
+    means = [np.bincount(groups, each * counts) / np.maximum(texels, 1) for each in step.T]
+    return np.asarray(texels * np.minimum(np.mean(np.square(means), axis=0), _SATURATED**2))
+
+
+def bridges(ends: Int64s, charts: int) -> Bools:
+    """Return which seams, between the charts `ends` of shape (K, 2), are on no closed way over seams.
+
+    Each seam outside a spanning tree gets a random number, and each seam of the tree the exclusive or of those of the
+    closed ways that it is on: that is 0 for a bridge, and for another with a probability of 2 ** -62.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    between = ends[:, 0] != ends[:, 1]
+    pairs, which, times = np.unique(
+        np.sort(ends[between], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    shape = (charts + 1,) * 2
+    joined = coo_array((np.ones(len(pairs)), pairs.T), shape=shape)
+    roots = np.unique(connected_components(joined, directed=False)[1], return_index=True)[1]
+    # One more chart, which joins all parts, makes one tree of them.
+    links = np.concatenate([pairs, np.column_stack([np.full(len(roots), charts), roots])])
+    joined = coo_array((np.ones(len(links)), links.T), shape=shape)
+    order, parents = breadth_first_order(joined.tocsr(), charts, directed=False)
+    of_tree = (parents[pairs[:, 0]] == pairs[:, 1]) | (parents[pairs[:, 1]] == pairs[:, 0])
+    labels = np.zeros(charts + 1, np.int64)
+    random = np.random.default_rng(0).integers(1, 1 << 62, len(pairs))
+    for side in pairs.T:
+        np.bitwise_xor.at(labels, side[~of_tree], random[~of_tree])
+    for chart in order[:0:-1]:
+        labels[parents[chart]] ^= labels[chart]
+    lower = np.where(parents[pairs[:, 0]] == pairs[:, 1], pairs[:, 0], pairs[:, 1])
+    alone = of_tree & (labels[lower] == 0) & (times == 1)
+    found = np.zeros(len(ends), bool)
+    found[between] = alone[which.reshape(-1)]
+    return found
