@@ -143,9 +143,8 @@ def _foretold(
     error, gained, total = float(np.sqrt(np.square(each).sum())), float(each.sum()), float(before.sum())
     if not total or not error:
         return Verdict(spread, 0.0, 0.0, 0.0, kept)
-    return Verdict(
-        spread, gained / total, gained / error, float(np.sqrt(max(0.0, gained) / part.sum())), left
-    )
+    removed = float(np.sqrt(max(0.0, gained) / part.sum()))
+    return Verdict(spread, gained / total, gained / error, removed, kept)
 
 
 def _energy(steps: Steps, sides: Float64s, groups: Int64s, counts: Float64s) -> Float64s:

@@ -28,7 +28,9 @@ from beltrami_cli.samples.settings import DEFAULTS
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
 SAMPLES = HERE.parents[1] / "sample_data"
-EXTRA = ("statue.glb",)  # from the examples of PlayCanvas
+# From the examples of PlayCanvas, and from those of plane-opt-rgbd by C. Wang.
+EXTRA = ("statue.glb", "copyroom_c2000_opt.obj")
+EXPOSED = {"scan-clean.glb": "scan-exposed.glb", "copyroom_c2000_opt.obj": "room-exposed.glb"}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -42,11 +44,17 @@ def main(arguments: list[str]) -> int:
             if sample.is_file() and sample.suffix not in {".py", ".md"}:
                 shutil.copy(sample, folder)
         missing = set(EXTRA)
-        for found in Path(os.environ.get("BELTRAMI_EXTRA_MESHES") or folder).rglob("*.glb"):
+        for found in Path(os.environ.get("BELTRAMI_EXTRA_MESHES") or folder).rglob("*"):
             if found.name in missing:
                 missing.remove(found.name)
-                shutil.copyfile(found, Path(folder) / found.name)
-        expose(Path(folder) / "scan-clean.glb", Path(folder) / "scan-exposed.glb")
+                # A model in several files has a folder of its own.
+                for file in found.parent.iterdir() if found.suffix == ".obj" else [found]:
+                    shutil.copyfile(file, Path(folder) / file.name)
+        for source, exposed in EXPOSED.items():
+            if source in missing:
+                missing.add(exposed)
+            else:
+                expose(Path(folder) / source, Path(folder) / exposed)
         for command in commands(text):
             words = shlex.split(command, comments=True)
             print(command)
@@ -100,7 +108,7 @@ class Exposing:
     """A painter that gives every chart a gain and an offset in each channel, as photographs of their own would."""
 
     changes = colours_only = True
-    works_on_disk = False
+    works_on_disk = works_in_groups = False
 
     def check(self, *_: object) -> None:
         """Accept all."""

@@ -174,7 +174,9 @@ def star(pattern):
 
 
 def test_a_chart_with_one_seam_is_told_by_the_pattern_that_goes_on_over_it():
-    assert judge(star(0.15)).is_sure
+    verdict = judge(star(0.15))
+    assert verdict.is_sure
+    assert len(verdict.left) == 12  # each seam is evidence of its own, however long
     # Of colours without a pattern nobody knows whether these are painted.
     assert not judge(star(0.0)).is_sure
 
