@@ -25,10 +25,8 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.surface.grouping import group_places
 
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "scan-clean.glb", "scan-noisy.glb")
-WEIGHTS = (
-    "100",
-    "1",
-)  # of the colours as they are, for the tool: as it is set, and for steps that reach further
+# Of the colours as they are, for the tool: as it is set, and for corrections that reach further into charts.
+WEIGHTS = ("100", "1")
 
 
 def main(arguments):
