@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.records import Step
+    from beltrami_cli.flow.vertex_clusters import Graph
     from beltrami_cli.surface.records import SampledSurface
 
 
@@ -47,6 +48,7 @@ class MeshKernels(Manifold):
         self.is_along_segments = parameters.is_along_segments(length)
         self._core: SegmentManifold | TriangulatedManifold | None = None
         self._patches: SurfacePatches | None = None
+        self._graph: Graph | None = None
         # Bridges over hard colour edges join samples at one place: they carry no information about spacing or noise.
         self.edges, lengths = edges_in_space(self.core.edges(), self.positions)
         self.spacing = float(lengths.mean()) if len(lengths) else 0.0
@@ -69,7 +71,7 @@ class MeshKernels(Manifold):
         return self._core
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "_core": None, "_patches": None}
+        return {**self.__dict__, "_core": None, "_patches": None, "_graph": None}
 
     def measure(self, colours: Float32s, step: Step) -> None:
         """Induce the metric, eq. (1)."""
@@ -114,7 +116,7 @@ class MeshKernels(Manifold):
         """Return a part of some samples, ascending; `others`: their places in a larger part, and its size."""
         places, size = others or (np.arange(len(samples)), len(samples))
         part = copy(self)
-        part._core, part._patches, part._gaussian, part.moving = None, None, None, None
+        part._core, part._patches, part._graph, part._gaussian, part.moving = None, None, None, None, None
         rank = np.full(self.size, -1, np.int32)
         rank[samples] = places
         part.size = size

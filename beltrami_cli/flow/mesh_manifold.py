@@ -178,6 +178,7 @@ class MeshManifold(MeshKernels):
 
     def coarse_levels(self) -> Iterator[Clusters]:
         """Go through clusters of samples."""
+        assert self._graph is not None
         yield from clusters_for(self._graph, self._axes, self.differing, self.threads)
 
     def planes(self, count: int) -> Float32s:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
 from beltrami_cli import smooth
 from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_clusters import Graph, clusters_for
+from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr
 
@@ -75,6 +79,17 @@ def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
         changed = stack.copy()
         level.add_enlarged(changed, np.full_like(means, 0.25))
         np.testing.assert_allclose(changed, stack + 0.25, atol=1e-5)
+
+
+def test_parts_do_not_carry_the_graph_of_the_whole():
+    positions, faces = surfaces.icosphere(5)
+    colours = RANDOM.random((len(positions), 3)).astype(np.float32)
+    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
+    manifold = MeshManifold(surface, KernelParameters(iterations=1))
+    part = np.arange(50)
+    before = len(pickle.dumps(manifold.cut(part)))
+    manifold.perturbation()
+    assert len(pickle.dumps(manifold.cut(part))) < 1.1 * before + 1000
 
 
 def test_plain_colours_lose_noise_that_single_vertices_keep(monkeypatch):
