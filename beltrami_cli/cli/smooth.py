@@ -231,6 +231,8 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         _show_done(messages, name + what, report.image, report.image.samples_per_kernel)
     for slot in report.textures:
         textures = counted(len(slot.textures), f"{slot.slot} texture")
+        if sum(other.slot == slot.slot for other in report.textures) > 1:
+            textures += f" ({', '.join(str(each['name']) for each in slot.textures)})"
         charts = counted(slot.counts["charts"], "chart")
         what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
         _show_done(messages, name + what, slot, slot.samples_per_kernel)

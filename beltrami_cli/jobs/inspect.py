@@ -45,8 +45,8 @@ def inspect_file(
         faces "cloud" (counts, spacing, bounds), "noise" (standard deviation per channel, full scale 1) and "smooth"
         (parameters as they would be used, and the mean number of samples in a kernel of the first iteration), which is
         omitted if the vertex colours would stay unchanged beside textures; "textures", a list with an entry for
-        each slot that would be smoothed, in which "images" describes each texture, and "surface" for the mesh under
-        them; "notices". For an image "file", "image", "noise", "smooth" and "notices".
+        all textures of a slot that are smoothed together, in which "images" describes each, and "surface" for the mesh
+        under them; "notices". For an image "file", "image", "noise", "smooth" and "notices".
 
     Raises
     ------
@@ -69,12 +69,19 @@ def inspect_file(
             which = "those of some textures, as memory is small for all"
             notices.append(f"{slot}: noise and parameters are {which}.")
         rest = tuple(slot for slot in selection.slots if slot not in many)
-        for samples in samples_of(document, dataclasses.replace(selection, slots=rest), settings, access):
+        chosen = dataclasses.replace(selection, slots=rest)
+        for samples in samples_of(document, chosen, settings, access, in_groups=settings.fits_parts):
             if samples.part == "textures":
                 textures.append(samples.describe())
             else:
                 facts |= samples.describe()
             notices += samples.notices()
+        for slot in rest:
+            alike = [each for each in textures if each["slot"] == slot]
+            if len(alike) > 1:  # exposures are those of all groups together
+                exposure = TexelSamples(document.textured(slot), slot, settings).exposure()
+                for each in alike:
+                    each["exposure"] = exposure
     if textures:
         facts["textures"] = textures
         others = [slot for slot in document.slots() if slot not in settings.textures.slots]

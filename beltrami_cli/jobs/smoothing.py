@@ -148,11 +148,12 @@ def make_report(
 
 
 def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
-    """Put together the reports of the groups that textures of one slot were smoothed in."""
+    """Put together the reports of the groups that textures of one slot were smoothed in with the same parameters."""
     groups: dict[object, list[Smoothed]] = {}
     for number, each in enumerate(done):
-        slot = each.report.slot if isinstance(each.report, SlotReport) else number
-        groups.setdefault(slot, []).append(each)
+        report = each.report
+        key = (report.slot, str(report.choice)) if isinstance(report, SlotReport) else number
+        groups.setdefault(key, []).append(each)
     return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
 
 

@@ -89,7 +89,10 @@ def samples_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Samples]:
-    """Take the samples of what is selected, one kind after the other; `in_groups`: of many textures some at a time."""
+    """Take the samples of what is selected, one kind after the other.
+
+    `in_groups`: textures that touch each other nowhere are taken apart, and of too many for the memory some at a time.
+    """
     # For the other parameters see `PixelSamples`.
     if isinstance(document, ImageDocument):
         if selection.image:
@@ -104,20 +107,25 @@ def samples_of(
         from beltrami_cli.samples.samples import SharedImages
         from beltrami_cli.samples.texel_colours import choose_textures
         from beltrami_cli.samples.texel_samples import TexelSamples
+        from beltrami_cli.samples.texture_groups import Common, separate_groups
+        from beltrami_cli.samples.tile_groups import TileGroups
 
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
         shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
         for slot, surface in zip(selection.slots, chosen, strict=True):
             many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
             if many is None:
-                yield TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
-                continue
-            from beltrami_cli.samples.tile_groups import CommonChoice, TileGroups
-
-            groups = TileGroups(surface, *many)
-            common = CommonChoice.of(TexelSamples(groups.evenly_chosen(), slot, settings), settings)
-            for group in groups.parted(common):
-                yield TexelSamples(group.surface, slot, common.settings, shared=shared, group=group)
+                samples = TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
+                groups = separate_groups(samples, settings) if in_groups else []
+                if not groups:
+                    yield samples
+                del samples
+            else:
+                tiles = TileGroups(surface, *many)
+                common = Common.chosen_on(TexelSamples(tiles.evenly_chosen(), slot, settings), settings)
+                groups = tiles.parted(common)
+            for group in groups:
+                yield TexelSamples(group.surface, slot, group.common.settings, shared=shared, group=group)
 
 
 def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
     from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.tile_groups import TileGroup
+    from beltrami_cli.samples.texture_groups import TextureGroup
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
 _UNSEEN = (
@@ -56,7 +56,7 @@ class TexelSamples(samples.Samples):
         settings: SmoothSettings,
         guided: tuple[Document, Access] | None = None,
         shared: samples.SharedImages | None = None,
-        group: TileGroup | None = None,
+        group: TextureGroup | None = None,
     ) -> None:
         self.slot, self.settings, self.label = slot, settings, f"{slot} textures"
         self._group = group
@@ -144,9 +144,7 @@ class TexelSamples(samples.Samples):
 
     def facts(self) -> list[dict[str, object]]:
         atlas = self.atlas
-        covered = [len(atlas.owned_texels)]
-        if len(self.pictures) > 1:
-            covered = np.histogram(atlas.owned_texels, atlas.texture_offsets)[0].tolist()
+        covered = atlas.covered_by_texture().tolist()
         return [
             {
                 "name": self.surface.textures[index].name,
@@ -179,9 +177,7 @@ class TexelSamples(samples.Samples):
         )
 
     def describe(self) -> dict[str, object]:
-        exposure = None
-        if self.slot in COLOUR_SLOTS:
-            exposure = describe_level(self.level(LevelSettings(strength=0.0)))
+        exposure = self.exposure() if self._group is None else None
         flow, described = self.flow(), self.facts()
         flows = [flow] if len(described) == 1 else map(self._alone, range(len(described)))
         seams = 0
@@ -202,6 +198,12 @@ class TexelSamples(samples.Samples):
             "exposure": exposure,
             "smooth": samples.describe_kernel(self.settings, flow),
         }
+
+    def exposure(self) -> dict[str, object] | None:
+        """Return what is known of exposure steps; None for data."""
+        if self.slot not in COLOUR_SLOTS:
+            return None
+        return describe_level(self.level(LevelSettings(strength=0.0)))
 
     def _alone(self, index: int) -> BeltramiFlow[GridManifold]:
         """Return a flow, with no parameters chosen, on one of several textures."""

@@ -10,28 +10,23 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.samples import memory_check
-from beltrami_cli.samples.samples import describe_choice
 from beltrami_cli.samples.texel_colours import only_textures
+from beltrami_cli.samples.texture_groups import Borders, TextureGroup
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, texels_by_texture
-from beltrami_cli.surface.grouping import group_places
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.arrays import Bools, Float64s, Int64s
-    from beltrami_cli.flow.noise.grid_scales import GridNoise
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.image.reading import ImageSize
-    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.texture_groups import Common
     from beltrami_cli.surface.records import TexturedSurface
 
 # Patches are looked for around each texel twice, and their weights are averaged.
@@ -40,67 +35,6 @@ _SHARE_OF_DISK = 0.5  # of what is free
 _RESIDENT_BYTES = 50  # of a texel that are in memory at a time, pages of files included
 _USUAL = 0.999  # of the texels of a texture; others are in slivers
 _MOST_POINTS = 1 << 18
-
-
-@dataclass(frozen=True)
-class TileGroup:
-    """Textures that are smoothed together, and the triangles around them, which are only looked at."""
-
-    label: str
-    surface: TexturedSurface
-    own: frozenset[str]  # keys of the textures that are written back
-    common: CommonChoice
-
-    def counts(self, atlas: Atlas, own: Sequence[int]) -> dict[str, int]:
-        """Return how many charts and texels are of its own textures, given by their numbers."""
-        charts, covered = set[int](), 0
-        for block in large_arrays.blocks(len(atlas.owned_texels)):
-            texels = atlas.owned_texels[block]
-            for index, inside, there in texels_by_texture(atlas.texture_offsets, texels):
-                if index in own:
-                    charts |= {*np.unique(atlas.chart_of[block][inside]).tolist()}
-                    covered += len(there)
-        return {"charts": len(charts), "covered": covered}
-
-
-class Sampled(Protocol):
-    """Samples of textures, by their manifold."""
-
-    names: tuple[str, ...]
-
-    def manifold(self) -> GridManifold:
-        """Return the manifold, with the noise of the colours."""
-
-    def named(self, values: Float64s) -> dict[str, float]:
-        """Pair a value per channel with the channels' names."""
-
-
-@dataclass(frozen=True)
-class CommonChoice:
-    """What is the same for all groups: the parameters, with nothing left to choose, how they were chosen, and noise."""
-
-    settings: SmoothSettings
-    unit: float
-    noise: GridNoise
-    names: tuple[str, ...]  # the channels that it is the noise of
-    described: dict[str, Any]  # by the names of the fields of reports
-
-    def whole(self, names: tuple[str, ...]) -> Whole:
-        """Return what a group of these channels takes: not the noise, if it is grey alone and others are not."""
-        return Whole(self.unit, self.noise if names == self.names else None)
-
-    @classmethod
-    def of(cls, samples: Sampled, settings: SmoothSettings) -> CommonChoice:
-        """Choose on samples of some of the textures."""
-        manifold = samples.manifold()
-        noise, sigma = manifold.common_noise, samples.named(manifold.noise)
-        flow = BeltramiFlow(manifold, settings.kernel)
-        used, beta = flow.parameters, flow.step(0).beta
-        kernel = dataclasses.replace(used, free=(), beta=beta, patches="on" if flow.takes_patches else "off")
-        choice = describe_choice(flow.choice)
-        described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
-        chosen = dataclasses.replace(settings, kernel=kernel)
-        return cls(chosen, manifold.unit, noise, samples.names, described)
 
 
 @dataclass(frozen=True)
@@ -121,7 +55,7 @@ class TileGroups:
             chosen = wanted
         return only_textures(self.surface, chosen)
 
-    def parted(self, common: CommonChoice) -> list[TileGroup]:
+    def parted(self, common: Common) -> list[TextureGroup]:
         """Part all textures; InputError if one does not fit into memory with the surface around it."""
         near = _near_faces(self.surface, self.sizes, common.settings.kernel)
         beside = [{*self.surface.texture_of[faces].tolist()} for faces in near]
@@ -152,12 +86,12 @@ class TileGroups:
             total += int(self.sizes[index].texels * (1 + np.prod(np.clip(high - low, 0, 1))) / 2)
         return total
 
-    def _part(self, group: set[int], near: Sequence[Int64s], label: str, common: CommonChoice) -> TileGroup:
+    def _part(self, group: set[int], near: Sequence[Int64s], label: str, common: Common) -> TextureGroup:
         surface = self.surface
         kept = np.isin(surface.texture_of, [-1, *group])
         kept[np.concatenate([near[index] for index in group])] = True
         own = frozenset(surface.textures[index].key for index in group)
-        return TileGroup(label, _only_faces(surface, kept), own, common)
+        return TextureGroup(label, _only_faces(surface, kept), own, common)
 
     @property
     def _most_texels(self) -> int:
@@ -186,7 +120,7 @@ def _near_faces(
     """Return for each texture the triangles of others from which all iterations carry colours to it."""
     from scipy.spatial import cKDTree
 
-    border = _Borders.of(surface)
+    border = Borders.of(surface)
     pitches = _pitches(surface, sizes)
     steps = kernel.iterations + (_PASSES_OF_PATCHES if kernel.takes_patches else 0)
     cells = np.sqrt(2) * canvas_margin(kernel) * max(1, steps)
@@ -206,30 +140,6 @@ def _near_faces(
         distance = cKDTree(points).query(centres[faces])[0]
         found.append(faces[distance <= reach + slack + radii[faces]])
     return found
-
-
-@dataclass(frozen=True)
-class _Borders:
-    """Edges at which triangles of several textures meet, a row for each triangle there."""
-
-    edge: Int64s  # number of the edge, ascending
-    texture: Int64s
-    ends: Int64s  # rows of positions, shape (E, 2)
-
-    @classmethod
-    def of(cls, surface: TexturedSurface) -> _Borders:
-        place_of, first = group_places(surface.positions, surface.space_of)
-        faces = np.flatnonzero(surface.texture_of >= 0)
-        places = place_of[surface.faces[faces]]
-        pairs = np.sort(np.stack([places, np.roll(places, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-        keys, number = np.unique(pairs[:, 0].astype(np.int64) * len(first) + pairs[:, 1], return_inverse=True)
-        texture = np.repeat(surface.texture_of[faces], 3).astype(np.int64)
-        low, high = np.full(len(keys), len(surface.textures)), np.full(len(keys), -1)
-        np.minimum.at(low, number, texture)
-        np.maximum.at(high, number, texture)
-        rows = np.flatnonzero((low != high)[number])
-        rows = rows[np.argsort(number[rows], kind="stable")]
-        return cls(number[rows], texture[rows], first[pairs[rows]].astype(np.int64))
 
 
 def _pitches(surface: TexturedSurface, sizes: Sequence[ImageSize]) -> Float64s:

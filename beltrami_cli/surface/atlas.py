@@ -82,6 +82,12 @@ class Atlas:
         """The numbers of charts, seams and texels."""
         return {name: getattr(self, name) for name in ("charts", "seams", "covered", "overlapped")}
 
+    def covered_by_texture(self) -> Int64s:
+        """Return how many texels of each texture have a cell."""
+        if len(self.texture_offsets) == 2:
+            return np.array([len(self.owned_texels)])
+        return np.histogram(self.owned_texels, self.texture_offsets)[0].astype(np.int64)
+
     @cached_property
     def halo_nearest(self) -> Indices:
         """The owned cell nearest to the place of each halo cell, shape (H,)."""

@@ -140,7 +140,10 @@ def used_parameters(report: dict[str, Any]) -> str:
 
 def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     found = [("vertex colours", report["vertices"]), ("image", report["image"])]
-    found += [(f"{done['slot']} textures", done) for done in report["textures"]]
+    for done in report["textures"]:
+        names = [each["name"] for each in done["textures"]]
+        is_one = sum(other["slot"] == done["slot"] for other in report["textures"]) == 1
+        found.append((f"{done['slot']} textures" + ("" if is_one else f": {', '.join(names)}"), done))
     return [(name, done) for name, done in found if done]
 
 

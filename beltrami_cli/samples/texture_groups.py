@@ -1,0 +1,172 @@
+"""Textures of a slot that are smoothed together, and apart from others.
+
+Those that touch each other nowhere on the surface have parameters of their own: what suits wood is too little for a
+plain wall. Noise is estimated once for all, as they mostly come from one camera.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.samples.samples import describe_choice
+from beltrami_cli.samples.texel_colours import only_textures
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import Atlas, texels_by_texture
+from beltrami_cli.surface.grouping import group_places
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.arrays import Float64s, Int64s
+    from beltrami_cli.flow.noise.grid_scales import GridNoise
+    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.surface.records import TexturedSurface
+
+
+# Covered texels that parameters are chosen from well; parts of a surface with fewer are put together.
+_ENOUGH_TEXELS = 1 << 16
+
+
+@dataclass(frozen=True)
+class TextureGroup:
+    """Textures that are smoothed together, and the triangles around them, which are only looked at."""
+
+    label: str
+    surface: TexturedSurface
+    own: frozenset[str]  # keys of the textures that are written back
+    common: Common
+
+    def counts(self, atlas: Atlas, own: Sequence[int]) -> dict[str, int]:
+        """Return how many charts and texels are of its own textures, given by their numbers."""
+        charts, covered = set[int](), 0
+        for block in large_arrays.blocks(len(atlas.owned_texels)):
+            texels = atlas.owned_texels[block]
+            for index, inside, there in texels_by_texture(atlas.texture_offsets, texels):
+                if index in own:
+                    charts |= {*np.unique(atlas.chart_of[block][inside]).tolist()}
+                    covered += len(there)
+        return {"charts": len(charts), "covered": covered}
+
+
+class Sampled(Protocol):
+    """Samples of textures, by their manifold."""
+
+    surface: TexturedSurface
+    atlas: Atlas
+    names: tuple[str, ...]
+
+    def manifold(self) -> GridManifold:
+        """Return the manifold, with the noise of the colours."""
+
+    def named(self, values: Float64s) -> dict[str, float]:
+        """Pair a value per channel with the channels' names."""
+
+
+@dataclass(frozen=True)
+class Common:
+    """What is the same for all groups: the settings, the unit of length, and the noise, if it is one for all."""
+
+    settings: SmoothSettings
+    unit: float
+    noise: GridNoise | None
+    names: tuple[str, ...]  # the channels that it is the noise of
+    described: dict[str, Any] = field(default_factory=dict)  # by the names of the fields of reports
+
+    def whole(self, names: tuple[str, ...]) -> Whole:
+        """Return what a group of these channels takes: not the noise, if it is grey alone and others are not."""
+        return Whole(self.unit, self.noise if names == self.names else None)
+
+    @classmethod
+    def of(cls, samples: Sampled, settings: SmoothSettings) -> Common:
+        """Estimate noise on samples of all textures; where it differs from place to place, groups do it themselves."""
+        manifold = samples.manifold()
+        noise = manifold.common_noise if manifold.differing is None else None
+        return cls(settings, manifold.unit, noise, samples.names)
+
+    @classmethod
+    def chosen_on(cls, samples: Sampled, settings: SmoothSettings) -> Common:
+        """Estimate noise and choose parameters on samples of some of the textures, with nothing left to choose."""
+        manifold = samples.manifold()
+        noise, sigma = manifold.common_noise, samples.named(manifold.noise)
+        flow = BeltramiFlow(manifold, settings.kernel)
+        used, beta = flow.parameters, flow.step(0).beta
+        kernel = dataclasses.replace(used, free=(), beta=beta, patches="on" if flow.takes_patches else "off")
+        choice = describe_choice(flow.choice)
+        described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
+        chosen = dataclasses.replace(settings, kernel=kernel)
+        return cls(chosen, manifold.unit, noise, samples.names, described)
+
+
+def separate_groups(samples: Sampled, settings: SmoothSettings) -> list[TextureGroup]:
+    """Part textures into those that touch each other on the surface; none, if parameters are the same for all."""
+    kernel, surface = settings.kernel, samples.surface
+    if kernel.fast or not kernel.is_open or len(surface.textures) < 2:
+        return []
+    parts = _large_parts(_touching(surface), samples.atlas.covered_by_texture())
+    if len(parts) < 2:
+        return []
+    common = Common.of(samples, settings)
+    return [
+        TextureGroup(
+            f"group {number} of {len(parts)}",
+            only_textures(surface, part),
+            frozenset(surface.textures[index].key for index in part),
+            common,
+        )
+        for number, part in enumerate(parts, 1)
+    ]
+
+
+def _touching(surface: TexturedSurface) -> Int64s:
+    """Give textures the same number where a path over the surface joins them, shape (T,)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    borders, count = Borders.of(surface), len(surface.textures)
+    edges, row = np.unique(borders.edge, return_inverse=True)
+    at = (count + row, borders.texture)
+    size = count + len(edges)
+    met = coo_array((np.ones(len(row), bool), at), shape=(size, size))
+    numbers: Int64s = connected_components(met, directed=False)[1][:count].astype(np.int64)
+    return numbers
+
+
+def _large_parts(part_of: Int64s, covered: Int64s) -> list[list[int]]:
+    """Return the textures of each part, in their order; parts of few texels are one, or join the largest."""
+    texels = np.bincount(part_of, covered)
+    small = texels < _ENOUGH_TEXELS
+    if texels[small].sum() < _ENOUGH_TEXELS:
+        small[texels.argmax()] |= small.any()
+    number = np.where(small, len(texels), np.arange(len(texels)))[part_of]
+    parts = [np.flatnonzero(number == each).tolist() for each in np.unique(number)]
+    return sorted(parts)
+
+
+@dataclass(frozen=True)
+class Borders:
+    """Edges at which triangles of several textures meet, a row for each triangle there."""
+
+    edge: Int64s  # number of the edge, ascending
+    texture: Int64s
+    ends: Int64s  # rows of positions, shape (E, 2)
+
+    @classmethod
+    def of(cls, surface: TexturedSurface) -> Borders:
+        place_of, first = group_places(surface.positions, surface.space_of)
+        faces = np.flatnonzero(surface.texture_of >= 0)
+        places = place_of[surface.faces[faces]]
+        pairs = np.sort(np.stack([places, np.roll(places, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        keys, number = np.unique(pairs[:, 0].astype(np.int64) * len(first) + pairs[:, 1], return_inverse=True)
+        texture = np.repeat(surface.texture_of[faces], 3).astype(np.int64)
+        low, high = np.full(len(keys), len(surface.textures)), np.full(len(keys), -1)
+        np.minimum.at(low, number, texture)
+        np.maximum.at(high, number, texture)
+        rows = np.flatnonzero((low != high)[number])
+        rows = rows[np.argsort(number[rows], kind="stable")]
+        return cls(number[rows], texture[rows], first[pairs[rows]].astype(np.int64))

@@ -1,0 +1,132 @@
+"""Textures that touch each other nowhere have parameters of their own, and are smoothed as if in files of their own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.formats.image import read_image
+from beltrami_cli.jobs.inspect import inspect_file
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.samples import texture_groups
+from beltrami_cli.samples.settings import SmoothSettings
+from formats.image_files import encode
+
+SIDE = 96  # texels of an image
+SIGMA = 20 / 255
+SETTINGS = SmoothSettings(parameters_with({"threads": 1, "patches": "off"}))
+GIVEN = SmoothSettings(KernelParameters(iterations=2, beta=20))
+
+
+def clean_images():
+    """Return a plain image with soft shades, and one with fine stripes."""
+    y, x = np.mgrid[:SIDE, :SIDE] / SIDE
+    soft = np.stack([0.5 + 0.1 * x, 0.55 + 0.05 * y, 0.5 - 0.05 * x], axis=2)
+    stripes = np.repeat(0.5 + 0.2 * np.sign(np.sin(90 * x + 20 * y))[..., None], 3, axis=2)
+    return soft, stripes
+
+
+def write_model(folder, images, gap):
+    """Write quads side by side, each with an image, as far from each other as `gap`; return the path."""
+    folder.mkdir()
+    lines, materials = ["mtllib model.mtl"], []
+    for number, image in enumerate(images):
+        name, left = f"image{number}.png", number * (1 + gap)
+        (folder / name).write_bytes(encode(np.rint(image.clip(0, 1) * 255).astype(np.uint8), "png"))
+        materials += [f"newmtl m{number}", f"map_Kd {name}"]
+        for u, v in ((0, 0), (1, 0), (1, 1), (0, 1)):
+            lines += [f"v {left + u} {v} 0", f"vt {u} {v}"]
+        lines += [
+            f"usemtl m{number}",
+            "f " + " ".join(f"{k}/{k}" for k in range(4 * number + 1, 4 * number + 5)),
+        ]
+    (folder / "model.obj").write_text("\n".join(lines) + "\n")
+    (folder / "model.mtl").write_text("\n".join(materials) + "\n")
+    return folder / "model.obj"
+
+
+@pytest.fixture
+def noisy(monkeypatch):
+    """Images with noise; these are enough to choose parameters from."""
+    monkeypatch.setattr(texture_groups, "_ENOUGH_TEXELS", SIDE * SIDE // 2)
+    random = np.random.default_rng(5)
+    return [image + random.normal(0, SIGMA, image.shape) for image in clean_images()]
+
+
+def smoothed(model, settings=SETTINGS):
+    """Smooth a model beside itself; return the images, as shares of full scale, and the report."""
+    target = model.with_name("smooth.obj")
+    report = smooth_file(model, target, settings, job=Job(overwrite=True))
+    files = sorted(set(report.written) - {str(target)})
+    images = [read_image((model.parent / name).read_bytes(), name) for name in files if name.endswith(".png")]
+    return [image.pixels[..., :3] / 255 for image in images], report
+
+
+def error(image, clean):
+    return float(np.mean(np.square(image - clean)))
+
+
+def test_each_has_the_parameters_that_suit_it(tmp_path, noisy):
+    (soft, stripes), report = smoothed(write_model(tmp_path / "apart", noisy, gap=0.5))
+    of_soft, of_stripes = report.textures
+    assert [texture["name"] for texture in of_soft.textures] == ["image0.png"]
+    assert [texture["name"] for texture in of_stripes.textures] == ["image1.png"]
+    assert of_soft.noise == of_stripes.noise  # which is estimated on both together
+    for own, image, clean, other in (
+        (of_soft, soft, clean_images()[0], of_stripes),
+        (of_stripes, stripes, clean_images()[1], of_soft),
+    ):
+        kernel = dataclasses.replace(SETTINGS.kernel, free=(), **other.choice["chosen"])
+        swapped, _ = smoothed(
+            write_model(tmp_path / own.textures[0]["name"], noisy, gap=0.5),
+            dataclasses.replace(SETTINGS, kernel=kernel),
+        )
+        number = [of_soft, of_stripes].index(own)
+        assert error(image, clean) < error(swapped[number], clean)
+
+
+def test_textures_that_touch_are_smoothed_together(tmp_path, noisy):
+    _, report = smoothed(write_model(tmp_path / "beside", noisy, gap=0))
+    (both,) = report.textures
+    assert len(both.textures) == 2
+
+
+def test_given_parameters_are_those_of_all(tmp_path, noisy):
+    model = write_model(tmp_path / "apart", noisy, gap=0.5)
+    (both,) = smoothed(model, GIVEN)[1].textures
+    assert len(both.textures) == 2
+
+
+def test_small_parts_join_others(tmp_path, noisy, monkeypatch):
+    monkeypatch.setattr(texture_groups, "_ENOUGH_TEXELS", 2 * SIDE * SIDE)
+    (both,) = smoothed(write_model(tmp_path / "apart", noisy, gap=0.5))[1].textures
+    assert len(both.textures) == 2
+
+
+@pytest.mark.parametrize(
+    ("covered", "expected"),
+    [
+        ([100, 100, 100], [[0], [1], [2]]),
+        ([100, 30, 80], [[0, 1], [2]]),  # too few by itself: joins the largest
+        ([100, 30, 40], [[0], [1, 2]]),  # enough together
+        ([10, 20, 30], [[0, 1, 2]]),
+    ],
+)
+def test_parts_have_enough_texels(monkeypatch, covered, expected):
+    monkeypatch.setattr(texture_groups, "_ENOUGH_TEXELS", 50)
+    assert texture_groups._large_parts(np.arange(len(covered)), np.array(covered)) == expected
+
+
+def test_info_says_the_same(tmp_path, noisy):
+    model = write_model(tmp_path / "apart", noisy, gap=0.5)
+    told = inspect_file(model, SETTINGS)["textures"]
+    done = smoothed(model)[1].textures
+    assert [each["smooth"]["iterations"] for each in told] == [each.iterations for each in done]
+    assert [each["smooth"]["beta"] for each in told] == [each.beta for each in done]
+    # One of another part says as little of exposures as none.
+    whole = inspect_file(model, dataclasses.replace(SETTINGS, kernel=GIVEN.kernel))["textures"]
+    assert [each["exposure"] for each in told] == 2 * [whole[0]["exposure"]]
