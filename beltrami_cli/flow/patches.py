@@ -55,6 +55,9 @@ _MORE_IN_DIFFERENCES, _MORE_IF_SHARED = 4.0, 1.0
 # Channels of which the differences vary this much less than the mean are colours.
 _COLOURED = 0.7
 
+# Differences between neighbours that are enough to tell.
+_ENOUGH_STEPS = 200_000
+
 # Noise of a channel, as a share of the largest, below which there is nothing to estimate.
 _NOISELESS = 0.01
 
@@ -323,7 +326,8 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
 
 def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
-    steps = manifold.steps(colours)[:, :3].astype(np.float64)
+    steps = manifold.steps(colours)
+    steps = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
     mixed = np.square(np.einsum("kj,ij->ki", steps, _OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
 

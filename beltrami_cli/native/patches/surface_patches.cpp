@@ -54,17 +54,22 @@ std::size_t node_at(int row, int column) {
   return static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
 }
 
-// The rows or columns of nodes that are near enough to a place.
-int first_near(double place) { return std::max(-lattice_reach, static_cast<int>(std::ceil(place - furthest))); }
-int last_near(double place) { return std::min(lattice_reach, static_cast<int>(std::floor(place + furthest))); }
+// The rows or columns of nodes that are near enough to a place beside the lattice. Positive numbers are rounded down by
+// conversion, and calls of floor and ceil would take longer than all else.
+constexpr int far_beside = 8;
+int first_near(double place) {
+  return std::max(-lattice_reach, far_beside - static_cast<int>(far_beside + furthest - place));
+}
+int last_near(double place) { return std::min(lattice_reach, static_cast<int>(place + furthest + far_beside) - far_beside); }
 
 Position cross(const Position& a, const Position& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
 Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std::span<const Position> positions,
-                 double step, const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities) {
-  std::vector<Position> offsets;
+                 double step, const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities,
+                 std::vector<Position>& offsets) {
+  offsets.clear();
   for (const std::int32_t other : around.subspan(1)) {
     Position& offset = offsets.emplace_back();
     for (std::size_t i = 0; i < 3; ++i)
@@ -79,14 +84,15 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
   const std::size_t leading = leading_axis(plane, axes);
   const Position right = direction_in(plane, axes[leading]), up = cross(plane.normal, right);
   // The sign of a fitted normal means nothing; up is on the side of the other axis.
-  const double side = dot(up, axes[1 - leading]);
+  const double across = 1 / step, upwards = std::copysign(across, dot(up, axes[1 - leading]));
   const auto priority_of = [&](std::int32_t other) { return priorities[static_cast<std::size_t>(other)]; };
   std::array<double, nodes> nearest;
   nearest.fill(furthest * furthest);
   for (std::size_t k = 0; k < offsets.size(); ++k) {
-    const double x = dot(offsets[k], right) / step, y = std::copysign(1.0, side) * dot(offsets[k], up) / step;
-    const double height = std::abs(dot(offsets[k], plane.normal)) / step;
-    if (height > highest || std::abs(x) > lattice_reach + furthest || std::abs(y) > lattice_reach + furthest) continue;
+    const double x = dot(offsets[k], right) * across, y = dot(offsets[k], up) * upwards;
+    const double height = dot(offsets[k], plane.normal) * across;
+    constexpr double beside = lattice_reach + furthest;
+    if (!(std::abs(height) <= highest && std::abs(x) <= beside && std::abs(y) <= beside)) continue;
     for (int row = first_near(y); row <= last_near(y); ++row)
       for (int column = first_near(x); column <= last_near(x); ++column) {
         if (row == 0 && column == 0) continue;
@@ -105,8 +111,10 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
   return found;
 }
 
+}  // namespace
+
 // The vertices around one, ring by ring along edges.
-class VertexRings {
+class SurfacePatches::VertexRings {
  public:
   // Finds the vertices around one, itself first: whole rings, until there are `enough`.
   std::span<const std::int32_t> around(std::int32_t vertex, std::size_t enough, std::span<const std::size_t> first,
@@ -137,8 +145,6 @@ class VertexRings {
   std::uint32_t visit_ = 0;
 };
 
-}  // namespace
-
 SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
                                const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities,
                                unsigned threads, const Poll& poll)
@@ -151,13 +157,15 @@ SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<co
     neighbours_[next[static_cast<std::size_t>(a)]++] = b;
     neighbours_[next[static_cast<std::size_t>(b)]++] = a;
   }
-  find_patches(positions, axes, priorities, threads, poll);
-  choose_starts(priorities);
+  std::vector<VertexRings> rings(threads);
+  find_patches(positions, axes, priorities, rings, poll);
+  find_candidates(choose_starts(priorities), rings, poll);
 }
 
 void SurfacePatches::find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
-                                  std::span<const std::uint64_t> priorities, unsigned threads, const Poll& poll) {
-  std::vector<VertexRings> rings(threads);
+                                  std::span<const std::uint64_t> priorities, std::span<VertexRings> rings,
+                                  const Poll& poll) {
+  std::vector<std::vector<Position>> offsets(rings.size());
   const auto find = [&](std::size_t begin, std::size_t end, unsigned worker) {
     for (std::size_t vertex = begin; vertex < end; ++vertex) {
       double total = 0;
@@ -170,15 +178,17 @@ void SurfacePatches::find_patches(std::span<const Position> positions, const std
       const auto degree = static_cast<double>(first_[vertex + 1] - first_[vertex]);
       const auto around = rings[worker].around(static_cast<std::int32_t>(vertex), enough_for_lattice, first_, neighbours_);
       const double step = degree > 0 ? total / degree : 0;
-      patches_[vertex] = lattice_of(static_cast<std::int32_t>(vertex), around, positions, step, axes, priorities);
+      patches_[vertex] =
+          lattice_of(static_cast<std::int32_t>(vertex), around, positions, step, axes, priorities, offsets[worker]);
     }
   };
-  parallel_chunks(patches_.size(), chunk, threads, find, poll);
+  parallel_chunks(patches_.size(), chunk, static_cast<unsigned>(rings.size()), find, poll);
 }
 
 // A vertex starts a group unless it is in the patch of one that does, other than at a corner. Isolated ones keep their
 // colours.
-void SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) {
+std::vector<std::int32_t> SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) const {
+  std::vector<std::int32_t> starts;
   std::vector<std::int32_t> order(patches_.size());
   std::iota(order.begin(), order.end(), 0);
   std::sort(order.begin(), order.end(), [&](std::int32_t a, std::int32_t b) {
@@ -188,7 +198,7 @@ void SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) {
   for (const std::int32_t start : order) {
     const auto vertex = static_cast<std::size_t>(start);
     if (covered[vertex] || first_[vertex] == first_[vertex + 1]) continue;
-    starts_.push_back(start);
+    starts.push_back(start);
     for (int row = -lattice_reach; row <= lattice_reach; ++row)
       for (int column = -lattice_reach; column <= lattice_reach; ++column) {
         if (std::abs(row) == lattice_reach && std::abs(column) == lattice_reach) continue;
@@ -197,21 +207,39 @@ void SurfacePatches::choose_starts(std::span<const std::uint64_t> priorities) {
       }
   }
   // Neighbours together, which share most of their candidates.
-  std::sort(starts_.begin(), starts_.end());
+  std::sort(starts.begin(), starts.end());
+  return starts;
+}
+
+void SurfacePatches::find_candidates(const std::vector<std::int32_t>& starts, std::span<VertexRings> rings, const Poll& poll) {
+  candidates_.resize((starts.size() + starts_in_part - 1) / starts_in_part);
+  const auto find = [&](std::size_t begin, std::size_t end, unsigned worker) {
+    for (std::size_t part = begin; part < end; ++part) {
+      Candidates& own = candidates_[part];
+      own.first.push_back(0);
+      for (std::size_t i = part * starts_in_part; i < std::min(starts.size(), (part + 1) * starts_in_part); ++i) {
+        const auto around = rings[worker].around(starts[i], enough_candidates, first_, neighbours_);
+        own.vertices.insert(own.vertices.end(), around.begin(), around.end());
+        own.first.push_back(own.vertices.size());
+      }
+      own.vertices.shrink_to_fit();
+    }
+  };
+  parallel_chunks(candidates_.size(), 1, static_cast<unsigned>(rings.size()), find, poll);
 }
 
 // What the groups of some starts add to: vertices under numbers of their own, so that little memory is touched at a time.
 struct SurfacePatches::Part {
   std::vector<std::int32_t> members;
-  std::vector<float> estimates, weights;  // a plane a channel
+  std::vector<std::array<float, 2>> sums;  // of estimates and of their weights, a plane a channel
 
   // Adds the sums to those of the whole surface, which have a row a vertex.
   void add_to(const Sums& whole, std::size_t channels) const {
     for (std::size_t i = 0; i < members.size(); ++i)
       for (std::size_t c = 0; c < channels; ++c) {
         const std::size_t to = static_cast<std::size_t>(members[i]) * channels + c, from = c * members.size() + i;
-        whole.estimates[to] += estimates[from];
-        whole.weights[to] += weights[from];
+        whole.estimates[to] += sums[from][0];
+        whole.weights[to] += sums[from][1];
       }
   }
 };
@@ -219,46 +247,40 @@ struct SurfacePatches::Part {
 // Handles one part after the other; one for each thread.
 class SurfacePatches::Worker {
  public:
-  void run(const SurfacePatches& surface, const Colours& colours, bool has_pilot, std::span<const std::int32_t> starts,
+  void run(const SurfacePatches& surface, const Colours& colours, bool has_pilot, const Candidates& candidates,
            const Variant& variant, Part& part) {
-    collect(surface, starts, part.members);
+    collect(surface, candidates.vertices, part.members);
     mix(colours, part.members);
     const float* relative = colours.relative != nullptr ? relative_.data() : nullptr;
     const Channels channels{noisy_.data(),     pilot_.data(), colours.variances, relative, colours.channels, part.members.size()};
     describe(surface, channels);
-    part.estimates.assign(noisy_.size(), 0);
-    part.weights.assign(noisy_.size(), 0);
-    const Sums sums{part.estimates.data(), part.weights.data()};
+    part.sums.assign(noisy_.size(), {0, 0});
     const std::size_t size = has_pilot ? medium : few;
-    for (std::size_t i = 0; i + 1 < first_.size(); ++i) {
-      const std::span<const std::int32_t> around(around_.data() + first_[i], first_[i + 1] - first_[i]);
+    for (std::size_t i = 0; i + 1 < candidates.first.size(); ++i) {
+      const auto around = std::span(std::as_const(around_)).subspan(candidates.first[i], candidates.first[i + 1] - candidates.first[i]);
       const std::size_t found = choose(surface, around, channels.count, size, variant);
       place(surface, around, size, found);
-      estimate(channels, has_pilot, sums, variant);
+      estimate(channels, has_pilot, part.sums, variant);
     }
     for (const std::int32_t member : part.members) number_[static_cast<std::size_t>(member)] = -1;
     for (const std::int32_t candidate : candidates_) rank_[static_cast<std::size_t>(candidate)] = -1;
   }
 
  private:
-  // Finds the candidates of all starts, and numbers them and the vertices of their patches.
-  void collect(const SurfacePatches& surface, std::span<const std::int32_t> starts, std::vector<std::int32_t>& members) {
+  // Numbers the candidates of all starts, and the vertices of their patches.
+  void collect(const SurfacePatches& surface, std::span<const std::int32_t> all, std::vector<std::int32_t>& members) {
     number_.resize(surface.patches_.size(), -1);
     rank_.resize(surface.patches_.size(), -1);
     members.clear();
     candidates_.clear();
     around_.clear();
-    first_.assign(1, 0);
-    for (const std::int32_t start : starts) {
-      for (const std::int32_t candidate : rings_.around(start, enough_candidates, surface.first_, surface.neighbours_)) {
-        std::int32_t& rank = rank_[static_cast<std::size_t>(candidate)];
-        if (rank < 0) {
-          rank = static_cast<std::int32_t>(candidates_.size());
-          candidates_.push_back(candidate);
-        }
-        around_.push_back(rank);
+    for (const std::int32_t candidate : all) {
+      std::int32_t& rank = rank_[static_cast<std::size_t>(candidate)];
+      if (rank < 0) {
+        rank = static_cast<std::int32_t>(candidates_.size());
+        candidates_.push_back(candidate);
       }
-      first_.push_back(around_.size());
+      around_.push_back(rank);
     }
     for (const std::int32_t candidate : candidates_)
       for (const std::int32_t vertex : surface.patches_[static_cast<std::size_t>(candidate)]) {
@@ -315,10 +337,10 @@ class SurfacePatches::Worker {
       for (std::size_t node = 0; node < nodes; ++node) mask_[c * nodes + node] = own[node] < 0 ? 0.0F : 1.0F;
     distances_.resize(around.size());
     variant.compare_rows(features_.data(), length, mask_.data(), around.data(), around.size(), distances_.data());
-    distances_[0] = -1;
-    keys_.clear();
-    for (std::size_t k = 0; k < around.size(); ++k)
-      if (distances_[k] < too_far) keys_.emplace_back(distances_[k], static_cast<std::int32_t>(k));
+    // Positive floats are ordered as their bits are.
+    keys_.assign(1, 0);
+    for (std::size_t k = 1; k < around.size(); ++k)
+      if (distances_[k] < too_far) keys_.push_back(std::uint64_t{std::bit_cast<std::uint32_t>(distances_[k])} << 32 | k);
     const std::size_t found = std::min(size, keys_.size());
     const auto wanted = keys_.begin() + static_cast<std::ptrdiff_t>(found);
     if (found < keys_.size()) std::nth_element(keys_.begin(), wanted, keys_.end());
@@ -329,7 +351,7 @@ class SurfacePatches::Worker {
   // Finds the members at the nodes that the first patch has, for the patches that were chosen.
   void place(const SurfacePatches& surface, std::span<const std::int32_t> around, std::size_t size, std::size_t found) {
     const auto patch_of = [&](std::size_t k) -> const Nodes& {
-      const std::int32_t rank = around[static_cast<std::size_t>(keys_[k].second)];
+      const std::int32_t rank = around[keys_[k] & 0xFFFFFFFF];
       return surface.patches_[static_cast<std::size_t>(candidates_[static_cast<std::size_t>(rank)])];
     };
     group_.size = size;
@@ -348,7 +370,7 @@ class SurfacePatches::Worker {
   }
 
   // Adds the estimates of the group at its places.
-  void estimate(const Channels& channels, bool has_pilot, const Sums& sums, const Variant& variant) {
+  void estimate(const Channels& channels, bool has_pilot, std::vector<std::array<float, 2>>& sums, const Variant& variant) {
     const auto count = static_cast<float>(group_.count);
     std::fill(group_.noisy.begin(), group_.noisy.end(), 0.0F);  // patches before this one may have other nodes
     for (std::size_t channel = 0; channel < channels.count; ++channel) {
@@ -369,8 +391,9 @@ class SurfacePatches::Worker {
       });
       variant.estimate_group(group_, has_pilot);
       each_value([&](std::size_t place, std::size_t at, std::size_t k) {
-        sums.estimates[plane + place] += (group_.estimates[at] + mean) * group_.weights[k];
-        sums.weights[plane + place] += group_.weights[k];
+        std::array<float, 2>& own = sums[plane + place];
+        own[0] += (group_.estimates[at] + mean) * group_.weights[k];
+        own[1] += group_.weights[k];
       });
     }
   }
@@ -383,11 +406,9 @@ class SurfacePatches::Worker {
         f(static_cast<std::size_t>(places_[k * nodes + p]), k * short_row + group_.used[p], k);
   }
 
-  VertexRings rings_;
   std::vector<std::int32_t> number_, rank_, candidates_, around_, places_;
-  std::vector<std::size_t> first_;
   std::vector<float> noisy_, pilot_, relative_, features_, mask_, distances_;
-  std::vector<std::pair<float, std::int32_t>> keys_;
+  std::vector<std::uint64_t> keys_;
   Group group_{};
 };
 
@@ -396,7 +417,7 @@ void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const S
   const InstructionSet set = choose_instruction_set();
   const Variant variant{BELTRAMI_VARIANT_OF(estimate_group, set), BELTRAMI_VARIANT_OF(compare_rows, set)};
   const std::size_t n = colours.channels, count = patches_.size();
-  const std::size_t parts = (starts_.size() + starts_in_part - 1) / starts_in_part;
+  const std::size_t parts = candidates_.size();
   std::vector<Part> wave(std::min(parts, parts_in_wave));
   std::vector<Worker> workers(threads);
   for (std::size_t first = 0; first < parts; first += wave.size()) {
@@ -405,11 +426,8 @@ void SurfacePatches::collaborate(const Colours& colours, bool has_pilot, const S
     parallel_chunks(
         here, 1, threads,
         [&](std::size_t begin, std::size_t end, unsigned worker) {
-          for (std::size_t i = begin; i < end; ++i) {
-            const std::size_t start = (first + i) * starts_in_part;
-            const auto own = std::span(starts_).subspan(start, std::min(starts_in_part, starts_.size() - start));
-            workers[worker].run(*this, colours, has_pilot, own, variant, wave[i]);
-          }
+          for (std::size_t i = begin; i < end; ++i)
+            workers[worker].run(*this, colours, has_pilot, candidates_[first + i], variant, wave[i]);
         },
         counted);
     // In the order of the parts, so that sums do not depend on the threads.

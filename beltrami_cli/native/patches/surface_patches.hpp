@@ -50,16 +50,24 @@ class SurfacePatches {
 
  private:
   struct Part;
+  class VertexRings;
   class Worker;
 
+  // The vertices whose patches those of some starts are compared with, themselves first.
+  struct Candidates {
+    std::vector<std::int32_t> vertices;
+    std::vector<std::size_t> first;  // of each start, and one beyond the last
+  };
+
   void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
-                    std::span<const std::uint64_t> priorities, unsigned threads, const Poll& poll);
-  void choose_starts(std::span<const std::uint64_t> priorities);
+                    std::span<const std::uint64_t> priorities, std::span<VertexRings> rings, const Poll& poll);
+  std::vector<std::int32_t> choose_starts(std::span<const std::uint64_t> priorities) const;
+  void find_candidates(const std::vector<std::int32_t>& starts, std::span<VertexRings> rings, const Poll& poll);
 
   std::vector<std::size_t> first_;         // of each vertex's neighbours
   std::vector<std::int32_t> neighbours_;
   std::vector<Nodes> patches_;
-  std::vector<std::int32_t> starts_;       // the vertices that start groups
+  std::vector<Candidates> candidates_;  // of the starts of each part
 };
 
 }  // namespace beltrami::patches

@@ -16,8 +16,9 @@ constexpr int sweeps = 8;
 void rotate(Matrix& matrix, Matrix& axes, std::size_t i, std::size_t j) {
   if (matrix[i][j] == 0) return;
   const double theta = (matrix[j][j] - matrix[i][i]) / (2 * matrix[i][j]);
-  const double t = std::copysign(1.0, theta) / (std::abs(theta) + std::hypot(theta, 1.0));
-  const double c = 1 / std::hypot(t, 1.0), s = t * c;
+  // Where the square is beyond all numbers, the turn is none.
+  const double t = std::copysign(1.0, theta) / (std::abs(theta) + std::sqrt(theta * theta + 1));
+  const double c = 1 / std::sqrt(t * t + 1), s = t * c;
   const std::size_t k = 3 - i - j;
   const double shift = t * matrix[i][j];
   matrix[i][i] -= shift;
