@@ -94,6 +94,7 @@ AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 class BeltramiFlow(Generic[AnyManifold]):
     """The kernel on a manifold, with its parameters as used: what was left open is chosen from the data.
 
+    `noise` is its standard deviation by channel as it was found, before any was removed.
     `tick` is called often meanwhile, and may raise to stop.
     """
 
@@ -109,14 +110,14 @@ class BeltramiFlow(Generic[AnyManifold]):
             parameters = dataclasses.replace(parameters, free=())
         noisy, self._error = is_noisy(manifold.noise), 0.0
         corrects = noisy and manifold.shares_noise and parameters.takes_patches and not moves
-        self._sigma, self.noise_model = manifold.noise, describe_noise(manifold)
+        self.noise, self.noise_model = manifold.noise, describe_noise(manifold)
         if corrects:
             self._error = manifold.denoise_means(tick)
         chosen, self.choice = tune(manifold, parameters, noisy=noisy, tick=tick)
         if corrects and "iterations" in parameters.free:
             chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
         if self.choice is not None:
-            self.choice = self.choice.improved(-self._error).doubted(float(np.mean(np.square(self._sigma))))
+            self.choice = self.choice.improved(-self._error).doubted(float(np.mean(np.square(self.noise))))
         work = manifold.work
         self.parameters = work.bounded(chosen)
         work.announce(self.parameters)
@@ -163,7 +164,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         else:
             manifold.colours = self._smooth(manifold.colours, stages)
         return FlowResult(
-            manifold.spacing, self.beta, self._sigma,
+            manifold.spacing, self.beta, self.noise,
             self._samples / max(1, self.parameters.iterations * manifold.kernels), self._truncated,
             self.parameters.max_samples, choice, share,
         )  # fmt: skip

@@ -258,7 +258,7 @@ class PixelSamples(Samples):
         del facts["format"]  # is that of the file
         return {
             "image": {**facts, "pitch": flow.manifold.spacing},
-            "noise": self.named(flow.manifold.noise),
+            "noise": self.named(flow.noise),
             "noise_model": flow.noise_model,
             "smooth": describe_kernel(self.settings, flow),
         }

@@ -76,7 +76,7 @@ class RangeSamples(PaintedSamples):
                 "holes": grid.size - measured,
                 "mean_edge_length": flow.manifold.spacing,
             },
-            "noise": self.named(flow.manifold.noise),
+            "noise": self.named(flow.noise),
             "noise_model": flow.noise_model,
             "smooth": describe_kernel(self.settings, flow),
         }

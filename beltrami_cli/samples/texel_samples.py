@@ -184,7 +184,7 @@ class TexelSamples(samples.Samples):
         for facts, own in zip(described, flows, strict=True):
             atlas = own.manifold.atlas
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.manifold.noise)}
+            facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.noise)}
             seams += atlas.seams
         return {
             "slot": self.slot,
@@ -193,7 +193,7 @@ class TexelSamples(samples.Samples):
             "seams_between_textures": max(0, self.atlas.seams - seams),
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
-            "noise": self.named(flow.manifold.noise),
+            "noise": self.named(flow.noise),
             "noise_model": flow.noise_model,
             "exposure": exposure,
             "smooth": samples.describe_kernel(self.settings, flow),

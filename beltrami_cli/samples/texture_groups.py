@@ -43,7 +43,9 @@ class TextureGroup:
     common: Common
 
     def counts(self, atlas: Atlas, own: Sequence[int]) -> dict[str, int]:
-        """Return how many charts and texels are of its own textures, given by their numbers."""
+        """Return how many charts and texels are of its own textures, given by their numbers; nothing, if all are."""
+        if len(own) == len(atlas.texture_offsets) - 1:
+            return {}
         charts, covered = set[int](), 0
         for block in large_arrays.blocks(len(atlas.owned_texels)):
             texels = atlas.owned_texels[block]

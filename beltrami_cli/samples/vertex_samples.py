@@ -144,7 +144,7 @@ class VertexSamples(PaintedSamples):
                 "mean_edge_length": manifold.spacing,
                 "bounds": bounds(painted.positions),
             },
-            "noise": self.named(manifold.noise),
+            "noise": self.named(flow.noise),
             "noise_model": flow.noise_model,
             "smooth": describe_kernel(self.settings, flow) | moving | {"samples_per_kernel": held},
         }

@@ -209,3 +209,14 @@ def test_many_files_make_a_line_of_json_each_and_what_cannot_be_read_is_said(tmp
     assert "c.ply" in run.stderr
     assert "1 of 3 files" in run.stderr
     assert beltrami("info", "none*.ply", cwd=tmp_path).returncode == 3
+
+
+def test_noise_that_samples_share_is_that_which_smooth_finds(tmp_path):
+    noisy, done = tmp_path / "noisy.png", tmp_path / "done.json"
+    command = ("noise", SAMPLES / "scan-clean.jpg", noisy, "--kind", "grain", "--size", "2", "--sigma", "12")
+    assert beltrami(*command).returncode == 0
+    run = beltrami("smooth", noisy, tmp_path / "smooth.png", "--report", done)
+    assert run.returncode == 0, run.stderr
+    facts, report = info(noisy), json.loads(done.read_text())["image"]
+    assert facts["noise_model"]["grain"] > 1
+    assert facts["noise"] == report["noise"]
