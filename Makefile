@@ -92,7 +92,7 @@ audit: $(VENV)/.installed-test $(VENV)/.gltf-validator
 	@mkdir -p $(VENV)/gltf-auditor
 	echo '$(GLTF_AUDITOR)' > $(VENV)/gltf-auditor/package.json
 	cd $(VENV)/gltf-auditor && npm install --silent --ignore-scripts --no-package-lock --no-audit --no-fund
-	BELTRAMI_EXTRA_MESHES=$(if $(filter-out sample_data,$(FOLDERS)),$(abspath $(FOLDERS))) \
+	BELTRAMI_EXTRA_MESHES="$(abspath $(filter-out sample_data,$(FOLDERS)))" \
 	  $(BIN)/python -m pytest -q tests/formats/test_gltf_validator.py
 
 # Blender as a Python module has an environment of its own, as it has in reality: it brings its own NumPy.

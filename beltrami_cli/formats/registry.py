@@ -129,7 +129,8 @@ def _is_usdz(data: bytes, name: str) -> bool:
     if not data.startswith(_ZIP):
         return False
     length = int.from_bytes(data[26:28], "little")  # of the name of the first file
-    return data[30 : 30 + length].lower().endswith((b".usd", b".usda", b".usdc"))
+    is_layer = data[30 : 30 + length].lower().endswith((b".usd", b".usda", b".usdc"))
+    return is_layer or name.lower().endswith(".usdz")
 
 
 def _is_read_only(data: bytes, name: str) -> bool:

@@ -196,6 +196,13 @@ def test_text_that_is_damaged_is_kept_and_compared(tmp_path):
     assert not check_files(other, target).faithful
 
 
+def test_a_package_that_begins_with_something_else_is_no_archive_to_unpack(tmp_path):
+    with zipfile.ZipFile(tmp_path / "scan.usdz", "w") as file:
+        file.writestr("readme.txt", "a scan")
+    with pytest.raises(InputError, match="its first file is no USD layer"):
+        open_document(str(tmp_path / "scan.usdz"))
+
+
 def test_bombs_are_not_unpacked(tmp_path):
     source = package(tmp_path / "a.usdz", [("a.usda", b"#usda 1.0\n" + bytes(1 << 27))], zipfile.ZIP_DEFLATED)
     with pytest.raises(InputError, match="more than any model has"):
