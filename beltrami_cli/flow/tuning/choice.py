@@ -168,6 +168,9 @@ class Search:
 # Values that are tried of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
+# The largest before patches: with more, noise that is kept as if it were edges decides which patches look alike.
+_MOST_BEFORE_PATCHES = 2.0
+
 # Of the natural logarithm.
 _IN_DECIBELS = 10 / float(np.log(10))
 
@@ -270,7 +273,8 @@ def is_noisy(sigma: Float64s) -> bool:
 def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float, by_rule: float) -> Grid:
     """Return what may be chosen; `scale`: the beta at which noise has the length 1, 0 if no colour counts."""
     free = parameters.free
-    betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS}))
+    most = _MOST_BEFORE_PATCHES if parameters.takes_patches else max(_CONTRASTS)
+    betas = tuple(sorted({contrast * scale for contrast in _CONTRASTS if contrast <= most}))
     growths, regularised = search_range.growths, search_range.regularised
     if "beta" not in free:
         betas = (by_rule if parameters.beta is None else parameters.beta,)
