@@ -285,9 +285,10 @@ class GridManifold(GridKernels):
 
         taps = gaussian_taps(_SPREAD)
         reach, kind = len(taps) // 2, self.atlas.kind
+        at_once = max(_ROWS, large_arrays.BLOCK // max(1, kind.shape[1]))
         for _ in range(round((self.width / _SPREAD) ** 2)):
             after = self.planes(len(planes))
-            for rows in large_arrays.blocks(len(kind), _ROWS):
+            for rows in large_arrays.blocks(len(kind), at_once):
                 first = max(0, rows.start - reach)
                 part = np.ascontiguousarray(planes[:, first : rows.stop + reach])
                 after[:, rows] = convolve(part, taps, self.threads)[:, rows.start - first :][
