@@ -54,6 +54,7 @@ _LARGEST, _USUAL = 2.0, (0.1, 0.03)
 # Neighbouring texels of a seam share errors: so many say as much as one, and a whole seam as so many of these.
 _ALIKE, _MOST = 15.0, 8.0
 _GAINS = (-0.45, 0.8)
+_SYMMETRIC = {"SymmetricMode": True}  # of a factorisation
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,7 @@ class _System:
         self._steps, self._terms = steps, len(spread)
         self._spread = np.array(spread)
         self._tied = np.ones(steps.charts) if fixed is None else np.where(fixed, 1e6, 1.0)
+        self._place = _order_of_elimination(steps)
         before, after = steps.colours[:, 0], steps.colours[:, 1]
         self._step = after - before
         lengths = np.bincount(steps.seams, steps.counts)[steps.seams]
@@ -182,7 +184,7 @@ class _System:
         all_rows, all_weighted, steps = [], [], []
         for number, channel in enumerate(channels):
             places = np.r_[2 * number, 2 * number + 1, own : own + count - 2]
-            columns = (ends[:, :, None] * unknowns + places).astype(np.int32).ravel()
+            columns = (self._place[ends][:, :, None] * unknowns + places).astype(np.int32).ravel()
             data = self._rows(colours[:, channel], 1 + found.terms[channel, :, GAIN][ends])
             weighted = data * np.repeat(weights * self.known[:, channel], 2 * count)
             all_rows.append(csr_array((data, columns, starts), shape))
@@ -190,11 +192,12 @@ class _System:
             steps.append(self._step[:, channel])
         rows, by_weight = vstack(all_rows, "csr"), vstack(all_weighted, "csr")
         spread = np.r_[np.tile(self._spread[:2], len(channels)), self._spread[2:]]
-        drawn = np.square(np.outer(self._tied, 1 / spread)).ravel()
-        matrix = (rows.T @ by_weight + diags_array(drawn)).tocsc()
-        symmetric = {"SymmetricMode": True}
-        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
-        solved = factors.solve(np.asarray(by_weight.T @ np.concatenate(steps))).reshape(-1, unknowns)
+        drawn = np.empty((self._steps.charts, unknowns))
+        drawn[self._place] = np.square(np.outer(self._tied, 1 / spread))
+        matrix = (rows.T @ by_weight + diags_array(drawn.ravel())).tocsc()
+        factors = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options=_SYMMETRIC)
+        solved = factors.solve(np.asarray(by_weight.T @ np.concatenate(steps)))
+        solved = solved.reshape(-1, unknowns)[self._place]
         exposed = solved[:, :own].reshape(-1, len(channels), 2).transpose(1, 0, 2)
         tilts = np.broadcast_to(solved[:, own:], (len(channels), len(solved), count - 2))
         return np.concatenate([exposed, tilts], axis=2)
@@ -208,6 +211,17 @@ class _System:
             rows[:, :, TILTS] = (colours[:, None] * factors)[:, :, None] * self._steps.places
         rows[:, 0] *= -1
         return np.asarray(rows.ravel())
+
+
+def _order_of_elimination(steps: Steps) -> Int64s:
+    """Return the place of each chart in an order in which factors stay sparse; of charts it is sooner found."""
+    from scipy.sparse import coo_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    pairs = steps.ends[steps.ends[:, 0] != steps.ends[:, 1]]
+    joined = coo_array((np.full(len(pairs), 1 / max(1, len(pairs))), pairs.T), shape=(steps.charts,) * 2)
+    matrix = (joined + joined.T + 3 * eye_array(steps.charts)).tocsc()
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", options=_SYMMETRIC).perm_c.astype(np.int64)
 
 
 def _distances(difference: Float64s, known: Bools) -> Float64s:
