@@ -23,6 +23,9 @@ _UNUSUAL, _ALLOWED = 2.5, 12 / 255
 # Deviations of 8-bit colours are not known better than this.
 _FINEST = 1 / 255
 _PRIOR = 4  # stretches
+# Of how many parts of a seam errors are independent at most. Slopes are let in where there are so many seams, whose
+# slopes differ, of such errors, and these become so much less.
+_PARTS, _MANY, _NOISY, _LESS = 8, 8, 2 / 255, 0.9
 # Beside 0 and full scale a colour was cut off there; a stretch was, of which more than this share of the lines was.
 _CUT_OFF, _CUT_SHARE = 0.6 / 255, 0.1
 _GAINS = (-0.3, -0.15, 0.0, 0.15, 0.3)
@@ -101,12 +104,41 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
         row, column = np.divmod(inner.astype(np.int64), columns)
         merged = _merged(found, row // stretch, column // stretch)
         if len(merged.seams) <= _MOST:
-            return with_noise(merged)
+            return _with_less_error(merged)
         stretch *= 2
 
 
+def _with_less_error(steps: Steps) -> Steps:
+    """Take the colours at the seam, or halfway to the means of the lines: with less noise, but with slopes in them.
+
+    What the two differ by on average over a seam, beyond what varies along it, is of slopes.
+    """
+    exact, means = np.split(steps.colours, 2, axis=2)
+    sharp, soft = (with_noise(replace(steps, colours=each)) for each in (exact, (exact + means) / 2))
+    starts = np.flatnonzero(np.r_[True, steps.seams[1:] != steps.seams[:-1]][: len(steps.seams)])
+    lengths = np.diff(np.r_[starts, len(steps.seams)])
+    is_long = lengths >= _PRIOR
+    if np.count_nonzero(is_long) < _MANY:
+        return sharp
+    signs = np.where(steps.ends[:, 0] <= steps.ends[:, 1], 1.0, -1.0)[:, None]
+    change = signs * (np.diff(soft.colours, axis=1) - np.diff(exact, axis=1))[:, 0]
+    mean, square = (np.add.reduceat(each, starts) / lengths[:, None] for each in (change, np.square(change)))
+    by_slopes = np.square(mean) - (square - np.square(mean)) / np.maximum(lengths - 1, 1)[:, None]
+    parts = np.minimum(lengths, _PARTS)
+
+    def median(squares: Float64s) -> float:
+        return weighted_median(squares[is_long], parts[is_long])
+
+    before, after = (median(np.square(each.noise[starts]) / parts) for each in (sharp, soft))
+    after += max(0.0, median(by_slopes.mean(axis=1)))
+    return soft if before > _NOISY**2 and after < _LESS**2 * before else sharp
+
+
 def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s, tuple[Bools, Bools]]:
-    """Return the cells on both sides of seams, the colours there, extrapolated to the seam, and which were cut off."""
+    """Return the cells on both sides of seams, the colours there, and which were cut off.
+
+    Colours are extrapolated to the seam, and then come the means of the lines.
+    """
     flat = planes.reshape(len(planes), -1)
     inner, outer, colours, low, high = [], [], [], [], []
     known, (floor, ceiling) = np.zeros(max(1, atlas.seams), bool), limits_of(planes)
@@ -118,12 +150,16 @@ def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64
             inner.append(cells[0])
             outer.append(cells[reach])
             halves = [[flat[:, each] for each in half] for half in (cells[:reach], cells[reach:])]
-            colours.append(np.stack([at_seam(half) for half in halves]))
+            colours.append(
+                np.stack([np.concatenate([at_seam(half), np.mean(half, axis=0)]) for half in halves])
+            )
             low.append(np.stack([np.min(half, axis=0) <= floor + _CUT_OFF for half in halves]))
             high.append(np.stack([np.max(half, axis=0) >= ceiling - _CUT_OFF for half in halves]))
         # Charts may be too narrow for lines of three cells.
         for cells_beyond in outer:
             known[atlas.halo_seams[np.searchsorted(atlas.halo_cells, cells_beyond)]] = True
+        if known.all():
+            break
     both, *cut = (np.concatenate(each, axis=2).transpose(2, 0, 1) for each in (colours, low, high))
     return np.concatenate(inner), np.concatenate(outer), both, (cut[0], cut[1])
 

@@ -37,15 +37,17 @@ def test_known_exposures_are_taken_out(head, kind, least, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["head-tex-noisy.glb", "sphere-exr-clean.obj"])
-def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name):
-    """What 24 charts with noise of 20/255, or six charts, show of it in each channel is too little by itself."""
+@pytest.mark.parametrize(
+    ("name", "least"), [("head-tex-noisy.glb", 10), ("scan-noisy.glb", 8), ("sphere-exr-clean.obj", 9)]
+)
+def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name, least):
+    """What charts with noise of 20/255, or six charts, show of it in each channel is too little by itself."""
     scene = ExposureScene.of(SAMPLES / name)
     falls = []
     for seed in (1, 2):
         truth, exposed = scene.exposed(seed, fall_off=True)
         falls.append(fall(exposed, scene.levelled(exposed)[0], truth))
-    assert np.mean(falls) >= 9
+    assert np.mean(falls) >= least
 
 
 def test_two_charts_are_enough():
