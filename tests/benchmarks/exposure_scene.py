@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from unittest.mock import patch
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -11,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.levelling.correction import level_canvas
-from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams
+from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams, with_noise
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_samples import TexelSamples
 
@@ -59,12 +60,18 @@ class ExposureScene:
             gain = np.exp(random.uniform(*np.log(LIGHT_GAINS), shape))[self.charts]
             return 0.8 * truth, lambda colours: from_light(gain * to_light(colours))
         gain, offset = random.uniform(*GAINS, shape), random.uniform(-OFFSET, OFFSET, shape)
-        factor = gain[self.charts]
-        if fall_off:
-            places = ChartPlaces.of(atlas).at(atlas.owned_cells, self.charts, atlas.kind.shape[1])
-            slope = random.uniform(-FALL_OFF, FALL_OFF, (atlas.charts, 2))
-            factor = factor * (1 + np.einsum("tk,tk->t", places.clip(-1, 1), slope[self.charts])[:, None])
-        return truth, lambda colours: colours * factor + offset[self.charts]
+        slope = (
+            random.uniform(-FALL_OFF, FALL_OFF, (atlas.charts, 2))
+            if fall_off
+            else np.zeros((atlas.charts, 2))
+        )
+        own = ChartPlaces.of(atlas).at(atlas.owned_cells, self.charts, atlas.kind.shape[1])
+
+        def expose(colours, charts=self.charts, places=own):
+            factor = 1 + np.einsum("tk,tk->t", places.clip(-1, 1), slope[charts])[:, None]
+            return colours * gain[charts] * factor + offset[charts]
+
+        return truth, expose
 
     def levelled(self, colours, strength=1.0, fixed=None):
         """Return the colours after levelling, and what was found."""
@@ -73,12 +80,32 @@ class ExposureScene:
         found, _ = level_canvas(atlas, planes, strength, fixed)
         return planes.reshape(len(planes), -1)[:, atlas.owned_cells].T.astype(float), found
 
+    def told(self, seed, *, without_paint, **kind):
+        """Return what levelling makes of exposed colours if it is told which stretches of seams are painted.
+
+        Or what it makes without paint and noise at seams: what exposures and the layout of seams allow.
+        """
+        truth, exposed = self.exposed(seed, **kind)
+        _, expose = self.exposures(seed, **kind)
+        true, shown = self.steps(truth), self.steps(exposed)
+        if without_paint:
+            middle, none = true.colours.mean(axis=1), np.zeros(true.low.shape, bool)
+            sides = [expose(middle, true.ends[:, side], true.places[:, side]) for side in (0, 1)]
+            told = replace(true, colours=np.stack(sides, axis=1), low=none, high=none)
+        else:
+            paint = np.sqrt(np.mean(np.square(np.diff(true.colours, axis=1)), axis=(1, 2)))
+            told = shown.part(paint < 2.5 * true.noise + 3 / 255)
+        with patch("beltrami_cli.levelling.correction.steps_over_seams", return_value=with_noise(told)):
+            return self.levelled(exposed)[0]
+
+    def steps(self, colours):
+        """Return the steps of colours of all texels over seams."""
+        atlas = self.samples.atlas
+        return steps_over_seams(atlas, painted(atlas, colours.astype(np.float32), 1), ChartPlaces.of(atlas))
+
     def joined(self):
         """Return which texels are of charts that seams without steps join, as numbers of groups."""
-        atlas = self.samples.atlas
-        steps = steps_over_seams(
-            atlas, painted(atlas, self.truth.astype(np.float32), 1), ChartPlaces.of(atlas)
-        )
+        atlas, steps = self.samples.atlas, self.steps(self.truth)
         signs = np.where(steps.ends[:, 0] < steps.ends[:, 1], 1, -1)[:, None]
         step = signs * (steps.colours[:, 1] - steps.colours[:, 0])
         pairs = []
