@@ -99,13 +99,13 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
     where = np.stack([places.at(cells[:, side], ends[:, side], columns) for side in (0, 1)], axis=1)
     seams = atlas.halo_seams[halo].astype(np.int64)
     found = Steps(atlas.charts, ends, colours, where, seams, np.ones(len(seams)), *cut, *UNKNOWN)
-    stretch = _STRETCH
-    while True:
-        row, column = np.divmod(inner.astype(np.int64), columns)
-        merged = _merged(found, row // stretch, column // stretch)
-        if len(merged.seams) <= _MOST:
-            return _with_less_error(merged)
-        stretch *= 2
+    keys = np.column_stack([seams, ends, *np.divmod(inner.astype(np.int64), columns)])
+    keys[:, 3:] //= _STRETCH
+    stretches = keys
+    while len(stretches := _ordered(stretches)[1]) > _MOST:
+        stretches[:, 3:] //= 2
+        keys[:, 3:] //= 2
+    return _with_less_error(_merged(found, keys))
 
 
 def _with_less_error(steps: Steps) -> Steps:
@@ -170,12 +170,17 @@ def limits_of(colours: Float32s | Float64s) -> tuple[float, float]:
     return low, 1.0 if colours.max(initial=1) <= 1 else np.inf
 
 
-def _merged(steps: Steps, *blocks: Int64s) -> Steps:
-    """Average the steps of a seam, with the same charts on its sides, within each block."""
-    keys = np.column_stack([steps.seams, steps.ends, *blocks])
+def _ordered(keys: Int64s) -> tuple[Int64s, Int64s, Int64s]:
+    """Return the order of rows, the different ones in that order, and where each begins."""
     order = np.lexsort(keys.T[::-1])
     ordered = keys[order]
     starts = np.flatnonzero(np.r_[True, np.any(ordered[1:] != ordered[:-1], axis=1)][: len(ordered)])
+    return order, ordered[starts], starts
+
+
+def _merged(steps: Steps, keys: Int64s) -> Steps:
+    """Average the steps of rows that are alike."""
+    order, _, starts = _ordered(keys)
     counts = np.add.reduceat(steps.counts[order], starts) if len(starts) else np.zeros(0)
 
     def mean(values: Float64s | Bools) -> Float64s:

@@ -32,6 +32,7 @@ _FEWEST_SEAMS = 8  # below, parts of seams are foretold from the others
 _STRETCHES = 4  # whose mean step is foretold: the pattern on it is averaged away
 _SATURATED = 14 / 255  # steps count no more than this
 _SURE = 0.25  # strong steps that are foretold so well are not tried as faint ones
+_NEARLY_ALL = 0.95  # nor, if so well, with gains that change over charts, of which steps would be left
 # What is left must fall to this for another kind than the first: others have more terms, or fainter ones. Less will do
 # where it falls by more than so many standard errors over the seams.
 _BETTER, _CLEARLY_BETTER, _CLEAR = 0.85, 0.95, 4.0
@@ -65,8 +66,11 @@ def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     groups, folds, is_told = _groups(steps), *_folds(steps)
 
     def tried(plain: tuple[float, ...], tilted: tuple[float, ...]) -> Verdict:
-        both = [_foretold(steps, each, folds, groups, is_told, fixed) for each in (plain, tilted)]
-        chosen, other = both[:: -1 if _is_better(both[1], both[0]) else 1]
+        first = _foretold(steps, plain, folds, groups, is_told, fixed)
+        if first.is_sure and first.share >= _NEARLY_ALL:
+            return first
+        second = _foretold(steps, tilted, folds, groups, is_told, fixed)
+        chosen, other = (second, first) if _is_better(second, first) else (first, second)
         # Whichever of the two foretells the steps, these are of exposure.
         return replace(other, spread=chosen.spread) if other.is_sure > chosen.is_sure else chosen
 
