@@ -1,4 +1,4 @@
-"""Colours without exposure steps, if there are any. Of charts that hang together the mean stays."""
+"""Colours without exposure steps, if there are any. The mean of all that is changed stays."""
 
 from __future__ import annotations
 
@@ -103,12 +103,11 @@ class Correction:
         self._found, self._strength = levelled.exposures, strength
         channels, charts, _ = levelled.exposures.terms.shape
         self._shift = np.zeros((charts, channels))
-        self._groups = levelled.groups
         self._moved = np.asarray(levelled.exposures.terms.any(axis=(0, 2)))
         self._anchored = np.zeros(charts, bool)
         if fixed is not None:
             self._moved &= ~fixed
-            self._anchored = np.isin(self._groups, self._groups[fixed])
+            self._anchored = np.isin(levelled.groups, levelled.groups[fixed])
 
     def of(self, colours: Float32s, charts: Indices, places: Float64s) -> Float32s:
         """Return the colours, shape (K, N), at places in charts without the exposures."""
@@ -121,7 +120,11 @@ class Correction:
         return after
 
     def keep_means(self, count: int, samples: Samples) -> float:
-        """Let the mean of each group of charts stay; return the mean change of a value, 0 if it could not be seen."""
+        """Let the mean of charts that are not joined to fixed ones stay; return the mean change, 0 if too small to see.
+
+        Groups of charts share that mean, also if no seam joins them. To keep the mean of each would keep the exposures
+        of its largest charts, and that all terms are drawn to 0 is the better guess.
+        """
         rows = np.arange(0, count, max(1, count // _PROBED))
         change = np.zeros_like(self._shift)
         areas, total = np.zeros(len(change)), 0.0
@@ -131,12 +134,9 @@ class Correction:
             areas += np.bincount(charts, minlength=len(areas))
             for channel, column in enumerate(difference.T):
                 change[:, channel] += np.bincount(charts, column, len(areas))
-        for channel in range(change.shape[1]):
-            weights = np.where(self._moved, areas, 0)
-            sums = np.bincount(self._groups, np.where(self._moved, change[:, channel], 0))
-            means = sums / np.maximum(np.bincount(self._groups, weights), 1)
-            shift = -means[self._groups] / max(self._strength, 1e-9)
-            self._shift[:, channel] = np.where(self._anchored, 0, shift)
+        is_free = self._moved & ~self._anchored
+        mean = change[is_free].sum(axis=0) / max(1, areas[is_free].sum())
+        self._shift[is_free] = -mean / max(self._strength, 1e-9)
         for block in np.array_split(rows, max(1, len(rows) // _BLOCK)):
             colours, charts, places = samples(block)
             total += float(np.abs(self.of(colours, charts, places) - colours).sum(dtype=np.float64))

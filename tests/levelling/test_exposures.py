@@ -10,7 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.levelling.fit import fit_exposures, known_steps
+from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts
+from beltrami_cli.levelling.fit import Exposures, fit_exposures, known_steps
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
 from beltrami_cli.levelling.verdict import STRONG, bridges, judge
 from benchmarks.exposure_scene import ExposureScene, error, fall
@@ -78,6 +79,21 @@ def test_the_mean_stays(head):
     _, exposed = head.exposed(1)
     after, _ = head.levelled(exposed)
     assert after.mean(axis=0) == pytest.approx(exposed.mean(axis=0), abs=0.2 / 255)
+
+
+def test_groups_that_no_seam_joins_do_not_keep_the_exposures_of_their_largest_charts():
+    truth = np.full((1060, 1), 0.5)
+    charts = np.repeat([0, 1, 2, 3, 4, 5, 6], [1000, 10, 10, 10, 10, 10, 10])
+    groups = np.array([0, 0, 0, 0, 0, 5, 5])
+    terms = np.zeros((1, 7, 2))
+    terms[0, :, 1] = [0.08, -0.02, -0.02, -0.02, -0.02, 0.03, -0.03]
+    shown = (truth + terms[0, charts, 1:]).astype(np.float32)
+    facts = SeamFacts(0, 0, 0, 0.0, 0.0)
+    correction = Correction(Levelled(None, Exposures(terms, np.ones(0)), facts, groups), 1.0)
+    correction.keep_means(len(shown), lambda rows: (shown[rows], charts[rows], np.zeros((len(rows), 2))))
+    after = correction.of(shown, charts, np.zeros((len(shown), 2)))
+    assert np.ptp(after) < 1e-6
+    assert after.mean() == pytest.approx(shown.mean(), abs=1e-6)
 
 
 @pytest.mark.slow
