@@ -12,16 +12,24 @@ what it reaches if there is neither paint nor noise at seams: what the best choi
 With --spaces, each chart and channel gets a gain of linear light, of 0.6 to 1.6. The table has by how many dB the error
 of display values falls, up to a gain and offset for each group of charts, if levelled in display values, in light, and
 in its logarithm.
+
+With --large, the whole command works on a torus in 3,136 charts of one texture of 4096 x 4096.
 """
 
 from __future__ import annotations
 
+import resource
+import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from exposure_scene import ExposureScene, fall, from_light, to_light
+from exposure_scene import GAINS, OFFSET, ExposureScene, fall, from_light, to_light
+
+from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.picture import new_picture
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sphere-exr-clean.obj", "scan-clean.glb",
@@ -84,11 +92,48 @@ def show_limits(models):
         print(f"{path.name:<26}" + "".join(f"{cell:>28}" for cell in cells), flush=True)
 
 
+def write_large(folder, across=56, size=4096):
+    """Write a torus whose squares are charts of one texture, each with an exposure of its own, as an OBJ file."""
+    row, column = np.mgrid[:across, :across].reshape(2, -1)
+    around, along = (2 * np.pi * each / across for each in (row, column))
+    points = [(3 + np.cos(along)) * np.cos(around), (3 + np.cos(along)) * np.sin(around), np.sin(along)]
+    lines = ["mtllib large.mtl", "usemtl all"]
+    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in np.transpose(points)]
+    faces = []
+    for number, (down, right) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
+        places = (row + down) % across * across + (column + right) % across
+        faces.append([f"{place + 1}/{number * across**2 + chart + 1}" for chart, place in enumerate(places)])
+        inside = np.column_stack([column + 0.04 + 0.92 * right, across - (row + 0.04 + 0.92 * down)]) / across
+        lines += [f"vt {u:.6f} {v:.6f}" for u, v in inside]
+    lines += ["f " + " ".join(each) for each in zip(*faces, strict=True)]
+    (folder / "large.obj").write_text("\n".join(lines) + "\n")
+    (folder / "large.mtl").write_text("newmtl all\nmap_Kd large.png\n")
+    random, texel = np.random.default_rng(0), np.arange(size)
+    chart = (texel * across // size)[:, None] * across + texel * across // size
+    turns = 2 * np.pi * texel / size
+    image = (
+        0.5 + 0.2 * np.sin(9 * turns)[:, None] * np.cos(7 * turns) + random.normal(0, 2 / 255, (size, size))
+    )
+    gain, offset = (random.uniform(*each, (across**2, 3)) for each in (GAINS, (-OFFSET, OFFSET)))
+    pixels = np.rint(255 * np.clip(image[..., None] * gain[chart] + offset[chart], 0, 1)).astype(np.uint8)
+    (folder / "large.png").write_bytes(write_image(new_picture(pixels, "texture"), pixels).data)
+
+
+def time_large(_):
+    """Print what the command says, its processor time and its memory."""
+    with tempfile.TemporaryDirectory() as name:
+        write_large(Path(name))
+        command = [sys.executable, "-m", "beltrami_cli", "level", "large.obj", "out.obj", "--threads", "1"]
+        subprocess.run(command, cwd=name, check=True)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(f"{used.ru_utime + used.ru_stime:.1f} s of processor time, {used.ru_maxrss / 2**20:.2f} GiB")
+
+
 def main(arguments):
     """Print a row for each model."""
     models = [Path(each) for each in arguments if not each.startswith("--")]
     models = models or [SAMPLES / name for name in NAMES]
-    for option, show in (("--spaces", compare_spaces), ("--told", show_limits)):
+    for option, show in (("--spaces", compare_spaces), ("--told", show_limits), ("--large", time_large)):
         if option in arguments:
             show(models)
             return
