@@ -52,11 +52,8 @@ _COMPARED = np.array([1, 0.5, 0.5])
 # levels, which differences of channels need most.
 _MORE_IN_DIFFERENCES, _MORE_IF_SHARED = 4.0, 1.0
 
-# Channels of which the differences vary this much less than the mean are colours.
-_COLOURED = 0.7
-
-# Differences between neighbours that are enough to tell.
-_ENOUGH_STEPS = 200_000
+# Channels of which the differences vary this much less than the mean are colours; so many steps are enough to tell.
+_COLOURED, _ENOUGH_STEPS = 0.7, 200_000
 
 # Noise of a channel, as a share of the largest, below which there is nothing to estimate.
 _NOISELESS = 0.01
@@ -327,8 +324,8 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
 def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
     steps = manifold.steps(colours)
-    steps = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
-    mixed = np.square(np.einsum("kj,ij->ki", steps, _OPPONENTS)).sum(axis=0)
+    some = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
+    mixed = np.square(np.einsum("kj,ij->ki", some, _OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
 
 
