@@ -18,7 +18,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from statistics import NormalDist
 from typing import TYPE_CHECKING, ClassVar
@@ -28,6 +28,8 @@ import numpy as np
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from beltrami_cli.arrays import Bools, Float32s, Float64s
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
@@ -36,6 +38,9 @@ _WORTH_RESTORING = 1e-3
 # Bound on local noise relative to the estimate, which is too low where many samples are cut off. Beyond it colours
 # differ, and not only noise.
 _TRUSTED = 1.2
+
+# Standard deviations of noise that hardly any is beyond.
+_NEAR = 3.0
 
 # Entries of tables: over the share of samples at a limit, up to one half; over limits, for a quarter of their range.
 _TABLE = 1024
@@ -53,6 +58,21 @@ class ClippedChannels:
     def clipped(self) -> list[int]:
         """The channels that were cut off at either limit."""
         return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
+
+    def sides(self) -> Iterator[ClippedChannels]:
+        """Go through the limits at which there are such channels."""
+        none = (False,) * len(self.sigma)
+        for side in (replace(self, high=none), replace(self, low=none)):
+            if side.clipped:
+                yield side
+
+    def near_limit(self, channels: Float32s, relative: Float32s) -> Float32s:
+        """Mark samples that noise may have moved to a limit, shape (clipped channels, ...): 1 or 0."""
+        near = np.zeros((len(self.clipped), *channels.shape[1:]), np.float32)
+        for own, k in zip(near, self.clipped, strict=True):
+            reach = np.float32(_NEAR) * self._sigma_at(k, relative, own.shape)
+            own[...] = (self.low[k] & (channels[k] < reach)) | (self.high[k] & (channels[k] > 1 - reach))
+        return near
 
     def marks(self, channels: Float32s) -> Float32s:
         """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""

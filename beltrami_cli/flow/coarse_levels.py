@@ -33,12 +33,15 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.flow.grid_kernels import GridKernels
-    from beltrami_cli.flow.manifold import Stack
+    from beltrami_cli.flow.manifold import Manifold, Stack
     from beltrami_cli.flow.records import Mixing
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
 # the share that they leave, and at the coarsest level all.
 _OWN, _LEFT, _ALL = 0.75, 0.1, 0.25
+
+# Less of a mean than any sample near has.
+_LEAST_SHARE = 1e-6
 
 # The scale from which on noise grows no more than this is the coarsest.
 _GROWS = 1.1
@@ -146,6 +149,9 @@ def denoise_means(
     manifold: GridKernels, covariances: Float64s, tick: Callable[[], None] | None = None
 ) -> float:
     """Estimate the means of squares, coarse to fine, in place; return their estimated mean square error."""
+    if manifold.parameters.clipping == "restore":
+        _impute_cut_off(manifold)
+        refresh_halo(manifold.colours, manifold.atlas)
     error, random = 0.0, np.random.default_rng(_SEED)
     coarsest = _coarsest(covariances, _most_apart(manifold))
     for level in range(coarsest, 0, -1):
@@ -153,6 +159,20 @@ def denoise_means(
         noise = noise_of_level(covariances, level, coarsest)
         error += max(0.0, _estimate(squares, manifold, noise, random))
     return error
+
+
+def _impute_cut_off(manifold: Manifold) -> None:
+    """Replace samples at a limit, in place, by what noise beyond it would be on average, given those around them."""
+    found, axis = manifold.find_clipped(), manifold.axis
+    colours, relative = (np.moveaxis(stack, axis, 0) for stack in (manifold.colours, manifold.relative))
+    for clipped in () if found is None else found.sides():
+        # What is beyond an edge is not near the limit, and does not count.
+        near = clipped.near_limit(colours, relative[0])
+        counted, pilot = manifold.spread(near), colours.copy()
+        np.maximum(counted, _LEAST_SHARE, out=counted)
+        pilot[clipped.clipped] = manifold.spread(colours[clipped.clipped] * near) / counted
+        clipped.restore(pilot, manifold.spread(clipped.marks(colours) * near) / counted, relative[0])
+        clipped.impute(colours, pilot, relative[0])
 
 
 def _most_apart(manifold: GridKernels) -> int:

@@ -290,7 +290,7 @@ class GridManifold(GridKernels):
             after = self.planes(len(planes))
             for rows in large_arrays.blocks(len(kind), at_once):
                 first = max(0, rows.start - reach)
-                part = np.ascontiguousarray(planes[:, first : rows.stop + reach])
+                part = planes[:, first : rows.stop + reach] * (kind[first : rows.stop + reach] != EMPTY)
                 after[:, rows] = convolve(part, taps, self.threads)[:, rows.start - first :][
                     :, : rows.stop - rows.start
                 ]

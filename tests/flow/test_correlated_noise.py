@@ -270,3 +270,17 @@ def test_noise_of_colours_of_which_hardly_any_is_inside_the_limits_is_still_a_nu
     assert np.isfinite(estimate_sigma_on_grid(noisy, np.ones((256, 256), bool))).all()
     assert find_grid_noise(noisy, np.ones((256, 256), bool), by_level=True).covariances is None
     assert np.isfinite(estimate_sigma_on_grid(noisy[:, :2, :2], np.ones((2, 2), bool))).all()
+
+
+@pytest.mark.parametrize("dark", [0.0, 1.0])
+def test_noise_that_cells_share_makes_black_no_brighter_and_white_no_darker(dark):
+    """Its mean after clipping is 0.4 standard deviations away, next to an edge as well; a tenth of that may be left."""
+    clean = np.full((128, 128, 3), 0.5)
+    clean[:, :64] = dark
+    noise = gaussian_filter(np.random.default_rng(7).standard_normal(clean.shape), (0.8, 0.8, 0))
+    sigma = 12 / 255
+    noisy = np.float32(np.rint(255 * np.clip(clean + sigma / noise.std() * noise, 0, 1)) / 255)
+    smooth = beltrami_cli.smooth_image(noisy)
+    assert smooth.choice.correlated
+    off = np.abs(smooth.colours[:, :62] - dark)
+    assert off.mean() < 0.04 * sigma
