@@ -46,8 +46,10 @@ def counted(number: int, noun: str) -> str:
 def choice_in_words(choice: dict[str, Any]) -> str:
     """Return what was chosen, by what estimate, and how sure that is."""
     chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
-    if choice["psnr"] is None:
+    if not choice["candidates"]:
         return f"{chosen}; by the fixed rule of --fast"
+    if choice["psnr"] is None:
+        return f"{chosen}; most colours are plain, as where JPEG took the noise, so no PSNR can be told: give --noise"
     least, most = choice["interval"]
     within = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
     shared = ""

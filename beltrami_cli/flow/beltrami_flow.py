@@ -117,7 +117,8 @@ class BeltramiFlow(Generic[AnyManifold]):
         if corrects and "iterations" in parameters.free:
             chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
         if self.choice is not None:
-            self.choice = self.choice.improved(-self._error).doubted(float(np.mean(np.square(self.noise))))
+            variance = float(np.mean(np.square(self.noise)))
+            self.choice = self.choice.improved(-self._error).doubted(variance, manifold.doubt)
         work = manifold.work
         self.parameters = work.bounded(chosen)
         work.announce(self.parameters)

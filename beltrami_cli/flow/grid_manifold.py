@@ -21,7 +21,8 @@ from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
-from beltrami_cli.flow.noise.grid_scales import GridNoise, estimate_sigma_on_grid, find_grid_noise
+from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
 from beltrami_cli.flow.records import KernelWork, NewColours
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
@@ -59,7 +60,7 @@ class Whole:
     """What a part of a surface takes from the whole; noise that is None is found on the part."""
 
     unit: float
-    noise: GridNoise | None = None
+    noise: FoundNoise | None = None
 
 
 class GridManifold(GridKernels):
@@ -114,7 +115,7 @@ class GridManifold(GridKernels):
             self.differing = differs[0][None]
         if not is_given:
             noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise, relative=self.differing)
-            self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
+            self.take_found(noise)
         elif given is not None and given.is_by_level:
             self.stabiliser = given.stabiliser()
         self._stabilise()
@@ -125,9 +126,9 @@ class GridManifold(GridKernels):
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)
 
-    def _take_noise(self, noise: GridNoise, filled: Bools) -> None:
+    def _take_noise(self, noise: FoundNoise, filled: Bools) -> None:
         """Take the noise that was found on the whole; what is not known is estimated."""
-        self.stabiliser, self.noise_covariances = noise.stabiliser, noise.covariances
+        self.take_found(noise)
         self._stabilise()
         self.sigma = estimate_sigma_on_grid(self.colours, filled) if noise.sigma is None else noise.sigma
 
@@ -137,10 +138,11 @@ class GridManifold(GridKernels):
                 self.stabiliser.stabilise(self.colours[:, rows])
 
     @property
-    def common_noise(self) -> GridNoise:
+    def common_noise(self) -> FoundNoise:
         """The noise as found, for other parts of the surface: not its size where that differs from place to place."""
         differs = self.differing is not None and self.noise_covariances is None
-        return GridNoise(self.stabiliser, self.noise_covariances, None if differs else self.sigma)
+        sigma = None if differs else self.sigma
+        return FoundNoise(self.stabiliser, self.noise_covariances, self.doubt, sigma)
 
     @property
     def grain(self) -> float:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.geometry import MovingPositions
+    from beltrami_cli.flow.noise.by_scale import FoundNoise
     from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.partitions import Partition
@@ -126,6 +127,9 @@ class Manifold(Domain):
     noise_covariances: Float64s | None = None
     """The noise at each scale, shape (L, N, N), if neighbouring samples share it."""
 
+    doubt: float = 0.0
+    """The mean square error that may be missing in estimates because of JPEG; infinite: nobody can tell."""
+
     @property
     def shares_noise(self) -> bool:
         """Whether neighbouring samples share noise."""
@@ -157,6 +161,10 @@ class Manifold(Domain):
         if self.stabiliser is not None:
             noise[:COLOURS] *= self.stabiliser.growth
         return noise
+
+    def take_found(self, noise: FoundNoise) -> None:
+        """Take what was found of the noise."""
+        self.stabiliser, self.noise_covariances, self.doubt = noise.stabiliser, noise.covariances, noise.doubt
 
     def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
         """Set the noise of the colours to what is reckoned with; `sigma` is of noise that is given by sample."""

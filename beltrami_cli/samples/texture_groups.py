@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.arrays import Float64s, Int64s
-    from beltrami_cli.flow.noise.grid_scales import GridNoise
+    from beltrami_cli.flow.noise.by_scale import FoundNoise
     from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.surface.records import TexturedSurface
 
@@ -76,7 +76,7 @@ class Common:
 
     settings: SmoothSettings
     unit: float
-    noise: GridNoise | None
+    noise: FoundNoise | None
     names: tuple[str, ...]  # the channels that it is the noise of
     described: dict[str, Any] = field(default_factory=dict)  # by the names of the fields of reports
 

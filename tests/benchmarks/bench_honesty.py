@@ -29,8 +29,9 @@ def main():
         for kind, noisy, truth in [*kinds(stored(clean)), *cases(stored(clean))]:
             result = beltrami_cli.smooth_image(noisy)
             true = psnr(result.colours, truth)
-            if result.choice is None:
-                print(f"{name}, {kind}: left as it is, {true:.1f} dB")
+            if result.choice is None or result.choice.interval is None:
+                what = "left as it is" if result.choice is None else "nothing told"
+                print(f"{name}, {kind}: {what}, {true:.1f} dB")
                 continue
             least, most = result.choice.interval
             held.append(least <= true and (most is None or true <= most))

@@ -8,11 +8,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.noise import grid_scales
+from beltrami_cli.cli.console import choice_in_words
+from beltrami_cli.flow.noise import by_scale, grid_scales
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.flow.records import Step
+from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.flow.tuning.sure import RiskEstimate
+from beltrami_cli.samples.samples import as_jpeg, describe_choice
 from formats.image_files import encode
 
 LUMA = np.full((3, 3), 1 / 3)
@@ -199,8 +202,8 @@ def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
 
 def test_noise_is_a_number_where_the_coarsest_scale_shows_none():
     sigma = np.array([[10, 3, 3], [10, 6, 6], [10.5, 9, 9], [np.nan] * 3]) / 255
-    assert grid_scales.is_shared(sigma)
-    assert np.isfinite(grid_scales._bounded(sigma, 10 / 255)).all()
+    assert by_scale.is_shared(sigma)
+    assert np.isfinite(by_scale._bounded(sigma, 10 / 255)).all()
 
 
 @pytest.mark.parametrize("factor", [1.3, 2.0])
@@ -284,3 +287,30 @@ def test_noise_that_cells_share_makes_black_no_brighter_and_white_no_darker(dark
     assert smooth.choice.correlated
     off = np.abs(smooth.colours[:, :62] - dark)
     assert off.mean() < 0.04 * sigma
+
+
+@pytest.mark.parametrize("quality", [75, 85])
+def test_the_estimated_psnr_is_doubted_where_jpeg_took_noise_and_detail(quality):
+    """What it took is not seen in the noise that is left, of which less would be an error of 2 to 7 dB."""
+    rng = np.random.default_rng(5)
+    detail = rng.standard_normal((256, 256, 1))
+    clean = 0.5 + 0.2 * (painting(256) - 0.5) + 0.08 * gaussian_filter(detail, (1, 1, 0)) / 0.28
+    image = as_jpeg(np.float32(clean + 10 / 255 * rng.standard_normal(clean.shape)), quality)
+    result = beltrami_cli.smooth_image(image)
+    least, most = result.choice.interval
+    true = psnr(result.colours, clean)
+    assert least <= true
+    assert most is None or true <= most
+
+
+def test_no_psnr_is_told_where_jpeg_left_noise_in_few_squares():
+    clean = np.full((256, 256, 3), 0.5)
+    clean[64:128, 64:128] = np.random.default_rng(0).random((64, 64, 1))
+    image = as_jpeg(np.float32(clean), 75)
+    image[200:240, 20:200] += np.float32(4 / 255) * np.random.default_rng(1).standard_normal((40, 180, 3))
+    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
+    noise = find_grid_noise(planes, np.ones(planes.shape[1:], bool), by_level=True)
+    assert noise.doubt == np.inf
+    choice = Choice({"t": 8.0}, 40.0, 0.1, 5.0, 10, 1000).doubted(1e-4, noise.doubt)
+    assert choice.interval is None
+    assert "give --noise" in choice_in_words(describe_choice(choice))

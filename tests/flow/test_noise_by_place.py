@@ -41,6 +41,16 @@ def test_the_noise_of_both_halves_is_found():
     assert found.mean() == pytest.approx(1, rel=1e-3)
 
 
+def test_the_noise_of_both_halves_is_found_where_one_of_them_is_mostly_black():
+    """Half of the noise of black is cut off; what is left shows how strong it was, within a third."""
+    clean = photograph(SIZE)
+    clean[SIZE // 2 :] *= (np.arange(SIZE) > SIZE * 3 // 4)[:, None]
+    noise = sigma_at_rows() * np.random.default_rng(0).standard_normal(clean.shape)
+    found = np.sqrt(relative(np.clip(clean + noise, 0, 1).astype(np.float32))[0])
+    black = np.median(found[SIZE // 2 + 8 :, : SIZE * 3 // 4 - 8])
+    assert black / np.median(found[: SIZE // 2 - 8]) == pytest.approx(LOUD / QUIET, rel=1 / 3)
+
+
 def test_the_noise_of_both_halves_is_found_in_one_channel():
     """Within 20 % in the loud half; textures of one channel make the quiet one louder."""
     noise = sigma_at_rows() * np.random.default_rng(0).standard_normal((SIZE, SIZE, 1))

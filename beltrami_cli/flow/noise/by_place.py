@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_for
 from beltrami_cli.flow.noise.grid_scales import corners_of, sums_of_tiles
 from beltrami_cli.surface import large_arrays
@@ -47,8 +48,8 @@ _ROUNDING = 0.5 / 255
 # The least relative standard deviation: where it is estimated, and where it is given, so that all can be divided by it.
 _LEAST, _LEAST_RELATIVE = 0.2, 0.05
 
-# Share of the samples of a tile at 0 or full scale beyond which noise was cut off.
-MOST_CUT_OFF = 0.3
+# Share of the samples of a tile at 0 or full scale up to which what was cut off of noise is known.
+MOST_CUT_OFF = 0.6
 
 
 def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, float] | None:
@@ -151,7 +152,8 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
         there[: len(filled[band]), : filled.shape[1]] = filled[band]
         cut = ((whole <= 0) | (whole >= 1)).mean(axis=0, dtype=np.float32)
         usable = sums_of_tiles(there, _TILE) == _TILE**2
-        usable &= sums_of_tiles(cut, _TILE) < MOST_CUT_OFF * _TILE**2
+        share = sums_of_tiles(cut, _TILE) / _TILE**2
+        usable &= share < MOST_CUT_OFF
         first = band.start // _TILE
         means = np.einsum("ij,jrc->irc", mixing_for(len(whole)).astype(np.float32), whole)
         levels[band.start // side] = sums_of_tiles(means[0], side) / np.maximum(sums_of_tiles(there, side), 1)
@@ -161,7 +163,8 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
             details = 4**scale * np.square(four - means).sum(axis=0) / 3
             squares = _TILE >> (scale + 1)
             for energy, plane in zip(own, details, strict=True):
-                energy[usable] = sums_of_tiles(plane, squares)[usable] / squares**2
+                remaining = squares**2 * variance_of_clipped(share[usable])
+                energy[usable] = sums_of_tiles(plane, squares)[usable] / remaining
     return energies, levels
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, mixing_for, stabiliser_of
 from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
@@ -169,7 +170,8 @@ def find_relative(colours: Float32s, edges: Int32s) -> Float32s | None:
     tile = np.minimum(np.arange(len(colours)) // _TILE, count * _TILES - 1)
     tiles = _energies_by_scale(mixed, edges, size, tile)
     cut = ((colours <= 0) | (colours >= 1)).mean(axis=1)
-    tiles[:, :, _means(cut, tile) >= MOST_CUT_OFF] = np.nan
+    share = _means(cut, tile)
+    tiles = np.where(share < MOST_CUT_OFF, tiles / variance_of_clipped(share), np.float32(np.nan))
     found = louder_blocks(tiles, _means(mixed[:, 0], tile).mean(axis=1))
     if found is None:
         return None

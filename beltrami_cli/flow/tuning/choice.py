@@ -196,7 +196,7 @@ class Choice:
 
     chosen: dict[str, float]  # values of the parameters that were free
     psnr: float | None = (
-        None  # estimated, against noise-free colours, before clipped averages are restored; None: by rule
+        None  # estimated, against noise-free colours, before clipped averages are restored; None: not known
     )
     error: float | None = None  # standard error of `psnr` in dB, if the estimate of the noise is right
     gain: float | None = None  # in dB over the estimated PSNR of the input
@@ -218,10 +218,12 @@ class Choice:
         most, least = found + math.hypot(chance, self.doubt[0]), found - math.hypot(chance, self.doubt[1])
         return -10 * math.log10(most), -10 * math.log10(least) if least > 0 else None
 
-    def doubted(self, noise: float) -> Choice:
-        """Return the same with the doubt that is due to noise of this variance."""
+    def doubted(self, noise: float, missing: float) -> Choice:
+        """Return the same with the doubt that is due to noise of this variance, and to what else may be missing."""
+        if math.isinf(missing):
+            return dataclasses.replace(self, psnr=None, error=None, gain=None)
         shares = _DOUBT_IF_SHARED if self.correlated else _DOUBT
-        return dataclasses.replace(self, doubt=(shares[0] * noise, shares[1] * noise))
+        return dataclasses.replace(self, doubt=(max(missing, shares[0] * noise), shares[1] * noise))
 
     def improved(self, gain: float) -> Choice:
         """Return the same with less mean square error, where it was estimated."""

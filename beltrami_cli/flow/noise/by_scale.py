@@ -1,0 +1,197 @@
+"""Noise by scale: whether neighbours share it, as in resampled photographs and after JPEG, and how much of it.
+
+Details of single samples, of means of some four neighbours, of some sixteen, and so on, are measured, see `by_level`.
+Independent noise is as strong in all of them; noise that neighbours share is weaker in the finer ones, and is as strong
+in all from a scale on, while textures keep growing. In photographs, textures are weakest in the differences of
+channels: these show whether noise is shared, and bound what is taken for noise in their mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.noise.by_level import OPPONENTS, fit_by_level, stabiliser_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from beltrami_cli.arrays import Float64s
+    from beltrami_cli.flow.noise.by_level import Neighbourhoods
+    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+
+# Scales that are measured; in the last, and in coarser ones, noise is as strong.
+SCALES = 4
+
+# Noise is shared if it grows by these factors from single cells to the second and third scale ...
+_GROWS, _GROWS_TWICE = 1.35, 1.6
+# ... in all components by less than this from there on ...
+_EVEN, _LEAST_SIGMA = 1.6, 1.25 / 255
+# ... and then by less than this, unlike texture; for one channel alone, where there is more texture, by less than ...
+_MOST_GROWTH, _MOST_ALONE = 2.7, 1.6
+# ... and if it is larger than what clean photographs hold at these scales.
+_LEAST_MIDDLE, _LEAST_COARSE = 3.5 / 255, 4 / 255
+
+# Noise of the finest details, relative to that of the diagonal ones among them at most.
+_MOST_OF_DIAGONAL = 3.0
+
+# Growth of the mean of channels from single cells to the second scale, beyond which it is texture.
+_PLAIN_GROWTH = 2.0
+
+# Growth to the last scale, below which noise has reached its full size.
+_LEVEL, _ALIKE = 1.5, 2.0
+
+# Growth to the last scale, beyond which there is texture.
+_TEXTURE = 2.5
+
+# JPEG keeps the finest noise of the mean of channels: that of coarse differences is no larger than this factor of it.
+_COLOURLESS = 1.3
+
+# JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
+# second scale and less than the second to the third, or less than the third from single cells on, as no texture does.
+# Differences of channels have less of it, at the second scale by more than the last factor, and least in the finest.
+_MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE, _TAKEN = 2.2, 1.35, 1.25, 1.5
+
+# Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
+_MOST_APART = 1.2
+
+# Growth of noise in differences of channels from single cells to the second scale, beyond which JPEG has taken it.
+_MOST_AT_SECOND = 2.5
+
+# Noise of the last scale, relative to the one before at most: on small grids there are few tiles without texture.
+_MOST_AT_LAST = 1.5
+
+# Steps keep some noise as a few large details, which quiet tiles do not show: at least this share of the next scale.
+_LEAST_OF_NEXT = 0.25
+# JPEG with colour at half the resolution leaves this much less of the finest details in differences of channels than in
+# their mean. What it took with them is not known.
+_THINNED = 4.0
+
+
+@dataclass(frozen=True)
+class FoundNoise:
+    """What was found besides independent noise that is the same at all levels."""
+
+    stabiliser: VarianceStabiliser | None = None
+    covariances: Float64s | None = None  # of stabilised colours, shape (L, N, N), see `haar_noise`
+    doubt: float = 0.0  # mean square of what may be missing because of JPEG; infinite: nobody can tell
+    sigma: Float64s | None = None  # of stabilised colours, by channel, once that is known
+
+
+def noise_of_scales(
+    scales: Sequence[Neighbourhoods],
+    mixing: Float64s,
+    channels: int,
+    alone: Callable[[], Float64s],
+    *,
+    by_level: bool,
+) -> FoundNoise:
+    """Find how noise depends on the level, if it may, and what neighbours share; `alone`: sigma if they share nothing.
+
+    `mixing` is that of the first channels into components.
+    """
+    found = fit_by_level(scales)
+    if found is None:
+        return FoundNoise()
+    stabiliser = stabiliser_of(found) if by_level else None
+    doubt = _doubt(found.sigma)
+    if not is_shared(found.sigma):
+        return FoundNoise(stabiliser, doubt=doubt)
+    count, independent = len(mixing), alone()
+    sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))
+    if stabiliser is not None:
+        sigma = sigma * stabiliser.scale
+    covariances = np.zeros((SCALES, channels, channels))
+    covariances[:, :count, :count] = np.einsum("ki,lk,kj->lij", mixing, sigma**2, mixing)
+    rest = np.arange(count, channels)  # other channels have noise of their own
+    covariances[:, rest, rest] = independent[count:] ** 2
+    return FoundNoise(stabiliser, covariances, doubt)
+
+
+def _doubt(sigma: Float64s) -> float:
+    """Return the mean square of what JPEG may have taken or left, by the standard deviations of noise by scale."""
+    if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 2 or np.isnan(sigma[:2]).any():
+        return 0.0
+    return float(sigma[1, 0] ** 2 / 3) if sigma[0, 0] > _THINNED * sigma[0, 1:].max() else 0.0
+
+
+def is_shared(sigma: Float64s) -> bool:
+    """Whether neighbours share noise, by its standard deviation at each scale, shape (L, K)."""
+    if _level_of_mean(sigma) is not None:
+        return True
+    components = sigma[:, 1:] if sigma.shape[1] == 3 else sigma
+    if len(sigma) < 3 or np.isnan(components[:3]).any():
+        return False
+    fine, middle, coarse = components[:3].min(axis=1)
+    coarsest = components[3].min() if len(sigma) > 3 and not np.isnan(components[3]).any() else None
+    most = _MOST_GROWTH if sigma.shape[1] == 3 else _MOST_ALONE
+    # Texture keeps growing in all components; noise that does not may be small.
+    if coarsest is not None and np.all(sigma[2] < _EVEN * sigma[1]) and np.all(sigma[3] < _EVEN * sigma[2]):
+        return bool(coarse > _GROWS_TWICE * fine and coarse > _LEAST_SIGMA)
+    if coarsest is not None and coarsest > _TEXTURE * coarse:
+        return False
+    grows = middle > _GROWS * fine and coarse < most * middle and max(middle, coarse / 2) > _LEAST_MIDDLE
+    is_plain = sigma[1, 0] < _PLAIN_GROWTH * sigma[0, 0]
+    plain = sigma[1, 0] if is_plain else sigma[0, 0]
+    lost = coarse > _GROWS_TWICE * fine and coarse > _LEAST_COARSE
+    lost &= coarsest is not None and coarsest < most * coarse and coarse < _COLOURLESS * plain
+    # Or JPEG has taken the finest noise from the differences of channels, and that of their mean shows no texture.
+    taken = sigma.shape[1] == 3 and middle > _MOST_AT_SECOND * fine and middle > _LEAST_MIDDLE
+    taken &= bool(is_plain)
+    return bool(grows or lost or taken or _levels_off(sigma))
+
+
+def _level_of_mean(sigma: Float64s) -> float | None:
+    """Return the level of white noise in the mean of channels, if differences of channels have less of it."""
+    if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
+        return None
+    fine, middle, coarse = sigma[:3, 0]
+    differences = sigma[:3, 1:].max(axis=1)
+    if middle < max(_LEAST_MIDDLE, _TAKEN * differences[1]) or differences[2] < _GROWS_TWICE * differences[0]:
+        return None
+    if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
+        return float(max(fine, middle, coarse))
+    return float(max(fine, middle)) if middle < _AS_FINE * fine else None
+
+
+def _levels_off(sigma: Float64s) -> bool:
+    """Whether differences of channels, and their mean as well, stop growing at the last scale, as coarse grain does."""
+    if sigma.shape != (SCALES, len(OPPONENTS)) or np.isnan(sigma[:, 1:]).any():
+        return False
+    fine, _, coarse, coarsest = sigma[:, 1:].min(axis=1)
+    if sigma[2, 0] > _ALIKE * coarse:
+        return False
+    return bool(coarse > 2 * _GROWS_TWICE * fine and coarse > _LEAST_COARSE and coarsest < _LEVEL * coarse)
+
+
+def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
+    """Return the standard deviations of noise, shape (SCALES, K), without what is texture; `diagonal`: see `grid`."""
+    known = np.full((SCALES, sigma.shape[1]), np.nan)
+    known[: len(sigma)] = sigma
+    for scale in range(1, SCALES):
+        known[scale] = np.where(np.isnan(known[scale]), known[scale - 1], known[scale])
+    of_mean = np.maximum.accumulate(known[:, 0])
+    if not _levels_off(sigma):
+        known[2] = np.minimum(known[2], _MOST_GROWTH * known[1])
+    known[-1] = np.minimum(known[-1], _MOST_AT_LAST * known[-2])
+    if sigma.shape[1] == 3:
+        differences = known[:, 1:].min(axis=1)
+        known[:, 1:] = np.minimum(known[:, 1:], _MOST_APART * differences[:, None])
+        # JPEG takes the finest noise from the differences, and not from the mean, which shows if it is no texture.
+        bounds = differences.copy()
+        if differences[1] > _MOST_AT_SECOND * differences[0]:
+            bounds[0] = min(differences[:3].max(), _MOST_OF_DIAGONAL * diagonal / _MOST_APART)
+            bounds[1] = max(differences[1], min(known[0, 0] / _MOST_APART, bounds[0]) * _GROWS)
+            for scale in (0, 1):
+                if known[scale + 1, 0] < _GROWS * known[scale, 0]:
+                    bounds[scale:] = np.maximum(bounds[scale:], known[scale, 0] / _MOST_APART)
+        known[:, 0] = np.minimum(known[:, 0], _MOST_APART * bounds)
+        level = _level_of_mean(sigma)
+        if level is not None:
+            known = np.minimum(known, level)
+            known[:, 0] = np.minimum(of_mean, level)
+    for scale in reversed(range(SCALES - 1)):
+        known[scale] = np.maximum(known[scale], _LEAST_OF_NEXT * known[scale + 1])
+    return known
