@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.partitions import TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
@@ -112,7 +113,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         corrects = noisy and manifold.shares_noise and parameters.takes_patches and not moves
         self.noise, self.noise_model = manifold.noise, describe_noise(manifold)
         if corrects:
-            self._error = manifold.denoise_means(tick)
+            self._error = denoise_means(manifold, tick)
         chosen, self.choice = tune(manifold, parameters, noisy=noisy, tick=tick)
         if corrects and "iterations" in parameters.free:
             chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))

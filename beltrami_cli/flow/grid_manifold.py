@@ -15,15 +15,15 @@ from beltrami_cli.flow.canvas import (
     halo_beyond,
     painted,
 )
+from beltrami_cli.flow.cell_squares import squares_for
 from beltrami_cli.flow.clipping import find_clipped_on_canvas
-from beltrami_cli.flow.coarse_levels import denoise_means, left_for_cells, squares_for
 from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.grid_partitions import cut_grid
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
-from beltrami_cli.flow.noise.haar_noise import covariance_of_cells, sigma_of_covariances
+from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 from beltrami_cli.flow.records import KernelWork, NewColours
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
@@ -33,14 +33,14 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo, without_halo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+    from beltrami_cli.flow.cell_squares import Squares
     from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.coarse_levels import Squares
+    from beltrami_cli.flow.domain import Stack
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.grid_partitions import GridPartition
-    from beltrami_cli.flow.manifold import Stack
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.records import Mixing, Step
     from beltrami_cli.surface.atlas import Atlas
@@ -67,6 +67,7 @@ class GridManifold(GridKernels):
     """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
     width: ClassVar[float] = 6.0
+    plain_levels: ClassVar[tuple[int, ...]] = 3, 2
     search_range, rule = ON_GRIDS, RULE_ON_GRIDS
 
     def __init__(
@@ -144,35 +145,13 @@ class GridManifold(GridKernels):
         sigma = None if differs else self.sigma
         return FoundNoise(self.stabiliser, self.noise_covariances, self.doubt, sigma)
 
-    @property
-    def grain(self) -> float:
-        """The width in cells: noise of a filter has its power at the coarsest scale divided by the filter's area."""
-        if self.noise_covariances is None:
-            return 1.0
-        cells = np.trace(covariance_of_cells(self.noise_covariances))
-        return float(np.sqrt(max(1.0, np.trace(self.noise_covariances[-1]) / max(cells, 1e-12))))
+    def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
+        """Return squares of cells."""
+        return squares_for(self, most, tick)
 
-    def denoise_means(self, tick: Callable[[], None] | None = None) -> float:
-        """Remove the noise that neighbouring cells share, but for their own details."""
-        if self.noise_covariances is None:
-            return 0.0
-        error = denoise_means(self, self.noise_covariances, tick)
-        self.noise_covariances = left_for_cells(self.noise_covariances)
-        self.sigma = sigma_of_covariances(self.noise_covariances)
-        self.embed([])
-        return error
-
-    def coarse_levels(self) -> Iterator[Squares]:
-        """Go through squares of cells, unless they have been estimated because cells share noise."""
-        if not self.shares_noise:
-            yield from squares_for(self)
-
-    @property
-    def noise_covariance(self) -> Float64s:
-        """Covariance of the noise of channels."""
-        if self.noise_covariances is None:
-            return super().noise_covariance
-        return covariance_of_cells(self.noise_covariances)
+    def refresh(self, stack: Stack) -> None:
+        """Give the halo the colours of the cells that it shows."""
+        refresh_halo(stack, self.atlas)
 
     def partitions(
         self, count: int, widening: int, steps: Sequence[Step], channels: int

@@ -8,13 +8,15 @@ https://doi.org/10.1109/TIP.2007.894253
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from beltrami_cli.flow.domain import Domain
 from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels, noise_of
+from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
 from beltrami_cli.flow.noise.stabilising import COLOURS
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
+    from beltrami_cli.flow.domain import CoarseLevel, Stack
     from beltrami_cli.flow.embedding import Guide
     from beltrami_cli.flow.geometry import MovingPositions
     from beltrami_cli.flow.noise.by_scale import FoundNoise
@@ -33,56 +36,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.records import Averaged, KernelWork, Mixing, NewColours, SampledKernel, Step
     from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
     from beltrami_cli.flow.search_range import Rule, SearchRange
-
-    Stack = Float32s
-
-
-class Domain(ABC):
-    """Samples that numbers are summed and averaged over.
-
-    A *stack* is an array of channels for all samples in the inner layout: rows of samples on a mesh, planes of cells on
-    a grid. *Planes* are numbers that are no colours, along the first axis in both layouts.
-    """
-
-    axis: ClassVar[int]
-    """The axis of the channels in a stack."""
-
-    width: ClassVar[float]
-    """Standard deviation of `spread`, in sample spacings."""
-
-    @abstractmethod
-    def planes(self, count: int) -> Float32s:
-        """Return zeros for numbers of samples."""
-
-    @abstractmethod
-    def total(self, planes: Float32s) -> Float64s:
-        """Sum planes over the samples that have a kernel."""
-
-    @abstractmethod
-    def spread(self, planes: Float32s) -> Float32s:
-        """Average planes over the surface by about a Gaussian of standard deviation `width`."""
-
-
-class CoarseLevel(Domain):
-    """Means of groups of neighbouring samples, as fewer samples of the same surface."""
-
-    noise: float
-    """The variance of the noise of means, by that of samples."""
-
-    relative: Float32s
-    """The variance of the noise of each mean, relative to this."""
-
-    @abstractmethod
-    def means(self, stack: Float32s) -> Float32s:
-        """Return the means of a stack."""
-
-    @abstractmethod
-    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing) -> Stack:
-        """Estimate means from patches that look alike in the pilot."""
-
-    @abstractmethod
-    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
-        """Add changes of means to a stack, in place."""
 
 
 class Manifold(Domain):
@@ -105,6 +58,9 @@ class Manifold(Domain):
 
     spacing: float
     """Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours."""
+
+    plain_levels: ClassVar[tuple[int, ...]]
+    """The levels at which plain colours are estimated, coarse to fine."""
 
     unit: float
     """The unit of length of t and beta, in sample spacings."""
@@ -138,12 +94,18 @@ class Manifold(Domain):
     @property
     def grain(self) -> float:
         """The width, in samples, of the area that samples share noise over; 1: each has its own."""
-        return 1.0
+        if self.noise_covariances is None:
+            return 1.0
+        # Noise of a filter has its power at the coarsest scale divided by the filter's area.
+        own = np.trace(covariance_of_cells(self.noise_covariances))
+        return float(np.sqrt(max(1.0, np.trace(self.noise_covariances[-1]) / max(own, 1e-12))))
 
     @property
     def noise_covariance(self) -> Float64s:
         """Covariance of the noise of channels, shape (N, N)."""
-        return np.diag(np.square(self.sigma))
+        if self.noise_covariances is None:
+            return np.diag(np.square(self.sigma))
+        return covariance_of_cells(self.noise_covariances)
 
     @property
     def relative(self) -> Float32s:
@@ -183,14 +145,15 @@ class Manifold(Domain):
         self.stabiliser.restore(rows.T)
         return rows
 
-    def denoise_means(self, tick: Callable[[], None] | None = None) -> float:
-        """Remove noise that neighbours share but for their own details; return the estimated mean square error."""
-        del tick
-        return 0.0
-
     def coarse_levels(self) -> Iterator[CoarseLevel]:
         """Go through levels, coarse to fine, at which plain colours are estimated better than sample by sample."""
-        yield from ()
+        if self.shares_noise:  # which they have been estimated for
+            return
+        levels = self.levels(max(self.plain_levels))
+        yield from (levels[number - 1] for number in self.plain_levels if number <= len(levels))
+
+    def refresh(self, stack: Stack) -> None:
+        """Let samples show new colours where they are shown again, as beyond seams."""
 
     def __init__(self, parameters: KernelParameters, metric_channels: Sequence[int] | None) -> None:
         self.parameters, self.threads = parameters, parameters.thread_count
@@ -304,6 +267,10 @@ class Manifold(Domain):
     @abstractmethod
     def perturbation(self) -> Float32s | NDArray[np.int8]:
         """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
+
+    @abstractmethod
+    def levels(self, most: int, tick: Callable[[], None] | None = None) -> Sequence[CoarseLevel]:
+        """Return up to `most` levels, fine to coarse, each of some four samples of the one before."""
 
     @abstractmethod
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.records import Step
-    from beltrami_cli.flow.vertex_clusters import Graph
+    from beltrami_cli.flow.vertex_graph import Graph
     from beltrami_cli.surface.records import SampledSurface
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import islice
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -13,21 +14,25 @@ from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
 from beltrami_cli.flow.noise.by_place import relative_to_mean
-from beltrami_cli.flow.noise.mesh import estimate_sigma, find_relative, find_stabiliser
+from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
+from beltrami_cli.flow.noise.mesh import estimate_sigma, find_mesh_noise, find_relative
 from beltrami_cli.flow.records import MeshWork, NewColours, without_hubs
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
 from beltrami_cli.flow.tuning.sure import wanted_probes
-from beltrami_cli.flow.vertex_clusters import Graph, clusters_for
+from beltrami_cli.flow.vertex_clusters import clusters_for
+from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
     from beltrami_cli.flow.clipping import ClippedChannels
+    from beltrami_cli.flow.domain import Stack
     from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.manifold import Stack
     from beltrami_cli.flow.mesh_partitions import MeshPartition
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.flow.records import Mixing, Step
@@ -46,6 +51,7 @@ class MeshManifold(MeshKernels):
     """The image manifold of a sampled surface; `geometry`: positions are smoothed, too."""
 
     width: ClassVar[float] = 4.0
+    plain_levels: ClassVar[tuple[int, ...]] = 2, 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 
     def __init__(
@@ -66,11 +72,13 @@ class MeshManifold(MeshKernels):
             self.stabiliser = given.stabiliser() if given.is_by_level else None
         elif parameters.evens_noise and geometry is None:
             self.differing = find_relative(self.colours, self.edges)
-            self.stabiliser = find_stabiliser(self.colours, self.edges, self.differing)
+            self.take_found(find_mesh_noise(self.graph, self.colours, self.differing))
         if self.stabiliser is not None:
             self.stabiliser.stabilise(self.colours.T)
         self.sigma = estimate_sigma(self.colours, self.edges, self.differing)
         self.settle_noise(parameters, sigma)
+        if self.noise_covariances is not None:
+            self.sigma = sigma_of_covariances(self.noise_covariances)
         self.embed([dataclasses.replace(guide, values=guide.values[self.order]) for guide in guides])
         if geometry is not None:
             places = GeometryParameters(geometry.places[self.order], geometry.normal_beta)
@@ -96,12 +104,12 @@ class MeshManifold(MeshKernels):
         around = fingerprints(colours, self.edges)
         # A patch that reached a hub would hold everything around it.
         patches = choose_patches(colours, around, without_hubs(self.size, self.edges))
-        signs = random_signs(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
+        signs = self._perturbations(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
         part, samples = self, patches.samples
         if len(samples) < self.size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
         scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
-        return SampleTrial(part, colours, signs, scored)
+        return SampleTrial(part, colours, signs, scored, correlated=self.shares_noise)
 
     def release(self) -> None:
         """Give back the triangles, which only cuts need."""
@@ -163,23 +171,46 @@ class MeshManifold(MeshKernels):
         )
         return estimates
 
+    @property
+    def graph(self) -> Graph:
+        """The samples and their edges, with priorities by nearby colours when it is first needed."""
+        if self._graph is None:
+            places, around = _in_three_dimensions(self.positions), fingerprints(self._coarse(), self.edges)
+            joined = np.zeros(self.size, bool)
+            joined[self.edges] = True
+            self._graph, self._axes = (
+                Graph(places, self.edges, around),
+                _axes(places[joined], self.colours[joined]),
+            )
+        return self._graph
+
+    def _coarse(self) -> Float32s:
+        return np.asarray(np.round(self.colours * _COARSE), np.float32)
+
     def perturbation(self) -> Float32s:
         """Find the patches, and return random signs; both depend only on nearby colours, which change from then on."""
         from beltrami_cli._native import SurfacePatches
 
-        places, coarse = _in_three_dimensions(self.positions), np.round(self.colours * _COARSE)
-        joined = np.zeros(self.size, bool)
-        joined[self.edges] = True
-        axes, around = _axes(places[joined], self.colours[joined]), fingerprints(coarse, self.edges)
-        self._patches = SurfacePatches(places, self.edges, axes, around, self.threads)
-        self._graph, self._axes = Graph(places, self.edges, around), axes
-        signs: Float32s = random_signs(coarse, around, 1)[0]
+        own = self.graph
+        self._patches = SurfacePatches(own.positions, own.edges, self._axes, own.priorities, self.threads)
+        signs: Float32s = self._perturbations(self._coarse(), own.priorities, 1)[0]
         return signs
 
-    def coarse_levels(self) -> Iterator[Clusters]:
-        """Go through clusters of samples."""
-        assert self._graph is not None
-        yield from clusters_for(self._graph, self._axes, self.differing, self.threads)
+    def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
+        """Return random stacks like the noise, by nearby colours: signs, or noise that neighbours share."""
+        covariances = self.noise_covariances
+        if covariances is None:
+            return random_signs(colours, around, count)
+        levels = list(islice(levels_of(self.graph), len(covariances) + 1))
+        signs = np.split(random_signs(colours, around, count * len(levels)), count)
+        drawn = np.stack([draw_noise_of_clusters(covariances, levels, own) for own in signs])
+        drawn /= np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(covariances)))))
+        return drawn
+
+    def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
+        """Return clusters of samples."""
+        del tick
+        return clusters_for(self.graph, most, self._axes, self.differing, self.threads)
 
     def planes(self, count: int) -> Float32s:
         """Return rows of zeros."""

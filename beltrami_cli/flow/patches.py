@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
     from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
     from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.manifold import CoarseLevel, Domain, Manifold
+    from beltrami_cli.flow.domain import CoarseLevel, Domain
+    from beltrami_cli.flow.manifold import Manifold
 
 
 # The mean of three channels and two differences, orthonormal; differences count half when patches are compared, since

@@ -10,7 +10,8 @@ import pytest
 from beltrami_cli import smooth
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.vertex_clusters import Graph, clusters_for
+from beltrami_cli.flow.vertex_clusters import clusters_for
+from beltrami_cli.flow.vertex_graph import Graph
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr
@@ -69,7 +70,7 @@ def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
     axes = np.eye(3)[:2]
     stack = RANDOM.random((sphere.size, 3)).astype(np.float32)
     whole = stack.sum(axis=0, dtype=np.float64)
-    levels = clusters_for(sphere, axes, None, 1)
+    levels = clusters_for(sphere, 2, axes, None, 1)
     assert levels
     for level in levels:
         means = level.means(stack)

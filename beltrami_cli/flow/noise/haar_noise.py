@@ -1,9 +1,10 @@
-"""Noise that neighbouring cells of a grid share, as covariances of its Haar details, scale by scale.
+"""Noise that neighbouring samples share, as covariances of its Haar details, scale by scale.
 
-The Haar transform splits a grid into the details of single cells, of means of 2 x 2 cells, of 4 x 4, and so on [1]_.
-Independent noise has the same variance in all of them. Noise that was stored, scaled or compressed has less in the
-finer ones, and channels share it. Covariances have the shape (L, N, N): of N channels in the details of single cells,
-of 2 x 2 cells and so on, the last for all coarser ones, in units in which they are equal for independent noise.
+The Haar transform splits a grid into the details of single cells, of means of 2 x 2 cells, of 4 x 4, and so on [1]_; on
+meshes clusters of some four vertices stand for squares. Independent noise has the same variance in all of them. Noise
+that was stored, scaled or compressed has less in the finer ones, and channels share it. Covariances have the shape
+(L, N, N): of N channels in the details of single samples, of means of some four and so on, the last for all coarser
+ones, in units in which they are equal for independent noise.
 
 References
 ----------
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from beltrami_cli.arrays import Float32s, Float64s, Int8s
+    from beltrami_cli.flow.vertex_graph import Level
 
 # Rows that are worked on at a time, where each needs memory.
 _ROWS = 64
@@ -75,14 +77,35 @@ def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) ->
 
 def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
-    values, vectors = np.linalg.eigh(covariance)
-    root = ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T).astype(np.float32)
+    root = root_of(covariance)
     signs = random_signs((len(root), *shape), random)
     mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
     for rows in large_arrays.blocks(shape[0], _ROWS):
         # Not by BLAS, whose threads would spin on.
         mixed[:, rows] = np.einsum("ij,jrc->irc", root, signs[:, rows].astype(np.float32))
     return mixed
+
+
+def root_of(covariance: Float64s) -> Float32s:
+    """Return the symmetric root of a covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    root: Float32s = ((vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T).astype(np.float32)
+    return root
+
+
+def draw_noise_of_clusters(covariances: Float64s, levels: Sequence[Level], signs: Float32s) -> Float32s:
+    """Draw the same on clusters, from single samples on, by independent signs of samples for each level."""
+    noise: Float32s = np.zeros(signs.shape[1:], np.float32)
+    for number, (level, own) in enumerate(zip(levels, signs, strict=True)):
+        root = root_of(covariances[min(number, len(covariances) - 1)])
+        drawn = np.einsum("ij,sj->si", root, own[level.centres]) / np.sqrt(level.counts)[:, None]
+        if number + 1 < len(levels):  # details are what differs from the mean of the next level
+            above, held = levels[number + 1], drawn * level.counts[:, None]
+            parents = above.members[level.centres]
+            sums = np.stack([np.bincount(parents, column, above.graph.size) for column in held.T], axis=1)
+            drawn -= (sums / above.counts[:, None])[parents].astype(np.float32)
+        noise += drawn[level.members]
+    return noise
 
 
 def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:

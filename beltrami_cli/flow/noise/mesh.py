@@ -7,6 +7,8 @@ more than 131,072 samples, evenly spread blocks of consecutive samples are used.
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,13 +16,15 @@ import numpy as np
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, mixing_for, stabiliser_of
 from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
+from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
+from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+    from beltrami_cli.flow.vertex_graph import Level
 
 
 # Samples per block, and blocks, that suffice for an estimate.
@@ -43,6 +47,11 @@ _RINGS_OF_DETAIL = 5
 # noise, are left out.
 _FEWEST_BY_LEVEL, _MOST_CUT_OFF, _PLAIN = 2_000, 0.1, 1e-9
 
+# Noise that neighbours share needs more samples, and coarse scales need tiles: clusters of some four clusters of four,
+# which hold so many independent details, and at least a few. Tiles with a larger share at a limit are left out.
+_FEWEST_SHARED, _FEWEST_TILES, _DETAILS, _FEWEST_DETAILS = 6_000, 30, 13, 3
+_MOST_CUT_OFF_OF_TILES = 0.3
+
 # Samples of a tile and tiles of a block, for noise by place; and passes over neighbours that even out those of tiles.
 _TILE, _TILES, _SPREAD = 64, 16, 8
 
@@ -57,12 +66,13 @@ def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None =
 
     `relative`: see `Manifold.differing`; sigma is then the root of the mean variance.
     """
-    colours, relative, edges = _some_samples(colours, relative, edges)
+    chosen, edges = _some_samples(len(colours), edges)
+    variances, colours = _variances(colours, relative)[chosen], colours[chosen]
     inside = _inside(colours, edges)
     if not inside.any():
         return np.zeros(colours.shape[1])
     others = np.hstack([colours <= 0, colours >= 1, colours])
-    energy, uneven, _, others = _neighbourhoods(colours, others, relative, edges, inside)
+    energy, uneven, _, others = _neighbourhoods(colours, others, variances, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
     return flat_patch_sigma(Patches(energy, uneven, *others.reshape(3, *energy.shape)), white)
 
@@ -102,19 +112,21 @@ def _neighbourhoods(
     return energy * around / (counted * louder), uneven, level + middle[:, None], parts[3]
 
 
-def _some_samples(
-    colours: Float32s, relative: Float32s | None, edges: Int32s
-) -> tuple[Float32s, Float32s, Int32s]:
+def _some_samples(count: int, edges: Int32s) -> tuple[Int64s | slice, Int32s]:
     """Choose blocks of samples, evenly spread, with the edges between them; all samples if there are no more."""
-    relative = np.ones(len(colours), np.float32) if relative is None else relative[:, 0]
-    if len(colours) <= _BLOCK * _BLOCKS:
-        return colours, relative, edges
-    first = np.linspace(0, len(colours) - _BLOCK, _BLOCKS).astype(np.intp)
+    if count <= _BLOCK * _BLOCKS:
+        return slice(None), edges
+    first = np.linspace(0, count - _BLOCK, _BLOCKS).astype(np.intp)
     chosen = (first[:, None] + np.arange(_BLOCK)).ravel()
-    is_chosen = np.zeros(len(colours), bool)
+    is_chosen = np.zeros(count, bool)
     is_chosen[chosen] = True
     rank = np.cumsum(is_chosen, dtype=np.int32) - 1
-    return colours[chosen], relative[chosen], rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
+    return chosen, rank[edges[is_chosen[edges[:, 0]] & is_chosen[edges[:, 1]]]]
+
+
+def _variances(colours: Float32s, relative: Float32s | None) -> Float32s:
+    """Return the variances of samples relative to their mean, shape (S,)."""
+    return np.ones(len(colours), np.float32) if relative is None else relative[:, 0]
 
 
 def _and_beside(values: Float64s, edges: Int32s) -> Float64s:
@@ -171,7 +183,8 @@ def find_relative(colours: Float32s, edges: Int32s) -> Float32s | None:
     tiles = _energies_by_scale(mixed, edges, size, tile)
     cut = ((colours <= 0) | (colours >= 1)).mean(axis=1)
     share = _means(cut, tile)
-    tiles = np.where(share < MOST_CUT_OFF, tiles / variance_of_clipped(share), np.float32(np.nan))
+    remaining = variance_of_clipped(np.minimum(share, MOST_CUT_OFF))
+    tiles = np.where(share < MOST_CUT_OFF, tiles / remaining, np.float32(np.nan))
     found = louder_blocks(tiles, _means(mixed[:, 0], tile).mean(axis=1))
     if found is None:
         return None
@@ -212,21 +225,59 @@ def _means(values: Array, tile: Array, count: int | None = None) -> Float64s:
     return np.where(held >= _TILE // 2, means, np.nan).reshape(-1, _TILES)
 
 
-def find_stabiliser(
-    colours: Float32s, edges: Int32s, relative: Float32s | None = None
-) -> VarianceStabiliser | None:
-    """Find what makes noise the same at all levels; None if it is, or if numbers below 0 are no levels."""
-    colours = colours[:, :3] if colours.shape[1] >= 3 else colours
-    colours, relative, edges = _some_samples(colours, relative, edges)
-    inside = _inside(colours, edges)
-    if np.count_nonzero(inside) < _FEWEST_BY_LEVEL or colours.min() < 0:
-        return None
-    mixing = mixing_for(colours.shape[1])
-    mixed = np.einsum("ki,si->sk", mixing, colours).astype(np.float32)
-    at_limit = ((colours <= 0) | (colours >= 1)).mean(axis=1, keepdims=True)
-    energy, uneven, level, cut = _neighbourhoods(mixed, at_limit, relative, edges, inside)
-    used = (cut[0] < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
-    levels = level[0, used] / np.sqrt(len(mixing))
-    even = Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], levels, round(_FREEDOM_AROUND))
-    found = fit_by_level([even])
-    return None if found is None else stabiliser_of(found)
+def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None = None) -> FoundNoise:
+    """Find how noise depends on the level, unless numbers below 0 are no levels, and what neighbours share."""
+    chosen, edges = _some_samples(samples.size, samples.edges)
+    part = Graph(samples.positions[chosen], edges, samples.priorities[chosen])
+    variances, own = (
+        _variances(colours, relative)[chosen],
+        colours[chosen, : 3 if colours.shape[1] >= 3 else None],
+    )
+    inside, mixing, by_level = _inside(own, edges), mixing_for(own.shape[1]), own.min(initial=0) >= 0
+    if np.count_nonzero(inside) < _FEWEST_BY_LEVEL:
+        return FoundNoise()
+    mixed = np.einsum("ki,si->sk", mixing, own)
+    cut = ((own <= 0) | (own >= 1)).mean(axis=1)
+    columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
+    if np.count_nonzero(inside) >= _FEWEST_SHARED:
+        scales, levels = [], list(islice(levels_of(part), SCALES + 2))
+        for fine, parents, tiles in zip(levels, levels[1:], levels[2:], strict=False):
+            if tiles.graph.size >= _FEWEST_TILES:
+                scales.append(_details(columns, fine, parents, tiles))
+        alone = partial(estimate_sigma, colours, samples.edges, relative)
+        found = noise_of_scales(scales, mixing, colours.shape[1], alone, by_level=by_level)
+        if found.covariances is not None:
+            return found
+    # Independent noise shows better in what differs from neighbours, where slopes do not.
+    fitted = fit_by_level([_residuals(columns, edges, inside)]) if by_level else None
+    return FoundNoise(None if fitted is None else stabiliser_of(fitted))
+
+
+def _residuals(columns: Float32s, edges: Int32s, inside: Bools) -> Neighbourhoods:
+    """Measure how samples differ from their neighbours; for columns see `_details`."""
+    mixed, cut, variances = columns[:, :-2], columns[:, -2:-1], columns[:, -1]
+    energy, uneven, level, cut_around = _neighbourhoods(mixed, cut, variances, edges, inside)
+    used = (cut_around[0] < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
+    levels = level[0, used] / np.sqrt(mixed.shape[1])
+    return Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], levels, round(_FREEDOM_AROUND))
+
+
+def _details(columns: Float32s, fine: Level, parents: Level, tiles: Level) -> Neighbourhoods:
+    """Measure how means differ from those of their clusters, like Haar details, in clusters of these.
+
+    Columns are components of colours; the last two: shares of channels that were cut off, and variances of noise.
+    """
+    (means, around), within = (level.means(columns[:, :-2]) for level in (fine, parents)), tiles.graph.size
+    parent, tile = parents.members[fine.centres], tiles.members[fine.centres]
+    details = np.square(means - around[parent]) * fine.counts[:, None]
+    free = np.bincount(tile, 1 - fine.counts / parents.counts[parent], within)
+    level, tile_of_parent = tiles.means(columns).astype(np.float64), tiles.members[parents.centres]
+    apart = np.square(around - level[tile_of_parent, :-2]).sum(axis=1) * parents.counts
+    cut = level[:, -2]
+    used = (free >= _FEWEST_DETAILS) & (cut < _MOST_CUT_OFF_OF_TILES)
+    variances = (level[:, -1] * variance_of_clipped(cut))[used]
+    energy = np.stack([np.bincount(tile, own, within)[used] for own in details.T]) / (free[used] * variances)
+    uneven = np.bincount(tile_of_parent, apart, within)[used] / (tiles.counts[used] * variances)
+    seen = energy.min(axis=0, initial=np.inf) > _PLAIN
+    levels = level[used][seen, 0] / np.sqrt(len(energy))
+    return Neighbourhoods(energy[:, seen], uneven[seen], levels, _DETAILS)

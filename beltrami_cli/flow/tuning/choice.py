@@ -218,7 +218,7 @@ class Choice:
         most, least = found + math.hypot(chance, self.doubt[0]), found - math.hypot(chance, self.doubt[1])
         return -10 * math.log10(most), -10 * math.log10(least) if least > 0 else None
 
-    def doubted(self, noise: float, missing: float) -> Choice:
+    def doubted(self, noise: float, missing: float = 0.0) -> Choice:
         """Return the same with the doubt that is due to noise of this variance, and to what else may be missing."""
         if math.isinf(missing):
             return dataclasses.replace(self, psnr=None, error=None, gain=None)

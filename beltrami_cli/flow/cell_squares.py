@@ -1,0 +1,122 @@
+"""Means of squares of cells of a canvas, at which patches see further; colours reach over seams as halo does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from beltrami_cli.flow.canvas import canvas_margin, collaborate_on_canvas
+from beltrami_cli.flow.domain import CoarseLevel
+from beltrami_cli.flow.noise.haar_noise import mixed_signs
+from beltrami_cli.flow.regularisation import gaussian_taps
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import OWNED, refresh_halo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from beltrami_cli.arrays import Float32s, Float64s
+    from beltrami_cli.flow.domain import Stack
+    from beltrami_cli.flow.grid_kernels import GridKernels
+    from beltrami_cli.flow.records import Mixing
+
+# Of random means; any is as good.
+_SEED = 21
+
+
+class Squares(CoarseLevel):
+    """Means of squares of cells of a canvas: of the owned cells of each, or of halo where there are no such."""
+
+    axis: ClassVar[int] = 0
+    width: ClassVar[float] = 3.0
+
+    def __init__(self, manifold: GridKernels, side: int, tick: Callable[[], None] | None = None) -> None:
+        from beltrami_cli._native import sort_squares
+
+        self._manifold, self._side = manifold, side
+        self._report = None if tick is None else lambda _: tick()
+        self.kinds, counts = sort_squares(manifold.atlas.kind, side)
+        self.noise, self._counts = 1 / side**2, counts
+        self._differing = None if manifold.differing is None else self.means(manifold.differing)[0]
+        ones = np.ones(self.kinds.shape, np.float32)
+        self.relative = ones if self._differing is None else self._differing
+
+    def means(self, stack: Float32s) -> Float32s:
+        """Return the means of planes, shape (N, R, C); 0 in empty squares."""
+        from beltrami_cli._native import means_of_squares
+
+        kind, threads = self._manifold.atlas.kind, self._manifold.threads
+        means: Float32s = large_arrays.empty((len(stack), *self.kinds.shape), np.float32)
+        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
+            cells = self._cells(rows)
+            for plane, own in zip(stack[:, None], means, strict=True):
+                own[rows] = means_of_squares(
+                    kind[cells], self.kinds[rows], plane[:, cells], self._side, threads
+                )[0]
+        return means
+
+    @property
+    def _rows_at_once(self) -> int:
+        cells: int = self._side**2 * self.kinds.shape[1]
+        return max(1, large_arrays.BLOCK // cells)
+
+    def _cells(self, rows: slice) -> slice:
+        """Return the rows of cells of some rows of squares."""
+        return slice(rows.start * self._side, rows.stop * self._side)
+
+    def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
+        """Estimate means from patches; noise that cells share is no smaller where a square has more of them."""
+        relative = None if self._differing is None else self._differing[None]
+        if not shared:
+            fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
+            relative = (self.relative / fewer)[None]
+        own = self._manifold
+        return collaborate_on_canvas(
+            self.kinds, noisy, pilot, mixing, own.threads, self._report, relative=relative
+        )
+
+    def probe(self, means: Stack, noise: Float64s) -> Stack:
+        """Return random means with a covariance of channels."""
+        return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))
+
+    def add_enlarged(self, stack: Stack, changes: Stack) -> None:
+        """Add changes of squares to their owned cells, bilinear between the squares that have such."""
+        from beltrami_cli._native import add_enlarged
+
+        atlas, threads = self._manifold.atlas, self._manifold.threads
+        for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
+            # With those above and below, between whose changes their cells lie.
+            around = slice(max(0, rows.start - 1), min(len(self.kinds), rows.stop + 1))
+            cells, first = self._cells(rows), self._cells(around).start
+            kind, kinds = atlas.kind[self._cells(around)], self.kinds[around]
+            for plane, change in zip(stack, changes[:, None], strict=True):
+                part = plane[None, self._cells(around)].copy()
+                add_enlarged(kind, kinds, change[:, around], part, self._side, threads)
+                plane[cells] = part[0, cells.start - first : cells.stop - first]
+        refresh_halo(stack, atlas)
+
+    def planes(self, count: int) -> Float32s:
+        """Return planes of zeros."""
+        planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)
+        return planes
+
+    def total(self, planes: Float32s) -> Float64s:
+        """Sum planes over the owned cells."""
+        return np.asarray(
+            np.sum(planes * self._counts, axis=(1, 2), dtype=np.float64, where=self.kinds == OWNED)
+        )
+
+    def spread(self, planes: Float32s) -> Float32s:
+        """Average planes over the owned squares around."""
+        from beltrami_cli._native import convolve
+
+        return convolve(planes * (self.kinds == OWNED), gaussian_taps(self.width), self._manifold.threads)
+
+
+def squares_for(manifold: GridKernels, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
+    """Return up to `most` levels of squares, fine to coarse, as far as none holds cells of two charts."""
+    one_chart = manifold.atlas.chart_of.max(initial=0) == 0
+    apart = max(manifold.atlas.kind.shape) if one_chart else 2 * canvas_margin(manifold.parameters)
+    sides = (2**level for level in range(1, most + 1))
+    return [Squares(manifold, side, tick) for side in sides if side <= apart]

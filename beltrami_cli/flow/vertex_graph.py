@@ -1,0 +1,117 @@
+"""Clusters of neighbouring vertices, and clusters of these: coarse levels of a surface.
+
+A cluster is a vertex and neighbours of it: the vertices in the middle form a maximal independent set of the graph of
+edges, by priorities that do not depend on the order of the vertices [1]_. Clusters that share an edge are neighbours,
+so clusters can be clustered again.
+
+References
+----------
+.. [1] M. Luby, "A simple parallel algorithm for the maximal independent set problem", SIAM J. Computing 15(4), 1986.
+   https://doi.org/10.1137/0215074
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Samples joined by edges, with their places and priorities."""
+
+    positions: Float64s  # (S, 3)
+    edges: Int32s  # (E, 2)
+    priorities: NDArray[np.uint64]  # (S,)
+
+    @property
+    def size(self) -> int:
+        """The number of samples."""
+        return len(self.positions)
+
+    def clustered(self, members: Int32s, centres: Int64s) -> Graph:
+        """Return the clusters of samples, joined where any of their samples are."""
+        counts = np.bincount(members)[:, None]
+        sums = [np.bincount(members, column) for column in self.positions.T]
+        ends = np.sort(members[self.edges], axis=1).astype(np.int64)
+        ends = ends[ends[:, 0] != ends[:, 1]]
+        pairs = np.sort(ends[:, 0] * len(centres) + ends[:, 1])
+        pairs = pairs[np.diff(pairs, prepend=-1) > 0]  # unlike numpy.unique, this loads no other module
+        edges = np.stack(np.divmod(pairs, len(centres)), axis=1).astype(np.int32)
+        return Graph(np.stack(sums, axis=1) / counts, edges, self.priorities[centres])
+
+    def clusters(self) -> tuple[Int32s, Int64s]:
+        """Return the cluster of each sample, and the samples in the middle of clusters."""
+        rank = np.empty(self.size, np.int64)
+        rank[np.argsort(self.priorities, kind="stable")] = np.arange(self.size)
+        is_centre = _independent(rank, self.edges)
+        centres = np.flatnonzero(is_centre)
+        # Centres of high rank have the fewest neighbours left, so they get those that could join several.
+        best = np.where(is_centre, rank, -1)
+        for this, other in (self.edges.T, self.edges.T[::-1]):
+            joins = is_centre[other] & ~is_centre[this]
+            np.maximum.at(best, this[joins], rank[other[joins]])
+        number = np.empty(self.size, np.int32)
+        number[rank[centres]] = np.arange(len(centres))
+        return number[best], centres
+
+
+def _independent(rank: Int64s, edges: Int32s) -> Bools:
+    """Return a maximal independent set: samples of lower rank than all neighbours, round by round."""
+    chosen = np.zeros(len(rank), bool)
+    is_open, left = np.ones(len(rank), bool), edges
+    while is_open.any():
+        least = np.full(len(rank), len(rank))
+        for this, other in (left.T, left.T[::-1]):
+            np.minimum.at(least, this, rank[other])
+        found = is_open & (rank < least)
+        chosen |= found
+        is_open &= ~found
+        for this, other in (left.T, left.T[::-1]):
+            is_open[this[found[other]]] = False
+        left = left[is_open[left].all(axis=1)]
+    return chosen
+
+
+@dataclass(frozen=True)
+class Level:
+    """Samples, or clusters of some four of them, of some twenty, and so on."""
+
+    graph: Graph
+    members: Int32s  # (S,): the cluster of each sample
+    centres: Int64s  # of clusters: the samples in their middle
+
+    @cached_property
+    def counts(self) -> Float32s:
+        """How many samples each cluster has."""
+        return np.bincount(self.members, minlength=self.graph.size).astype(np.float32)
+
+    @property
+    def noise(self) -> float:
+        """The variance of the independent noise of means, by that of samples, on average."""
+        return float(1 / self.counts.mean())
+
+    def means(self, rows: Float32s) -> Float32s:
+        """Return the means of rows of samples."""
+        sums = [np.bincount(self.members, column, self.graph.size) for column in rows.T]
+        return np.stack([(own / self.counts).astype(np.float32) for own in sums], axis=1)
+
+
+def levels_of(samples: Graph) -> Iterator[Level]:
+    """Go through single samples, clusters of them, clusters of clusters, and so on."""
+    graph, members = samples, np.arange(samples.size, dtype=np.int32)
+    centres = members.astype(np.int64)
+    while True:
+        yield Level(graph, members, centres)
+        own, middle = graph.clusters()
+        graph, members, centres = graph.clustered(own, middle), own[members], centres[middle]

@@ -1,0 +1,115 @@
+"""Noise that neighbouring vertices share, as of baked photographs: found, drawn as it is, and removed."""
+
+from __future__ import annotations
+
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+
+from beltrami_cli import smooth
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.noise import mesh
+from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
+from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.flow.vertex_graph import levels_of
+from beltrami_cli.jobs.noise import add_grain
+from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.samples.samples import Grains
+from beltrami_cli.surface.records import SampledSurface
+from oracles import surfaces
+from oracles.paintings import psnr
+
+SIGMA = 12 / 255
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return surfaces.icosphere(5)
+
+
+def painted(positions):
+    """Return waves, mostly grey as in photographs, far from black and white."""
+    grey, tint = (np.sin(k * positions @ np.random.default_rng(k).normal(size=(3, 3))) for k in (4, 2))
+    return 0.5 + 0.15 * grey[:, :1] + 0.05 * tint
+
+
+def with_grain(positions, clean, size):
+    """Return colours with noise that vertices share over some of them."""
+    spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
+    grains = Grains(clean.astype(np.float32), np.arange(len(positions)))
+    wanted = NoiseSettings(kind="grain", sigma=SIGMA, size=size)
+    return add_grain(grains, positions, spacing, wanted).astype(np.float32)
+
+
+def manifold_of(positions, faces, colours):
+    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
+    return MeshManifold(surface, parameters_with({"threads": 1}))
+
+
+@pytest.mark.parametrize("size", [1.5, 2.0])
+def test_noise_that_vertices_share_is_found(sphere, size):
+    """To a quarter, where residuals of single vertices show a half of it or less."""
+    positions, faces = sphere
+    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), size))
+    assert manifold.shares_noise
+    assert manifold.noise == pytest.approx(SIGMA, rel=0.25)
+    assert manifold.grain > 1.5
+    alone = mesh.estimate_sigma(manifold.colours, manifold.edges)
+    assert (alone < 0.6 * SIGMA).all()
+
+
+@pytest.mark.parametrize("sigma", [5, 20])
+def test_independent_noise_of_vertices_is_not_taken_for_shared_noise(sphere, sigma):
+    positions, faces = sphere
+    clean = painted(positions)
+    noisy = clean + sigma / 255 * np.random.default_rng(2).standard_normal(clean.shape)
+    assert not manifold_of(positions, faces, noisy.astype(np.float32)).shares_noise
+
+
+def test_drawn_noise_has_the_details_of_what_was_found(sphere):
+    """At single vertices and two levels, to four standard errors of a variance and what it varies in size."""
+    positions, faces = sphere
+    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), 2.0))
+    covariances = manifold.noise_covariances
+    levels = list(islice(levels_of(manifold.graph), len(covariances) + 1))
+    random = np.random.default_rng(5)
+    signs = random.choice(np.float32([-1, 1]), (len(levels), manifold.size, 3))
+    noise = draw_noise_of_clusters(covariances, levels, signs)
+    for number, (fine, above) in enumerate(pairwise(levels[:3])):
+        parents = above.members[fine.centres]
+        details = (fine.means(noise) - above.means(noise)[parents]) * np.sqrt(fine.counts)[:, None]
+        power = np.square(details).sum(axis=0) / (1 - fine.counts / above.counts[parents]).sum()
+        tolerance = 4 * np.sqrt(2 / (fine.graph.size - above.graph.size))
+        assert power == pytest.approx(np.diag(covariances[number]), rel=tolerance)
+    assert noise.std(axis=0) == pytest.approx(sigma_of_covariances(covariances), rel=0.1)
+
+
+def test_noise_that_vertices_share_is_removed_and_the_psnr_is_told(sphere):
+    positions, faces = sphere
+    clean = painted(positions)
+    noisy = with_grain(positions, clean, 2.0)
+    result = smooth(positions, faces, noisy)
+    reached = psnr(result.colours, clean)
+    assert reached > psnr(noisy, clean) + 5
+    least, most = result.choice.interval
+    assert result.choice.correlated
+    assert least <= reached
+    assert most is None or reached <= most
+
+
+def test_black_stays_black_where_vertices_share_noise(sphere):
+    positions, faces = sphere
+    clean = np.where(positions[:, 2:] > 0, painted(positions), 0)
+    result = smooth(positions, faces, with_grain(positions, clean, 2.0))
+    assert result.colours[positions[:, 2] < -0.2].mean() < 0.05 * SIGMA
+
+
+def test_the_order_of_vertices_does_not_matter_where_they_share_noise(sphere):
+    positions, faces = sphere
+    noisy = with_grain(positions, painted(positions), 2.0)
+    order = np.random.default_rng(1).permutation(len(positions))
+    rank = np.argsort(order)
+    one = smooth(positions, faces, noisy).colours
+    other = smooth(positions[order], rank[faces], noisy[order]).colours
+    assert np.sqrt(np.mean((other - one[order]) ** 2)) < 0.02 * SIGMA
