@@ -72,7 +72,8 @@ class MeshManifold(MeshKernels):
             self.stabiliser = given.stabiliser() if given.is_by_level else None
         elif parameters.evens_noise and geometry is None:
             self.differing = find_relative(self.colours, self.edges)
-            self.take_found(find_mesh_noise(self.graph, self.colours, self.differing))
+            if len(self.edges):
+                self.take_found(find_mesh_noise(self.graph, self.colours, self.differing))
         if self.stabiliser is not None:
             self.stabiliser.stabilise(self.colours.T)
         self.sigma = estimate_sigma(self.colours, self.edges, self.differing)
