@@ -29,15 +29,19 @@ def main():
         for kind, noisy, truth in [*kinds(stored(clean)), *cases(stored(clean))]:
             result = beltrami_cli.smooth_image(noisy)
             true = psnr(result.colours, truth)
+            read, rms = (
+                255 * float(np.sqrt(np.mean(np.square(each)))) for each in (result.noise, noisy - truth)
+            )
+            case = f"{name}, {kind}, noise of {rms:.1f} read as {read:.1f}"
             if result.choice is None or result.choice.interval is None:
                 what = "left as it is" if result.choice is None else "nothing told"
-                print(f"{name}, {kind}: {what}, {true:.1f} dB")
+                print(f"{case}: {what}, {true:.1f} dB")
                 continue
             least, most = result.choice.interval
             held.append(least <= true and (most is None or true <= most))
             end = "" if most is None else f" to {most:.1f}"
             verdict = "" if held[-1] else "  MISSED"
-            print(f"{name}, {kind}: {true:.1f} dB, said {least:.1f}{end}{verdict}", flush=True)
+            print(f"{case}: {true:.1f} dB, said {least:.1f}{end}{verdict}", flush=True)
     print(f"{100 * np.mean(held):.0f} % of {len(held)} intervals hold the truth")
 
 

@@ -239,6 +239,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     mixed = np.einsum("ki,si->sk", mixing, own)
     cut = ((own <= 0) | (own >= 1)).mean(axis=1)
     columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
+    doubt = 0.0
     if np.count_nonzero(inside) >= _FEWEST_SHARED:
         scales, levels = [], list(islice(levels_of(part), SCALES + 2))
         for fine, parents, tiles in zip(levels, levels[1:], levels[2:], strict=False):
@@ -248,9 +249,10 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
         found = noise_of_scales(scales, mixing, colours.shape[1], alone, by_level=by_level)
         if found.covariances is not None:
             return found
+        doubt = found.doubt
     # Independent noise shows better in what differs from neighbours, where slopes do not.
     fitted = fit_by_level([_residuals(columns, edges, inside)]) if by_level else None
-    return FoundNoise(None if fitted is None else stabiliser_of(fitted))
+    return FoundNoise(None if fitted is None else stabiliser_of(fitted), doubt=doubt)
 
 
 def _residuals(columns: Float32s, edges: Int32s, inside: Bools) -> Neighbourhoods:
