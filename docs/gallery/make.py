@@ -28,8 +28,8 @@ from beltrami_cli.samples.settings import DEFAULTS
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
 SAMPLES = HERE.parents[1] / "sample_data"
-# From the examples of PlayCanvas, and from those of plane-opt-rgbd by C. Wang.
-EXTRA = ("statue.glb", "copyroom_c2000_opt.obj")
+# From the examples of PlayCanvas, of plane-opt-rgbd by C. Wang, and of Open3D.
+EXTRA = ("statue.glb", "copyroom_c2000_opt.obj", "livingroom_points.ply")
 EXPOSED = {"scan-clean.glb": "scan-exposed.glb", "copyroom_c2000_opt.obj": "room-exposed.glb"}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> int:
             print(command)
             if missing & {*words}:
                 print("is left out, since BELTRAMI_EXTRA_MESHES has no such model")
-                missing |= {word for word in words if Path(word).suffix in {".glb", ".png"}}
+                missing |= {word for word in words if Path(word).suffix in {".glb", ".ply", ".png"}}
                 continue
             call = [sys.executable, "-m", "beltrami_cli", *words[1:]]
             if words[1] == "view":
