@@ -18,7 +18,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
 from typing import TYPE_CHECKING, ClassVar
@@ -59,20 +59,17 @@ class ClippedChannels:
         """The channels that were cut off at either limit."""
         return [k for k, (low, high) in enumerate(zip(self.low, self.high, strict=True)) if low or high]
 
-    def sides(self) -> Iterator[ClippedChannels]:
-        """Go through the limits at which there are such channels."""
-        none = (False,) * len(self.sigma)
-        for side in (replace(self, high=none), replace(self, low=none)):
-            if side.clipped:
-                yield side
+    def sides(self) -> Iterator[tuple[int, ClippedChannels]]:
+        """Go through channels and limits that they were cut off at, each as if it were the only one."""
+        for k, sides in enumerate(zip(self.low, self.high, strict=True)):
+            for low, high in ((sides[0], False), (False, sides[1])):
+                if low or high:
+                    yield k, ClippedChannels((low,), (high,), self.sigma[k : k + 1])
 
-    def near_limit(self, channels: Float32s, relative: Float32s) -> Float32s:
-        """Mark samples that noise may have moved to a limit, shape (clipped channels, ...): 1 or 0."""
-        near = np.zeros((len(self.clipped), *channels.shape[1:]), np.float32)
-        for own, k in zip(near, self.clipped, strict=True):
-            reach = np.float32(_NEAR) * self._sigma_at(k, relative, own.shape)
-            own[...] = (self.low[k] & (channels[k] < reach)) | (self.high[k] & (channels[k] > 1 - reach))
-        return near
+    def near_limit(self, channel: Float32s, relative: Float32s) -> Bools:
+        """Mark samples of the only channel, shape (1, ...), that noise may have moved to the limit."""
+        reach = np.float32(_NEAR) * self._sigma_at(0, relative, channel.shape)
+        return channel < reach if self.low[0] else channel > 1 - reach
 
     def marks(self, channels: Float32s) -> Float32s:
         """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
-from beltrami_cli.flow.patches import mixing_of, with_pilot
+from beltrami_cli.flow.patches import in_blocks, mixing_of, with_pilot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,16 +63,21 @@ def denoise_means(manifold: Manifold, tick: Callable[[], None] | None = None) ->
 
 def _impute_cut_off(manifold: Manifold) -> None:
     """Replace samples at a limit, in place, by what noise beyond it would be on average, given those around them."""
-    found, axis = manifold.find_clipped(), manifold.axis
-    colours, relative = (np.moveaxis(stack, axis, 0) for stack in (manifold.colours, manifold.relative))
-    for clipped in () if found is None else found.sides():
-        # What is beyond an edge is not near the limit, and does not count.
-        near = clipped.near_limit(colours, relative[0])
-        counted, pilot = manifold.spread(near), colours.copy()
-        np.maximum(counted, _LEAST_SHARE, out=counted)
-        pilot[clipped.clipped] = manifold.spread(colours[clipped.clipped] * near) / counted
-        clipped.restore(pilot, manifold.spread(clipped.marks(colours) * near) / counted, relative[0])
-        clipped.impute(colours, pilot, relative[0])
+    found = manifold.find_clipped()
+    colours, relative = (
+        np.moveaxis(each, manifold.axis, 0) for each in (manifold.colours, manifold.relative)
+    )
+    for k, clipped in () if found is None else found.sides():
+        channel, planes = colours[k : k + 1], manifold.planes(3)
+        for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
+            # What is beyond an edge is not near the limit, and does not count.
+            near[:] = clipped.near_limit(own, variance)[0]
+            level[:], mark[:] = own[0] * near, clipped.marks(own)[0] * near
+        planes = manifold.spread(planes)
+        for own, variance, means in in_blocks(0, channel, relative, planes):
+            means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
+            clipped.restore(means[1:2], means[2:], variance[0])
+            clipped.impute(own, means[1:2], variance[0])
     manifold.refresh(manifold.colours)
 
 

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.flow.clipping import normal_tables
+from beltrami_cli.flow.noise.by_level import OPPONENTS
 from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
@@ -43,9 +44,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.manifold import Manifold
 
 
-# The mean of three channels and two differences, orthonormal; differences count half when patches are compared, since
-# they hold little detail and as much noise.
-_OPPONENTS = np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]])
+# Differences of channels count half when patches are compared, since they hold little detail and as much noise.
 _COMPARED = np.array([1, 0.5, 0.5])
 
 # In photographs most of the detail in differences of channels is in their mean, too, and what remains of their noise is
@@ -108,14 +107,14 @@ def blend_with_patches(
     _add(axis, disturbed, signs, size)
     disturbed = kernel(disturbed)
     if clipped is not None:
-        for own, pilot, relative in _blocks(axis, noisy, before, manifold.relative):
+        for own, pilot, relative in in_blocks(axis, noisy, before, manifold.relative):
             clipped.impute(own, pilot, relative[0])
     mixing = mixing_of(manifold, before, manifold.noise_covariance)
     second = with_pilot(mixing, manifold)
 
     def estimate(colours: Float32s, pilot: Float32s) -> Float32s:
         first = manifold.collaborate(colours, pilot, mixing, stage(_FIRST))
-        for own, kernels in _blocks(axis, first, pilot):
+        for own, kernels in in_blocks(axis, first, pilot):
             own += kernels
             own /= 2
         return manifold.collaborate(colours, first, second, stage(_SECOND))
@@ -147,12 +146,12 @@ def _mix(
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
     axis, (colours, signs, size) = manifold.axis, noisy
     sums = manifold.planes(2)
-    stacks = _blocks(axis, colours, signs, *results, *responses, manifold.relative)
-    for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, _blocks(0, sums), strict=True):
+    stacks = in_blocks(axis, colours, signs, *results, *responses, manifold.relative)
+    for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, in_blocks(0, sums), strict=True):
         model.write_terms(z, b / size, (p, q, near_p, near_q), relative, own)
     weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
-    stacks = _blocks(axis, *results, *responses)
-    for (p, q, near_p, near_q), (own,) in zip(stacks, _blocks(0, weights), strict=True):
+    stacks = in_blocks(axis, *results, *responses)
+    for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
         p += own[0] * (q - p)
         near_p += own[0] * (near_q - near_p)
     return share, gain
@@ -184,10 +183,10 @@ def _means(
     means = level.means(colours)
     with _added(axis, colours, signs, size):
         probe = level.means(colours) - means
-    for z, p, own, relative in _blocks(axis, colours, before, memory, manifold.relative):
+    for z, p, own, relative in in_blocks(axis, colours, before, memory, manifold.relative):
         model.write_residual(z, p, relative, own)
     residual = level.means(memory)
-    for z, own in _blocks(axis, colours, memory):
+    for z, own in in_blocks(axis, colours, memory):
         own[:] = model.is_within(z)
     return _NoisyMeans(means, probe, float(size), residual, level.means(memory))
 
@@ -213,9 +212,9 @@ def _improve_means(
     with _added(axis, noisy.colours, noisy.probe, np.float32(1)):
         near_q = estimate(noisy.colours, near_p)
     differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
-    stacks = _blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
+    stacks = in_blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
     for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
-        stacks, _blocks(0, sums), strict=True
+        stacks, in_blocks(0, sums), strict=True
     ):
         # Of colours at a limit, half the noise is cut off, and what is imputed is no better than the estimate of the
         # noise.
@@ -226,7 +225,7 @@ def _improve_means(
         )
     weights, _, gain = _weigh(level, sums, model.variance * level.noise, _OF_MEANS)
     for stack, difference in zip(colours, differences, strict=True):
-        for (change,), (weight,) in zip(_blocks(axis, difference), _blocks(0, weights), strict=True):
+        for (change,), (weight,) in zip(in_blocks(axis, difference), in_blocks(0, weights), strict=True):
             change *= weight[0]
         level.add_enlarged(stack, difference)
     return gain
@@ -291,7 +290,7 @@ def _weigh(
     prior = np.float32(variance / (4 * np.pi * surface.width**2) / expected.variance)
     results = surface.planes(2)
     for (own,), (means,), (terms,) in zip(
-        *(_blocks(0, planes) for planes in (results, surface.spread(sums), sums)), strict=True
+        *(in_blocks(0, planes) for planes in (results, surface.spread(sums), sums)), strict=True
     ):
         own[0] = np.clip((means[0] + prior * overall) / (means[1] + prior), 0, 1)
         own[1] = own[0] * (2 * terms[0] - own[0] * terms[1])
@@ -306,8 +305,8 @@ def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
     # Where there is next to no noise, that little more is none that anyone sees.
     least = _NOISELESS**2 * np.diag(noise).max(initial=0)
     noise = noise + np.diag(np.maximum(least - np.diag(noise), 0))
-    if count >= len(_OPPONENTS) and _is_coloured(manifold, colours):
-        forth[:3, :3] = _COMPARED[:, None] * _OPPONENTS
+    if count >= len(OPPONENTS) and _is_coloured(manifold, colours):
+        forth[:3, :3] = _COMPARED[:, None] * OPPONENTS
     mixed = np.einsum("ki,ij,kj->k", forth, noise, forth)
     return Mixing(*(np.ascontiguousarray(part, np.float32) for part in (forth, np.linalg.inv(forth), mixed)))
 
@@ -326,7 +325,7 @@ def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
     steps = manifold.steps(colours)
     some = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
-    mixed = np.square(np.einsum("kj,ij->ki", some, _OPPONENTS)).sum(axis=0)
+    mixed = np.square(np.einsum("kj,ij->ki", some, OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
 
 
@@ -340,11 +339,11 @@ def _added(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterat
 
 def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
     """Add multiples of the signs to a stack, in place."""
-    for own, sign in _blocks(axis, stack, signs):
+    for own, sign in in_blocks(axis, stack, signs):
         own += size * sign
 
 
-def _blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
+def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
     """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
     whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
     size = max(1, _AT_ONCE // max(1, whole[0][0, :1].size))
