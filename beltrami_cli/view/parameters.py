@@ -149,7 +149,7 @@ def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 
 def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
     """Give the parameters of the kernel as they were used on a part."""
-    defaults, choice = describe_settings(DEFAULTS), done["choice"] or {"chosen": {}, "psnr": None}
+    defaults, choice = describe_settings(DEFAULTS), done["choice"] or {"chosen": {}, "candidates": 0}
     # What nobody gave if it has its default: what can be chosen is free then.
     may_be_default = (requested.keys() - set(DEFAULTS.kernel.free)) | set(requested["free"])
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
@@ -157,7 +157,7 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
         if isinstance(value, dict) or name in _NEVER or (name != "iterations" and not done["iterations"]):
             continue
         if name in choice["chosen"]:
-            how = "by the fixed rule" if choice["psnr"] is None else "chosen from the data"
+            how = "chosen from the data" if choice["candidates"] else "by the fixed rule"
         elif name == "beta" and value is None:
             how = "from the noise"
         elif name == "iterations" and name in requested["free"] and not done["iterations"]:

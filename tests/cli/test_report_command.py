@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.jobs.compare.figures import ComparedColours
+from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.report import histogram
 from cli.commands import SAMPLES, beltrami
 
@@ -95,6 +96,18 @@ def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path
     assert shown["iterations"] == ("0", "no more noise than rounding makes")
     assert shown["smoothed, --on"] == ("vertices", "given")
     assert "beta" not in shown
+
+
+def test_parameters_were_chosen_also_where_no_error_can_be_estimated(tmp_path):
+    record = tmp_path / "run.json"
+    assert (
+        beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", "--report", record).returncode
+        == 0
+    )
+    report = json.loads(record.read_text())
+    report["vertices"]["choice"] |= {"psnr": None, "error": None, "gain": None, "interval": None}
+    assert "by the fixed rule" not in used_parameters(report)
+    assert "chosen from the data" in used_parameters(report)
 
 
 @pytest.mark.slow
