@@ -18,6 +18,7 @@ import numpy as np
 import texture_files
 import tuning_scene
 from bench_textures import scenes
+from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 
 import beltrami_cli.flow.parameters as kernel
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
@@ -35,7 +36,7 @@ TRIED = ((0.7, 1.4), (1.5, 3.0), (3, 8))
 
 @dataclass(frozen=True)
 class Row:
-    """PSNR of a texture: as stored, by the fixed rule, as chosen without and with patches, and the best by the truth."""
+    """PSNR of a texture: as stored, by the fixed rule, as chosen without and with patches, and best by the truth."""
 
     name: str
     stored: float
@@ -56,8 +57,12 @@ def main():
     parser.add_argument("--sigma", type=int, nargs="+", default=SIGMAS, help="of the noise, of 255")
     parser.add_argument("--most", type=int, default=600_000, help="texels of a texture (default: 600000)")
     parser.add_argument("--only", default="", help="names that begin so")
+    parser.add_argument(
+        "--photographs", action="store_true", help="those of scikit-image around a sphere instead"
+    )
     options = parser.parse_args()
-    found = [scene for scene in scenes(False) if scene.name.startswith(options.only)]
+    found = map(photograph_in_charts, PHOTOGRAPHS) if options.photographs else scenes(False)
+    found = [scene for scene in found if scene.name.startswith(options.only)]
     print(
         "| JPEG | sigma | as stored | `--fast` | `--patches off` | default | best kernel by the truth |\n| --- "
         + "| ---: " * 6
