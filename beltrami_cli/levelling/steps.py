@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 # Side of the blocks of cells whose steps are averaged: doubled until there are few enough of them.
 _STRETCH = 4
 _MOST = 24_000
-# Along a seam with such a deviation more than this many times the usual one, and this beside it, colours are painted.
+# Along a seam of which each half has a deviation more than this many times the usual one, and this beside it, colours
+# are painted.
 _UNUSUAL, _ALLOWED = 2.5, 12 / 255
 # Deviations of 8-bit colours are not known better than this.
 _FINEST = 1 / 255
@@ -47,7 +48,7 @@ class Steps:
     low: Bools  # (K, 2, N): where colours of a side were cut off at 0, so that these are upper bounds
     high: Bools  # (K, 2, N): where they were cut off at full scale
     noise: Float64s  # (K,): deviation of the steps along its seam
-    is_paint: Bools  # (K,): whether the steps along its seam vary so much that they are painted
+    is_paint: Bools  # (K,): whether the steps along each half of its seam vary so much that they are painted
 
     def part(self, rows: Bools) -> Steps:
         """Return some of the stretches."""
@@ -203,24 +204,36 @@ def with_noise(steps: Steps) -> Steps:
     signs = np.where(steps.ends[:, 0] <= steps.ends[:, 1], 1.0, -1.0)[:, None]
     step, mean = signs * (steps.colours[:, 1] - steps.colours[:, 0]), steps.colours.mean(axis=1)
     found = np.min([_deviations(step - gain * mean, starts, lengths) for gain in _GAINS], axis=0)
-    usual = weighted_median(found, np.add.reduceat(steps.counts, starts))
+    counts = np.add.reduceat(steps.counts, starts)
+    usual = np.array([[weighted_median(each, counts)] for each in found])
     # Of few stretches little is known, so that they are taken for usual ones.
-    found = np.sqrt((lengths * np.square(found) + _PRIOR * usual**2) / (lengths + _PRIOR))
-    is_paint = found > _UNUSUAL * usual + _ALLOWED
-    noise = np.maximum(found, _FINEST)
+    whole, half = np.sqrt((lengths * np.square(found) + _PRIOR * np.square(usual)) / (lengths + _PRIOR))
+    is_paint = half > _UNUSUAL * usual[1] + _ALLOWED
+    noise = np.maximum(whole, _FINEST)
     return replace(steps, noise=np.repeat(noise, lengths), is_paint=np.repeat(is_paint, lengths))
 
 
 def _deviations(values: Float64s, starts: Int64s, lengths: Int64s) -> Float64s:
-    """Return for each run of rows the deviation, by the median from the median, mean over channels."""
+    """Return for each run of rows two deviations, shape (2, runs), mean over channels.
+
+    One is by the median from the median, the other of the half of the rows that agree best, whatever the rest is [1]_.
+
+    .. [1] P. Rousseeuw, "Least median of squares regression", Journal of the American Statistical Association 79
+           (1984), doi 10.1080/01621459.1984.10477105.
+    """
     run = np.repeat(np.arange(len(starts)), lengths)
-    middle = starts + lengths // 2
-
-    def medians(column: Float64s) -> Float64s:
-        return np.asarray(column[np.lexsort((column, run))][middle])
-
-    found = [medians(np.abs(column - medians(column)[run])) for column in values.T]
-    return np.asarray(1.4826 * np.mean(found, axis=0))
+    half = lengths // 2
+    last = np.arange(len(run)) + half[run]
+    is_inside = last < (starts + lengths)[run]
+    last = np.minimum(last, len(run) - 1)
+    found = np.zeros((2, len(starts)))
+    for column in values.T:
+        ordered = column[np.lexsort((column, run))]
+        distances = np.abs(column - ordered[starts + half][run])
+        found[0] += distances[np.lexsort((distances, run))][starts + half]
+        widths = np.where(is_inside, ordered[last] - ordered, np.inf)
+        found[1] += np.minimum.reduceat(widths, starts) / 2
+    return np.asarray(1.4826 * found / values.shape[1])
 
 
 def weighted_median(values: Float64s, weights: NDArray[np.number[Any]]) -> float:

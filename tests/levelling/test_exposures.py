@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts
 from beltrami_cli.levelling.fit import Exposures, fit_exposures, known_steps
-from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
+from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median, with_noise
 from beltrami_cli.levelling.verdict import STRONG, bridges, judge
 from benchmarks.exposure_scene import ExposureScene, error, fall
 from cli.commands import SAMPLES
@@ -156,6 +156,16 @@ def test_a_painted_tenth_of_a_seam_does_not_bend_the_rest():
     clean, edged = (fit_exposures(seam(paint), STRONG).sides(seam(0)) for paint in (0, 40))
     assert np.abs(clean[:, 1] - clean[:, 0]).mean() < 1 / 255
     assert np.abs(edged - clean).mean() < 0.5 / 255
+
+
+@pytest.mark.parametrize(("share", "is_paint"), [(0.48, False), (0.8, True)])
+def test_half_a_seam_without_paint_is_enough(share, is_paint):
+    random = np.random.default_rng(9)
+    sides = 0.5 + random.normal(0, 4 / 255, (4, 100, 2, 3))
+    sides[0, : int(100 * share), 1] = random.uniform(0.7, 1, (int(100 * share), 3))
+    numbers = np.repeat(np.arange(4), 100)
+    steps = steps_of(np.column_stack([numbers, numbers + 1]), sides.reshape(400, 2, 3), numbers, 1 / 255)
+    assert with_noise(steps).is_paint.reshape(4, 100)[:, 0].tolist() == [is_paint, False, False, False]
 
 
 def test_a_long_seam_of_nearly_one_colour_gives_charts_no_gain():
