@@ -23,7 +23,7 @@ from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
@@ -124,8 +124,9 @@ class Exposing:
 
 
 def expose(source: Path, target: Path) -> None:
-    """Write a model whose charts differ in exposure."""
-    recolour(str(source), str(target), DEFAULTS, Exposing(), PLAIN_JOB)
+    """Write a model whose charts differ in exposure; as PNG, since JPEG mixes colours over the borders of charts."""
+    settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
+    recolour(str(source), str(target), settings, Exposing(), PLAIN_JOB)
 
 
 def commands(page: str) -> list[str]:
