@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.domain import CoarseLevel, Domain
     from beltrami_cli.flow.manifold import Manifold
 
-
 # Differences of channels count half when patches are compared, since they hold little detail and as much noise.
 _COMPARED = np.array([1, 0.5, 0.5])
 

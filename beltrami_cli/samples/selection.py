@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from beltrami_cli.samples.painted_samples import PaintedSamples
     from beltrami_cli.samples.samples import Samples
     from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.samples.texture_groups import TextureGroup
     from beltrami_cli.surface.records import Slot
 
 
@@ -107,20 +108,25 @@ def samples_of(
         from beltrami_cli.samples.samples import SharedImages
         from beltrami_cli.samples.texel_colours import choose_textures
         from beltrami_cli.samples.texel_samples import TexelSamples
-        from beltrami_cli.samples.texture_groups import Common, separate_groups
-        from beltrami_cli.samples.tile_groups import TileGroups
 
         chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
         shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
         for slot, surface in zip(selection.slots, chosen, strict=True):
             many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
+            groups: list[TextureGroup] = []
             if many is None:
                 samples = TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
-                groups = separate_groups(samples, settings) if in_groups else []
+                if in_groups and len(surface.textures) > 1:
+                    from beltrami_cli.samples.texture_groups import separate_groups
+
+                    groups = separate_groups(samples, settings)
                 if not groups:
                     yield samples
                 del samples
             else:
+                from beltrami_cli.samples.texture_groups import Common
+                from beltrami_cli.samples.tile_groups import TileGroups
+
                 tiles = TileGroups(surface, *many)
                 common = Common.chosen_on(TexelSamples(tiles.evenly_chosen(), slot, settings), settings)
                 groups = tiles.parted(common)

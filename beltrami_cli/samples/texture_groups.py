@@ -108,7 +108,7 @@ class Common:
 def separate_groups(samples: Sampled, settings: SmoothSettings) -> list[TextureGroup]:
     """Part textures into those that touch each other on the surface; none, if parameters are the same for all."""
     kernel, surface = settings.kernel, samples.surface
-    if kernel.fast or not kernel.is_open or len(surface.textures) < 2:
+    if kernel.fast or not kernel.is_open:
         return []
     parts = _large_parts(_touching(surface), samples.atlas.covered_by_texture())
     if len(parts) < 2:
