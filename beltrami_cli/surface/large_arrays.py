@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import DTypeLike
 
-    from beltrami_cli.arrays import Array
+    from beltrami_cli.arrays import Array, Int8s
 
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
@@ -148,3 +148,12 @@ def kept(data: bytes) -> bytes | memoryview:
 def is_on_disk() -> bool:
     """Return whether large arrays that are made now are kept in files."""
     return _DISK.get() is not None
+
+
+def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
+    """Draw independent signs: the same in blocks as at once, since a block is a multiple of what is drawn together."""
+    signs: Int8s = empty(shape, np.int8)
+    flat = signs.reshape(-1)
+    for block in blocks(len(flat)):
+        flat[block] = random.integers(0, 2, block.stop - block.start, np.int8) * 2 - 1
+    return signs

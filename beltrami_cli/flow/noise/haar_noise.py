@@ -23,7 +23,7 @@ from beltrami_cli.surface import large_arrays
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.arrays import Float32s, Float64s, Int8s
+    from beltrami_cli.arrays import Float32s, Float64s
     from beltrami_cli.flow.vertex_graph import Level
 
 # Rows that are worked on at a time, where each needs memory.
@@ -78,7 +78,7 @@ def _with_details(noise: Float32s, details: list[Float32s], size: np.float32) ->
 def mixed_signs(covariance: Float64s, shape: Sequence[int], random: np.random.Generator) -> Float32s:
     """Draw white noise with a covariance of the channels, shape (N, *shape)."""
     root = root_of(covariance)
-    signs = random_signs((len(root), *shape), random)
+    signs = large_arrays.random_signs((len(root), *shape), random)
     mixed: Float32s = large_arrays.empty(signs.shape, np.float32)
     for rows in large_arrays.blocks(shape[0], _ROWS):
         # Not by BLAS, whose threads would spin on.
@@ -106,12 +106,3 @@ def draw_noise_of_clusters(covariances: Float64s, levels: Sequence[Level], signs
             drawn -= (sums / above.counts[:, None])[parents].astype(np.float32)
         noise += drawn[level.members]
     return noise
-
-
-def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
-    """Draw independent signs: the same in blocks as at once, since a block is a multiple of what is drawn together."""
-    signs: Int8s = large_arrays.empty(shape, np.int8)
-    flat = signs.reshape(-1)
-    for block in large_arrays.blocks(len(flat)):
-        flat[block] = random.integers(0, 2, block.stop - block.start, np.int8) * 2 - 1
-    return signs

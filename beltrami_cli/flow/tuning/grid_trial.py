@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, random_signs, sigma_of_covariances
+from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
 
@@ -66,7 +66,7 @@ def perturbations(count: int, channels: int, atlas: Atlas, noise_covariances: Fl
     """Return stacks of random planes like the noise: independent signs in bytes, or correlated as the noise is."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
     if noise_covariances is None:
-        drawn = [*random_signs((count, channels, *shape), random)]
+        drawn = [*large_arrays.random_signs((count, channels, *shape), random)]
     else:
         size = np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(noise_covariances)))))
         drawn = [draw_haar_noise(noise_covariances, shape, random) for _ in range(count)]
