@@ -141,6 +141,16 @@ class BeltramiFlow(Generic[AnyManifold]):
         own = self.parameters
         return Step(self._beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
+    def reckon_with(self, sigma: Float64s) -> None:
+        """Tell noise as it was by channel before some was taken from the colours, and the gain over that."""
+        more = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
+        self.noise = sigma
+        self.noise_model = {
+            name: value if name == "grain" else more * value for name, value in self.noise_model.items()
+        }
+        if self.choice is not None and self.choice.gain is not None:
+            self.choice = dataclasses.replace(self.choice, gain=self.choice.gain + 20 * float(np.log10(more)))
+
     def stop_before(self, iteration: int) -> None:
         """Have `run` do only the iterations before one, counted from 0, and nothing after them."""
         self.takes_patches = False

@@ -59,7 +59,7 @@ _ENOUGH_STEPS = 200_000
 class Whole:
     """What a part of a surface takes from the whole; noise that is None is found on the part."""
 
-    unit: float
+    unit: float | None = None  # None: its own
     noise: FoundNoise | None = None
 
 
@@ -99,7 +99,7 @@ class GridManifold(GridKernels):
                 planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
         super().__init__(atlas, parameters, metric_channels, stop_at_holes=stop_at_holes)
         self.unit = self.spacing if parameters.units == "world" else 1.0
-        if whole is not None:
+        if whole is not None and whole.unit is not None:
             self.unit = whole.unit
         self.embed(guides)
 

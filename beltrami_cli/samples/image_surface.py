@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.guides import require_size
 from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.records import check_scale
@@ -24,11 +24,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
     from beltrami_cli.flow.embedding import Guide
+    from beltrami_cli.flow.noise.by_scale import FoundNoise
     from beltrami_cli.flow.parameters import KernelParameters
 
     Pixels = NDArray[np.int64]
 
+    from beltrami_cli.formats.image.jpeg_tables import JpegTables
     from beltrami_cli.samples.settings import ImageSettings
 
 # Channels that hold a depth or height, as renderers and cameras call them.
@@ -148,10 +151,12 @@ def grid_flow(
     tick: Callable[[], None] | None = None,
     noise: NDArray[np.float32] | None = None,
     rows: Pixels | None = None,
+    coded: tuple[NDArray[Any], JpegTables] | None = None,
 ) -> BeltramiFlow[GridManifold]:
     """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row.
 
-    Guides and noise have a row for each pixel, or those that `rows` names for the pixels.
+    Guides and noise have a row for each pixel, or those that `rows` names for the pixels. `coded`: the pixels, if they
+    are as a JPEG file has them.
     """
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
     # slopes are further apart, so they are smoothed less.
@@ -164,17 +169,24 @@ def grid_flow(
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as all that follows
     own = atlas.owned_texels if rows is None else rows[atlas.owned_texels]
-    manifold = GridManifold(
-        atlas,
-        painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count),
-        kernel,
-        stop_at_holes=atlas.covered < valid.size,
-        guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
-        metric_channels=metric_channels,
-        whole=None if surface.heights is None else Whole(unit=1.0),
-        deviations=None if noise is None else noise[own],
-    )
-    return BeltramiFlow(manifold, kernel, tick)
+    unit = None if surface.heights is None else 1.0
+
+    def manifold(planes: NDArray[np.float32] | None, found: FoundNoise | None) -> GridManifold:
+        if planes is None:
+            planes = painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count)
+        return GridManifold(
+            atlas,
+            planes,
+            kernel,
+            stop_at_holes=atlas.covered < valid.size,
+            guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
+            metric_channels=metric_channels,
+            whole=Whole(unit, found),
+            deviations=None if noise is None else noise[own],
+        )
+
+    pictures = ([coded[0]], [coded[1]]) if coded else ([], [])
+    return flow_on_pictures(manifold, atlas, *pictures, kernel, tick)
 
 
 def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:

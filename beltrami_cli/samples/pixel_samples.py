@@ -13,6 +13,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
+from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
@@ -101,6 +102,11 @@ class ImageColours:
         self._is_divided = is_associated(picture) and not opacity and self._space != "data"
         known = (*picture.colour, picture.alpha)
         self.others = tuple(name for name, channel in chosen.items() if channel not in known)
+
+    @property
+    def shows_all(self) -> bool:
+        """Whether samples have the colours of the picture as it is stored, with all of its channels."""
+        return self._space in ("srgb", "data") and self.channels == list(range(len(self._picture.channels)))
 
     def usable(self) -> Bools:
         """Return which pixels have finite numbers in all sampled channels, shape (H, W)."""
@@ -200,6 +206,7 @@ class PixelSamples(Samples):
         if colours_only and settings.channels is None:
             names = ("red", "green", "blue") if len(self.picture.colour) == 3 else ("grey",)
             self._chosen = dataclasses.replace(settings, channels=names)
+        self._tables = read_jpeg_tables(document.data)
         self.colours = ImageColours(self.picture, self._chosen)
         self.names = self.colours.names
         surface = read_surface(self.picture, settings.image, access)
@@ -218,14 +225,19 @@ class PixelSamples(Samples):
         colours, kernel = self.colours, self.settings.kernel
         noise = None if self._noise is None else self._noise.reshape(-1, self._noise.shape[2])
         metric = colours.metric_channels
-        return grid_flow(self.surface, colours.samples, kernel, self._guides, metric, tick, noise)
+        coded = None
+        if self._tables is not None and colours.shows_all:
+            coded = self.picture.pixels, self._tables
+        return grid_flow(
+            self.surface, colours.samples, kernel, self._guides, metric, tick, noise, coded=coded
+        )
 
     def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
         """Return the samples of a part of the image, with other parameters."""
         part = copy.copy(self)
         part.settings = dataclasses.replace(self.settings, kernel=kernel)
         pixels = np.ascontiguousarray(self.picture.pixels[place])
-        part.picture = dataclasses.replace(self.picture, pixels=pixels)
+        part.picture, part._tables = dataclasses.replace(self.picture, pixels=pixels), None
         part.colours = ImageColours(part.picture, self._chosen)
         part.valid, part.surface = self.valid[place], self.surface.window(place)
         part._noise = None if self._noise is None else self._noise[place]

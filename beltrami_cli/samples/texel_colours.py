@@ -92,6 +92,12 @@ class TexelColours:
         if in_metric is not None:
             self.metric_channels = [self.names.index(all_names[i]) for i in in_metric]
 
+    @property
+    def shows_all(self) -> bool:
+        """Whether samples have the colours of pictures as they are stored, with all of their channels."""
+        alike = self.space in ("srgb", "data") and not self._alpha and not self._is_normal
+        return alike and len(self._kept) == self._width
+
     def samples(self, atlas: Atlas) -> Float32s:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
         table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)

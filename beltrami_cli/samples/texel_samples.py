@@ -11,12 +11,14 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
-from beltrami_cli.flow.grid_manifold import GridManifold, canvas_colours
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole, canvas_colours
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture, check_writable, is_unchanged, losses, read_image
+from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
+from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+    from beltrami_cli.flow.noise.by_scale import FoundNoise
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
@@ -64,6 +67,7 @@ class TexelSamples(samples.Samples):
             self.label += f", {group.label}"
         self.surface = choose_textures(surface, settings.textures)
         self.pictures = [self._picture(texture) for texture in self.surface.textures]
+        self._tables = [read_jpeg_tables(texture.data) for texture in self.surface.textures]
         self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
         self.colours = TexelColours(self.pictures, slot, settings)
         self.names = self.colours.names
@@ -96,19 +100,29 @@ class TexelSamples(samples.Samples):
         return dataclasses.replace(picture, source=b"")
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
-        return BeltramiFlow(self.manifold(), self.settings.kernel, tick)
+        is_stored = self._levelled is None and self.colours.shows_all
+        tables = self._tables if is_stored else []
+        pixels = [picture.pixels for picture in self.pictures]
+        flow = flow_on_pictures(self._manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
+        self._guides = []
+        return flow
 
     def manifold(self) -> GridManifold:
         """Return the manifold of the texels, with the noise of their colours."""
-        guides, self._guides = self._guides, []
+        return self._manifold(None, None)
+
+    def _manifold(self, planes: Float32s | None, noise: FoundNoise | None) -> GridManifold:
+        whole = None if self._group is None else self._group.common.whole(self.names)
+        if noise is not None:
+            whole = Whole(None if whole is None else whole.unit, noise)
         return GridManifold(
             self.atlas,
-            self._on_canvas(),
+            self._on_canvas() if planes is None else planes,
             self.settings.kernel,
-            guides=guides,
+            guides=self._guides,
             metric_channels=self.colours.metric_channels,
             deviations=self._noise,
-            whole=None if self._group is None else self._group.common.whole(self.names),
+            whole=whole,
         )
 
     def _on_canvas(self) -> Float32s:

@@ -82,7 +82,7 @@ def measure_by_scale(
         corners = corners_of(means)
         means = corners.mean(axis=0)
         details = np.square(corners - means).sum(axis=0) / 3
-        cut, filled = corners_of(cut[None]).mean(axis=0)[0], _all_filled(filled)
+        cut, filled = corners_of(cut[None]).mean(axis=0)[0], all_filled(filled)
         whole = sums_of_tiles(filled, side) == side**2
         if not whole.any():
             break
@@ -136,7 +136,7 @@ def corners_of(planes: Float32s) -> Float32s:
     return np.stack([planes[:, i:rows:2, j:columns:2] for i in (0, 1) for j in (0, 1)])
 
 
-def _all_filled(filled: Bools) -> Bools:
+def all_filled(filled: Bools) -> Bools:
     """Return which squares of 2 x 2 cells are filled."""
     rows, columns = (size // 2 * 2 for size in filled.shape)
     above, below = filled[:rows:2, :columns], filled[1:rows:2, :columns]

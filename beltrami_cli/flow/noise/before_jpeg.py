@@ -1,0 +1,240 @@
+"""White noise that was in pictures before JPEG coded them.
+
+In even blocks the share of DCT coefficients that are not 0 tells how strong it was. What is left of it when pictures
+are decoded with that known shows on a pilot, with noise added, coded and decoded alike.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise
+from beltrami_cli.flow.noise.coded_picture import (
+    SIDE,
+    coded,
+    coefficients_of,
+    correction,
+    in_blocks,
+    means_over,
+)
+from beltrami_cli.flow.noise.grid_scales import MOST_CELLS, all_filled, corners_of
+from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.arrays import Bools, Float32s, Float64s
+    from beltrami_cli.flow.noise.coded_picture import CodedPicture
+
+# The order of a coefficient is that of its row plus that of its column.
+_ORDERS = np.add.outer(np.arange(SIDE), np.arange(SIDE)).reshape(-1)
+
+# Blocks in which the first order has the least energy are even: this share, but not fewer than so many.
+_EVEN, _FEWEST = 0.25, 40
+
+# Orders of coefficients that are counted together: of luma, where texture hides the lower ones, and the low ones, which
+# are all that coarse steps, and decoders that interpolate it, show of chroma.
+_OF_LUMA, _LOW = (range(5, 8), range(8, 15)), range(2, 5)
+
+# With this many that are not 0 a count tells something; where twice as many are expected, none tells it, too.
+_TELLING = 8
+
+# Texture has many of them in some blocks and few in others, so that their number varies by more than this factor of
+# what it does with noise: by 1.7 to 12 on samples and photographs without noise, by up to 1.6 with noise of 10 of 255.
+_MOST_SCATTER = 1.6
+
+# Standard deviations differ by no more than this factor if they are of one white noise; some texture makes them larger,
+# and those up to the other factor above the least are taken together.
+_ALIKE, _NEAR = 1.45, 1.15
+
+# With fewer of the highest orders, nothing but the low ones can tell that noise was not white. That of cameras exceeds
+# this factor on photographs, from 1.25 on, and grain of two texels from 1.6 on, white noise on one of five.
+_CERTAIN, _ALIKE_LOW = 100, 1.3
+
+# Noise that is worth it: standard deviation, and steps of luma relative to that of its noise, unless chroma is coarser.
+_LEAST_SIGMA, _COARSE = 2.0 / 255, 1.5
+
+# Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
+_GROWS = 1.6
+
+# By how much more JPEG took of pictures than it takes once more: 1 to 3.5 on samples, most where hues meet.
+_LOST = 3.0
+
+_SEED = 80
+
+
+def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
+    """Estimate sigma of white noise that pictures had before JPEG, full scale 1.
+
+    None if there is little beside texture, if it was not white, or the same in all channels and at all levels, or if
+    JPEG left it as it was.
+    """
+    luma, low, chroma = _count_in_even_blocks(pictures)
+    telling = [own for own in luma if own.observed >= _TELLING]
+    if not telling or sum(own.variance for own in telling) > _MOST_SCATTER * sum(own.even for own in telling):
+        return None
+    sigmas = [own.sigma for own in telling]
+    least, most = min(sigmas), max(sigmas)
+    if most > _ALIKE * least or least < 255 * _LEAST_SIGMA:
+        return None
+    if any(own.expected(least) > 2 * _TELLING for own in luma if own not in telling):
+        return None
+    near = [own for own, found in zip(telling, sigmas, strict=True) if found < _NEAR * least]
+    sigma = _Counts.joined(near).sigma
+    is_white = min(own.observed for own in luma[-2:]) >= _CERTAIN
+    if not is_white and low.sigma > _ALIKE_LOW * sigma:
+        return None
+    if chroma.expected(sigma) > 2 * _TELLING and chroma.sigma < sigma / _ALIKE:
+        return None
+    noise = pictures[0].sigma_of_planes(sigma)[0]
+    coarse = [max(each.span) > 1 or np.median(each.steps[0]) > _COARSE * noise for each in pictures]
+    return sigma / 255 if any(coarse) else None
+
+
+class _Counts:
+    """How many coefficients of some kind are not 0, and of how many of each step."""
+
+    def __init__(self) -> None:
+        self.observed = 0
+        self.variance, self.even = (
+            0.0,
+            0.0,
+        )  # of their number in a block, and what it would be if they were independent
+        self._steps: list[Float64s] = []  # of coefficients, in units of their noise for a sigma of 1
+        self._blocks: list[int] = []
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Counts]) -> _Counts:
+        """Count all together."""
+        whole = cls()
+        whole.observed = sum(part.observed for part in parts)
+        whole._steps = [steps for part in parts for steps in part._steps]
+        whole._blocks = [blocks for part in parts for blocks in part._blocks]
+        return whole
+
+    def add(self, multiples: Float64s, steps: Float64s, orders: range) -> None:
+        """Add coefficients of some orders, in units of their steps, shape (B, 64); `steps`: in units of noise."""
+        of_order = np.isin(_ORDERS, orders)
+        found, steps = multiples[:, of_order] != 0, steps[of_order]
+        self.observed += int(np.count_nonzero(found))
+        if len(found):
+            shares = found.mean(axis=0)
+            self.variance += len(found) * float(found.sum(axis=1).var())
+            self.even += len(found) * float((shares * (1 - shares)).sum())
+        self._steps.append(steps)
+        self._blocks.append(len(multiples))
+
+    def expected(self, sigma: float) -> float:
+        """Return how many are not 0 for white noise."""
+        from scipy.special import ndtr
+
+        parts = zip(self._steps, self._blocks, strict=True)
+        return float(sum(2 * blocks * ndtr(-steps / (2 * sigma)).sum() for steps, blocks in parts))
+
+    @property
+    def sigma(self) -> float:
+        """The noise that explains them."""
+        low, high = 0.0, 255.0
+        for _ in range(30):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.expected(middle) < self.observed else (low, middle)
+        return high
+
+
+def _count_in_even_blocks(pictures: Sequence[CodedPicture]) -> tuple[list[_Counts], _Counts, _Counts]:
+    """Count coefficients of luma by orders, in darker and brighter blocks, and low ones of luma and of chroma."""
+    luma, low, chroma = [_Counts() for _ in range(2 * len(_OF_LUMA))], _Counts(), _Counts()
+    for picture, some in zip(pictures, _some_bands(pictures), strict=True):
+        parts = [_even_candidates(picture, rows) for rows in some]
+        for plane, (table, unit) in enumerate(zip(picture.tables, picture.sigma_of_planes(1.0), strict=True)):
+            blocks = np.concatenate([part[plane] for part in parts])
+            if len(blocks) < _FEWEST:
+                continue
+            energy = np.square(blocks[:, _ORDERS == 1]).sum(axis=1)
+            count = max(_FEWEST, int(_EVEN * len(blocks)))
+            even = blocks[np.argsort(energy, kind="stable")[:count]]
+            steps = table.reshape(-1).astype(np.float64)
+            multiples = np.rint(even / steps)
+            (chroma if plane else low).add(multiples, steps / unit, _LOW)
+            if plane:
+                continue
+            bright = even[:, 0] > np.median(even[:, 0])
+            for number, orders in enumerate(_OF_LUMA):
+                for level in (0, 1):
+                    luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
+    return luma, low, chroma
+
+
+def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
+    """Choose bands of rows of each picture, evenly spread, with enough pixels together to estimate noise from."""
+    share, chosen = MOST_CELLS / max(1, sum(each.used.size for each in pictures)), []
+    for picture in pictures:
+        bands = list(picture.bands)
+        wanted = max(1, min(len(bands), round(share * len(bands))))
+        chosen.append([bands[number] for number in np.linspace(0, len(bands) - 1, wanted).astype(int)])
+    return chosen
+
+
+def _even_candidates(picture: CodedPicture, rows: slice) -> list[Float32s]:
+    """Return the coefficients of blocks of each plane, shape (B, 64), where nothing is cut off or beyond borders."""
+    pixels = picture.pixels[rows]
+    inside = picture.used[rows] & ((pixels > 0) & (pixels < 255)).all(axis=2)
+    found = []
+    for number, plane in enumerate(picture.planes(pixels)):
+        fits = inside if number == 0 else means_over(inside.astype(np.float32), picture.span) == 1
+        whole = in_blocks(fits).all(axis=(2, 3))
+        found.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))
+    return found
+
+
+def noise_after(
+    pictures: Sequence[CodedPicture], pilots: Sequence[Float32s], sigma: float
+) -> tuple[FoundNoise, Float64s]:
+    """Find what `decode` leaves of noise, and sigma by channel before it: on the pilots, noise added and coded."""
+    random = np.random.default_rng(_SEED)
+    channels = pictures[0].pixels.shape[2]
+    before, after, lost = (_Covariances(channels) for _ in range(3))
+    for number, (picture, some) in enumerate(zip(pictures, _some_bands(pictures), strict=True)):
+        for rows in some:
+            truth = 255 * pilots[number][rows]
+            noisy = truth + np.float32(255 * sigma) * random.standard_normal(truth.shape, np.float32)
+            stored = coded(picture, np.rint(np.clip(noisy, 0, 255)))
+            lost.add(coded(picture, truth) - truth, picture.used[rows])
+            before.add(stored - truth, picture.used[rows])
+            after.add(stored + correction(picture, stored, truth, sigma) - truth, picture.used[rows])
+    covariances, read = after.mean(), sigma_of_covariances(before.mean())
+    # What JPEG takes of a picture that went through it already, it took of the picture before.
+    doubt = _LOST * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
+    own = sigma_of_covariances(covariances)
+    fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
+    if np.all(coarse < _GROWS**2 * np.maximum(fine, 1e-12)):
+        return FoundNoise(doubt=doubt, sigma=own), read
+    return FoundNoise(None, covariances, doubt, own), read
+
+
+class _Covariances:
+    """Covariances of Haar details of noise, as `haar_noise` has them."""
+
+    def __init__(self, channels: int) -> None:
+        self._sums, self._counted = np.zeros((SCALES, channels, channels)), np.zeros(SCALES)
+
+    def add(self, noise: Float32s, used: Bools) -> None:
+        """Add the details of noise, shape (R, C, N), full scale 255, in squares of used cells."""
+        means, filled = np.moveaxis(noise / np.float32(255), 2, 0), used
+        for scale in range(SCALES):
+            corners = corners_of(means)
+            means = corners.mean(axis=0)
+            filled = all_filled(filled)
+            details = (corners - means)[:, :, filled].astype(np.float64)
+            self._sums[scale] += 4**scale * np.einsum("aik,ajk->ij", details, details) / 3
+            self._counted[scale] += np.count_nonzero(filled)
+
+    def mean(self) -> Float64s:
+        """Return them, shape (L, N, N); coarse ones of which there were none are as the next finer ones."""
+        means: Float64s = self._sums / np.maximum(self._counted, 1)[:, None, None]
+        for scale in range(1, SCALES):
+            if not self._counted[scale]:
+                means[scale] = means[scale - 1]
+        return means

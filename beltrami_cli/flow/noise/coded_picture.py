@@ -1,0 +1,163 @@
+"""Pictures that JPEG coded, and pictures decoded by what is known of the noise in them.
+
+JPEG rounds the DCT coefficients of blocks to multiples of steps. Noise that is small beside a step vanishes, but for a
+few coefficients, which stand out as whole waves: neither estimates of noise nor of its removal expect that. Given the
+noise before, and a pilot x, a coefficient that was rounded to k steps d was on average
+
+    E[z | (k - 1/2) d < z < (k + 1/2) d],    z normal around x,
+
+which is what noise that was cut off is replaced by, too [1]_.
+
+References
+----------
+.. [1] N. L. Johnson, S. Kotz, N. Balakrishnan, "Continuous Univariate Distributions" I, 2nd ed., 1994, section 13.10.1:
+   moments of truncated normal distributions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.surface import large_arrays
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
+
+# Luma and the two kinds of chroma of red, green and blue (JFIF).
+_YCC = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
+_RGB = np.linalg.inv(_YCC)
+
+# Cells a side of a block.
+SIDE = 8
+
+# Rows that are worked on at a time, a multiple of those of blocks of chroma.
+_BAND = 128
+
+
+@dataclass(frozen=True)
+class CodedPicture:
+    """A picture that JPEG coded."""
+
+    pixels: Array  # shape (H, W, 1 or 3), uint8
+    used: Bools  # which are samples of the surface, shape (H, W)
+    steps: Float64s  # of coefficients of luma and chroma, shape (1 or 2, 8, 8)
+    span: tuple[int, int]  # rows and columns of pixels that a sample of chroma stands for
+
+    @property
+    def tables(self) -> list[Float64s]:
+        """The steps in each plane."""
+        planes = [0, 1, 1][: self.pixels.shape[2]]
+        return [self.steps[min(plane, len(self.steps) - 1)] for plane in planes]
+
+    @property
+    def bands(self) -> list[slice]:
+        """Rows to work on at a time."""
+        return list(large_arrays.blocks(len(self.pixels), _BAND))
+
+    def planes(self, pixels: Array) -> list[Float32s]:
+        """Return luma and chroma of some rows of pixels of full scale 255."""
+        if pixels.shape[2] == 1:
+            return [pixels[..., 0].astype(np.float32) - np.float32(128)]
+        # Not by BLAS, whose threads would spin on.
+        mixed = np.einsum("ij,rcj->irc", _YCC.astype(np.float32), pixels.astype(np.float32))
+        mixed[0] -= 128
+        return [mixed[0], *(means_over(plane, self.span) for plane in mixed[1:])]
+
+    def pixels_of(self, planes: Sequence[Float32s], shape: tuple[int, ...]) -> Float32s:
+        """Return the pixels (R, C, 1 or 3) that differences of planes make; 0 where these do not reach."""
+        whole = np.zeros((len(planes), *shape[:2]), np.float32)
+        for plane, own, span in zip(planes, whole, [(1, 1), self.span, self.span], strict=False):
+            large = plane.repeat(span[0], axis=0).repeat(span[1], axis=1)
+            own[: len(large), : large.shape[1]] = large[: len(own), : own.shape[1]]
+        if len(planes) == 1:
+            return np.asarray(whole[0][..., None])
+        return np.asarray(np.einsum("ij,jrc->rci", _RGB.astype(np.float32), whole))
+
+    def sigma_of_planes(self, sigma: float) -> list[float]:
+        """Return the standard deviation of noise in each plane, for that of pixels."""
+        if self.pixels.shape[2] == 1:
+            return [sigma]
+        luma, *chroma = (sigma * np.sqrt(np.square(_YCC).sum(axis=1))).tolist()
+        return [luma, *(own / np.sqrt(self.span[0] * self.span[1]) for own in chroma)]
+
+
+def decode(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
+    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, in place, by what coefficients were before on average."""
+    for rows in picture.bands:
+        stored = picture.pixels[rows].astype(np.float32)
+        changed = stored + correction(picture, stored, 255 * pilot[rows], sigma)
+        pilot[rows] = changed / np.float32(255)
+
+
+def correction(picture: CodedPicture, stored: Float32s, pilot: Float32s, sigma: float) -> Float32s:
+    """Return what `decode` adds to stored pixels; both of full scale 255."""
+    planes = []
+    of_planes = picture.tables, picture.sigma_of_planes(255 * sigma)
+    for own, near, steps, noise in zip(
+        picture.planes(stored), picture.planes(pilot), *of_planes, strict=True
+    ):
+        stands, expected = coefficients_of(own), coefficients_of(near)
+        middle = np.rint(stands / steps) * steps
+        planes.append(_from_coefficients(_mean_within(expected, noise, middle, steps / 2) - stands))
+    return picture.pixels_of(planes, stored.shape)
+
+
+def _mean_within(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
+    """Return the mean of normal numbers between middle - reach and middle + reach."""
+    from scipy.special import ndtr
+
+    # On the side of 0 on which the distribution function keeps its digits.
+    sign = np.where(middle > mean, -1, 1)
+    centre = sign * (middle - mean) / sigma
+    low, high = centre - reach / sigma, centre + reach / sigma
+    mass = ndtr(high) - ndtr(low)
+    slope = (np.exp(-np.square(low) / 2) - np.exp(-np.square(high) / 2)) / np.sqrt(2 * np.pi)
+    # Far away nearly all is at the nearer end.
+    inside = np.clip(np.where(mass > 1e-30, slope / np.maximum(mass, 1e-30), high), low, high)
+    return np.asarray(mean + sign * sigma * inside, np.float32)
+
+
+def coded(picture: CodedPicture, pixels: Float32s) -> Float32s:
+    """Return pixels as they are after JPEG; beyond whole blocks only the averages of chroma are lost."""
+    planes = picture.planes(pixels)
+    for plane, steps in zip(planes, picture.tables, strict=True):
+        rounded = _from_coefficients(np.rint(coefficients_of(plane) / steps) * steps)
+        plane[: len(rounded), : rounded.shape[1]] = rounded
+    planes[0] += 128
+    return picture.pixels_of(planes, pixels.shape)
+
+
+def means_over(plane: Float32s, span: tuple[int, int]) -> Float32s:
+    """Return the means of whole spans."""
+    rows, columns = (size // own for size, own in zip(plane.shape, span, strict=True))
+    whole = plane[: rows * span[0], : columns * span[1]]
+    return np.asarray(whole.reshape(rows, span[0], columns, span[1]).mean(axis=(1, 3)), np.float32)
+
+
+def in_blocks(plane: Array) -> Array:
+    """Return the whole blocks of a plane, shape (R, C, 8, 8)."""
+    rows, columns = (size // SIDE for size in plane.shape)
+    whole = plane[: rows * SIDE, : columns * SIDE]
+    return whole.reshape(rows, SIDE, columns, SIDE).transpose(0, 2, 1, 3)
+
+
+def coefficients_of(plane: Float32s) -> Float32s:
+    """Return the DCT of the whole blocks of a plane, shape (R, C, 8, 8)."""
+    from scipy.fft import dctn
+
+    blocks: Float32s = dctn(in_blocks(plane), axes=(2, 3), norm="ortho")
+    return blocks
+
+
+def _from_coefficients(blocks: Array) -> Float32s:
+    """Return the plane of which these are the coefficients."""
+    from scipy.fft import idctn
+
+    rows, columns = blocks.shape[:2]
+    plane = idctn(blocks, axes=(2, 3), norm="ortho").transpose(0, 2, 1, 3)
+    return np.asarray(plane.reshape(rows * SIDE, columns * SIDE), np.float32)

@@ -1,0 +1,110 @@
+"""How a JPEG file was quantised, from its headers.
+
+The layout of markers and tables is that of ITU-T T.81, annex B.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from beltrami_cli.arrays import Float64s
+
+_START, _TABLES, _SCAN, _ADOBE = b"\xff\xd8", 0xDB, 0xDA, 0xEE
+
+# Frames of 8-bit samples that are coded by Huffman's code: baseline, extended and progressive ones.
+_FRAMES = 0xC0, 0xC1, 0xC2
+
+# Markers without a length.
+_ALONE = {0x01, *range(0xD0, 0xD8)}
+
+# Components that are red, green and blue, and not luma and chroma.
+_RGB = [*b"RGB"]
+
+
+@dataclass(frozen=True)
+class JpegTables:
+    """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""
+
+    steps: Float64s  # shape (1, 8, 8) of grey pictures, or (2, 8, 8)
+    span: tuple[int, int]  # rows, columns: 1 or 2 each
+
+
+def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
+    """Read the tables of a grey or YCbCr picture; None of any other."""
+    tables: dict[int, Float64s] = {}
+    frame, transform = b"", 1
+    try:
+        for marker, body in _segments(data):
+            if marker == _TABLES:
+                tables |= _tables(body)
+            elif marker in _FRAMES:
+                frame = body
+            elif marker == _ADOBE and body.startswith(b"Adobe"):
+                transform = body[11]
+        return _of_frame(frame, tables, transform)
+    except (IndexError, KeyError, ValueError, struct.error):
+        return None
+
+
+def _segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
+    """Go through the segments before the first scan."""
+    at = len(_START)
+    if data[:at] != _START:
+        return
+    while True:
+        if data[at] != 0xFF:
+            raise ValueError("no marker")
+        marker = data[at + 1]
+        if marker == _SCAN:
+            return
+        if marker == 0xFF or marker in _ALONE:
+            at += 1 if marker == 0xFF else 2
+            continue
+        (length,) = struct.unpack_from(">H", data, at + 2)
+        yield marker, bytes(data[at + 4 : at + 2 + length])
+        at += 2 + length
+
+
+def _tables(body: bytes) -> dict[int, Float64s]:
+    """Return the tables of a segment by their numbers, each of shape (8, 8)."""
+    found, at = {}, 0
+    while at < len(body):
+        kind = ">u2" if body[at] >> 4 else "u1"
+        table = np.empty(64)
+        table[_zigzag()] = np.frombuffer(body, kind, 64, at + 1)
+        found[body[at] & 15] = table.reshape(8, 8)
+        at += 1 + 64 * np.dtype(kind).itemsize
+    return found
+
+
+def _zigzag() -> list[int]:
+    """Return the places of coefficients, row * 8 + column, in the order in which tables store them."""
+    return sorted(range(64), key=lambda at: _along_diagonals(*divmod(at, 8)))
+
+
+def _along_diagonals(row: int, column: int) -> tuple[int, int]:
+    """Return the diagonal that a coefficient is on, and its place there; every second one is gone up."""
+    diagonal = row + column
+    return diagonal, row if diagonal % 2 else column
+
+
+def _of_frame(frame: bytes, tables: dict[int, Float64s], transform: int) -> JpegTables | None:
+    """Join the tables of the components."""
+    components = [frame[at : at + 3] for at in range(6, 6 + 3 * frame[5], 3)]
+    if len(components) == 1:
+        return JpegTables(tables[components[0][2]][None], (1, 1))
+    identities = [component[0] for component in components]
+    if len(components) != 3 or transform != 1 or identities == _RGB:
+        return None
+    luma, blue, red = components
+    span = luma[1] & 15, luma[1] >> 4
+    if max(span) > 2 or not blue[1] == red[1] == 0x11 or (tables[blue[2]] != tables[red[2]]).any():
+        return None
+    return JpegTables(np.stack([tables[luma[2]], tables[blue[2]]]), span)

@@ -1,0 +1,105 @@
+"""The flow on pictures of which JPEG coded the noise."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.canvas import painted
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import texels_by_texture
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from beltrami_cli.arrays import Array, Float32s, Float64s
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.noise.by_scale import FoundNoise
+    from beltrami_cli.flow.noise.coded_picture import CodedPicture
+    from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.formats.image.jpeg_tables import JpegTables
+    from beltrami_cli.surface.atlas import Atlas
+
+    Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
+
+
+def flow_on_pictures(
+    make: Make,
+    atlas: Atlas,
+    pixels: Sequence[Array],
+    tables: Sequence[JpegTables | None],
+    kernel: KernelParameters,
+    tick: Callable[[], None] | None,
+) -> BeltramiFlow[GridManifold]:
+    """Return the flow on the cells of pictures, which are decoded anew if JPEG coded white noise in all of them.
+
+    `make` returns the manifold of other colours on the canvas and their noise, or of the pictures' own.
+    """
+    wanted = kernel.evens_noise and kernel.given_noise is None and not kernel.fast
+    pictures = _coded(atlas, pixels, tables) if wanted else []
+    sigma = None
+    if pictures:
+        from beltrami_cli.flow.noise.before_jpeg import noise_before_jpeg
+
+        sigma = noise_before_jpeg(pictures)
+    if sigma is None:
+        return BeltramiFlow(make(None, None), kernel, tick)
+    pilot = BeltramiFlow(make(None, None), dataclasses.replace(kernel, patches="off"), tick)
+    pilot.run(None if tick is None else lambda *_: tick())
+    rows, noise, stored = _decoded(atlas, pictures, pilot.values(), sigma)
+    del pilot
+    flow = BeltramiFlow(make(painted(atlas, rows, kernel.thread_count), noise), kernel, tick)
+    flow.reckon_with(stored)
+    return flow
+
+
+def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | None]) -> list[CodedPicture]:
+    """Return the pictures, unless one of them is no JPEG file, or some are grey and others are not."""
+    known = [each for each in tables if each is not None]
+    channels = {own.shape[2] for own in pixels}
+    if (
+        not known
+        or len(known) < len(pixels)
+        or len(channels) != 1
+        or any(own.dtype != np.uint8 for own in pixels)
+    ):
+        return []
+    from beltrami_cli.flow.noise.coded_picture import CodedPicture
+
+    used = [large_arrays.zeros(own.shape[:2], bool) for own in pixels]
+    for block in large_arrays.blocks(len(atlas.owned_texels)):
+        for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+            used[index].reshape(-1)[texels] = True
+    return [
+        CodedPicture(own, mask, each.steps, each.span)
+        for own, mask, each in zip(pixels, used, known, strict=True)
+    ]
+
+
+def _decoded(
+    atlas: Atlas, pictures: Sequence[CodedPicture], pilot: Float32s, sigma: float
+) -> tuple[Float32s, FoundNoise, Float64s]:
+    """Return the colours of owned cells, which overwrite those of the pilot, their noise, and sigma of that before."""
+    from beltrami_cli.flow.noise.before_jpeg import noise_after
+    from beltrami_cli.flow.noise.coded_picture import decode
+
+    rasters = []
+    for picture in pictures:
+        raster = large_arrays.empty(picture.pixels.shape, np.float32)
+        for rows in picture.bands:
+            raster[rows] = picture.pixels[rows] / np.float32(255)
+        rasters.append(raster)
+    blocks = list(large_arrays.blocks(len(atlas.owned_texels)))
+    for block in blocks:
+        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+            rasters[index].reshape(-1, pilot.shape[1])[texels] = pilot[block][inside]
+    noise, stored = noise_after(pictures, rasters, sigma)
+    for picture, raster in zip(pictures, rasters, strict=True):
+        decode(picture, raster, sigma)
+    for block in blocks:
+        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+            pilot[block][inside] = rasters[index].reshape(-1, pilot.shape[1])[texels]
+    return pilot, noise, stored
