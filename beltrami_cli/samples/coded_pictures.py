@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.grid_manifold import GridManifold
     from beltrami_cli.flow.noise.by_scale import FoundNoise
     from beltrami_cli.flow.noise.coded_picture import CodedPicture
+    from beltrami_cli.flow.noise.given import GivenNoise
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.image.jpeg_tables import JpegTables
     from beltrami_cli.surface.atlas import Atlas
@@ -38,13 +39,8 @@ def flow_on_pictures(
 
     `make` returns the manifold of other colours on the canvas and their noise, or of the pictures' own.
     """
-    wanted = kernel.evens_noise and kernel.given_noise is None and not kernel.fast
-    pictures = _coded(atlas, pixels, tables) if wanted else []
-    sigma = None
-    if pictures:
-        from beltrami_cli.flow.noise.before_jpeg import noise_before_jpeg
-
-        sigma = noise_before_jpeg(pictures)
+    pictures = _coded(atlas, pixels, tables) if kernel.evens_noise and not kernel.fast else []
+    sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:
         return BeltramiFlow(make(None, None), kernel, tick)
     pilot = BeltramiFlow(make(None, None), dataclasses.replace(kernel, patches="off"), tick)
@@ -52,6 +48,8 @@ def flow_on_pictures(
     rows, noise, stored = _decoded(atlas, pictures, pilot.values(), sigma)
     del pilot
     flow = BeltramiFlow(make(painted(atlas, rows, kernel.thread_count), noise), kernel, tick)
+    if not flow.parameters.iterations:  # what is not smoothed stays as it is
+        return BeltramiFlow(make(None, None), kernel, tick)
     flow.reckon_with(stored)
     return flow
 
@@ -77,6 +75,14 @@ def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | 
         CodedPicture(own, mask, each.steps, each.span)
         for own, mask, each in zip(pixels, used, known, strict=True)
     ]
+
+
+def _sigma_before(pictures: Sequence[CodedPicture], given: GivenNoise | None) -> float | None:
+    """Return sigma of white noise before JPEG; None: nothing can be made of it."""
+    from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
+
+    sigma = noise_before_jpeg(pictures) if given is None else given.sigma
+    return sigma if sigma and is_changed(pictures, sigma) else None
 
 
 def _decoded(

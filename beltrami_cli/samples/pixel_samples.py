@@ -13,7 +13,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
-from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
@@ -237,7 +237,9 @@ class PixelSamples(Samples):
         part = copy.copy(self)
         part.settings = dataclasses.replace(self.settings, kernel=kernel)
         pixels = np.ascontiguousarray(self.picture.pixels[place])
-        part.picture, part._tables = dataclasses.replace(self.picture, pixels=pixels), None
+        part.picture = dataclasses.replace(self.picture, pixels=pixels)
+        if any(axis.start % CODED_TOGETHER for axis in place):
+            part._tables = None
         part.colours = ImageColours(part.picture, self._chosen)
         part.valid, part.surface = self.valid[place], self.surface.window(place)
         part._noise = None if self._noise is None else self._noise[place]

@@ -138,7 +138,7 @@ class TexelSamples(samples.Samples):
             raise UsageError(cause)
         planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
         found, change = level_canvas(self.atlas, planes, wanted.strength, charts.matching(wanted.reference))
-        self._levelled = planes
+        self._levelled = planes if change else None
         if not change and not self.settings.level_seams:
             self._gutter = None  # what is not levelled stays as it is
         return level_report(self.label, found, change, charts.facts(self.pictures))

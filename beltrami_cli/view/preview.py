@@ -10,6 +10,7 @@ import numpy as np
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.image import ImageDocument
+from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.guides import vertex_guides
 from beltrami_cli.samples.pixel_samples import PixelSamples
@@ -138,7 +139,9 @@ class Previewer:
             assert isinstance(self._document, ImageDocument)
             self._pixels = PixelSamples(self._document, settings, self._access)
         rows, columns = self._pixels.valid.shape
-        place = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
+        around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
+        top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
+        place = top, left
         samples = self._pixels.window(place, kernel)
         flow = samples.flow()
         flow.run(progress)

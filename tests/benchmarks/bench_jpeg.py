@@ -21,10 +21,11 @@ from bench_textures import scenes
 from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 
 import beltrami_cli.flow.parameters as kernel
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.surface.atlas import build_atlas
 
 SUBSAMPLINGS = {"4:4:4": 0x111111, "4:2:0": 0x221111}
@@ -90,11 +91,18 @@ def judge(scene, atlas, quality, subsampling, sigma):
     """Measure a scene with noise, stored as JPEG."""
     noisy = [levels(tuning_scene.with_noise(levels(image) / 255, sigma / 255, 5)) for image in scene.clean]
     clean = texels([levels(image) for image in scene.clean], atlas)
-    stored = texels([jpeg(image, quality, SUBSAMPLINGS[subsampling]) for image in noisy], atlas)
+    files = [jpeg(image, quality, SUBSAMPLINGS[subsampling]) for image in noisy]
+    pixels = [cv2.imdecode(file, cv2.IMREAD_COLOR)[..., ::-1] for file in files]
+    tables, stored = [read_jpeg_tables(file.tobytes()) for file in files], texels(pixels, atlas)
 
     def reached(**parameters):
         own = kernel.KernelParameters(**parameters)
-        flow = BeltramiFlow(GridManifold(atlas, painted(atlas, stored, threads=1), own), own)
+
+        def manifold(planes, noise):
+            planes = painted(atlas, stored, threads=1) if planes is None else planes
+            return GridManifold(atlas, planes, own, whole=Whole(noise=noise))
+
+        flow = flow_on_pictures(manifold, atlas, pixels, tables, own, None)
         flow.run()
         return tuning_scene.psnr(flow.values(), clean)
 
@@ -113,9 +121,9 @@ def levels(image):
 
 
 def jpeg(pixels, quality, subsampling):
-    """Return what JPEG makes of RGB pixels."""
+    """Return RGB pixels as a JPEG file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, subsampling]
-    return cv2.imdecode(cv2.imencode(".jpg", pixels[..., ::-1], options)[1], cv2.IMREAD_COLOR)[..., ::-1]
+    return cv2.imencode(".jpg", pixels[..., ::-1], options)[1]
 
 
 def texels(images, atlas):

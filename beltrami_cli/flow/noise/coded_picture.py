@@ -66,7 +66,8 @@ class CodedPicture:
         # Not by BLAS, whose threads would spin on.
         mixed = np.einsum("ij,rcj->irc", _YCC.astype(np.float32), pixels.astype(np.float32))
         mixed[0] -= 128
-        return [mixed[0], *(means_over(plane, self.span) for plane in mixed[1:])]
+        chroma: list[Float32s] = [means_over(plane, self.span) for plane in mixed[1:]]
+        return [mixed[0], *chroma]
 
     def pixels_of(self, planes: Sequence[Float32s], shape: tuple[int, ...]) -> Float32s:
         """Return the pixels (R, C, 1 or 3) that differences of planes make; 0 where these do not reach."""
@@ -150,8 +151,7 @@ def coefficients_of(plane: Float32s) -> Float32s:
     """Return the DCT of the whole blocks of a plane, shape (R, C, 8, 8)."""
     from scipy.fft import dctn
 
-    blocks: Float32s = dctn(in_blocks(plane), axes=(2, 3), norm="ortho")
-    return blocks
+    return np.asarray(dctn(in_blocks(plane), axes=(2, 3), norm="ortho"), np.float32)
 
 
 def _from_coefficients(blocks: Array) -> Float32s:

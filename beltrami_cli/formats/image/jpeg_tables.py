@@ -28,6 +28,10 @@ _ALONE = {0x01, *range(0xD0, 0xD8)}
 _RGB = [*b"RGB"]
 
 
+CODED_TOGETHER = 16
+"""Blocks of all planes begin at rows and columns that are multiples of this."""
+
+
 @dataclass(frozen=True)
 class JpegTables:
     """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""

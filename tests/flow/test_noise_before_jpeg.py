@@ -1,0 +1,188 @@
+"""Noise that JPEG coded is read from its coefficients, and pictures decoded with it known come closer to the truth."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import OpenImageIO
+import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.stats import truncnorm
+
+from beltrami_cli.flow.noise.before_jpeg import PILOT_ERROR, is_changed, noise_after, noise_before_jpeg
+from beltrami_cli.flow.noise.coded_picture import CodedPicture, _mean_within, coefficients_of, decode
+from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from cli.commands import beltrami
+from flow.test_correlated_noise import painting, stored
+from formats.image_files import encode
+
+CLEAN = painting(256)
+
+
+def jpeg_file(pixels, quality, subsampling="4:2:0"):
+    """Return a JPEG file."""
+    return encode(pixels, "jpeg", compression=f"jpeg:{quality}", jpeg__subsampling=subsampling)
+
+
+def decoded(data, path):
+    """Return the pixels of a file, uint8."""
+    path.write_bytes(data)
+    return np.rint(255 * OpenImageIO.ImageBuf(str(path)).get_pixels("float")).astype(np.uint8)
+
+
+def picture(pixels, quality, subsampling, tmp_path):
+    """Return what JPEG makes of pixels."""
+    data = jpeg_file(pixels, quality, subsampling)
+    pixels, tables = decoded(data, tmp_path / "coded.jpg"), read_jpeg_tables(data)
+    return CodedPicture(pixels, np.ones(pixels.shape[:2], bool), tables.steps, tables.span)
+
+
+def psnr(image, truth=CLEAN):
+    return -10 * np.log10(np.mean((image - truth) ** 2))
+
+
+# Of some thousand coefficients in the even blocks, hundreds are not 0, which tells sigma within some 5 per cent; other
+# qualities leave fewer. The estimate is the least of several.
+@pytest.mark.parametrize(
+    ("sigma", "quality", "subsampling"),
+    [(5, 85, "4:2:0"), (10, 75, "4:2:0"), (10, 80, "4:4:4"), (10, 92, "4:2:0"), (20, 75, "4:4:4")],
+)
+def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_path):
+    found = noise_before_jpeg([picture(stored(CLEAN, sigma), quality, subsampling, tmp_path)])
+    assert found is not None
+    assert 255 * found == pytest.approx(sigma, rel=0.12)
+
+
+def test_pictures_of_a_model_are_read_together(tmp_path):
+    pictures = [picture(stored(CLEAN, 10, seed), 80 + 5 * seed, "4:2:0", tmp_path) for seed in range(3)]
+    assert 255 * noise_before_jpeg(pictures) == pytest.approx(10, rel=0.12)
+
+
+def test_grey_pictures_are_read_too(tmp_path):
+    grey = np.ascontiguousarray(stored(np.repeat(CLEAN[..., :1], 3, axis=2), 10)[..., :1])
+    assert 255 * noise_before_jpeg([picture(grey, 80, "4:4:4", tmp_path)]) == pytest.approx(10, rel=0.12)
+
+
+@pytest.mark.parametrize("quality", [60, 75, 85, 92])
+def test_a_picture_without_noise_has_none(quality, tmp_path):
+    assert noise_before_jpeg([picture(stored(CLEAN, 0), quality, "4:2:0", tmp_path)]) is None
+
+
+@pytest.mark.parametrize("quality", [75, 85, 92])
+def test_noise_that_neighbours_shared_is_not_taken_for_white_noise(quality, tmp_path):
+    noise = gaussian_filter(np.random.default_rng(3).standard_normal(CLEAN.shape), (1, 1, 0))
+    pixels = np.rint(255 * CLEAN + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
+    assert noise_before_jpeg([picture(pixels, quality, "4:2:0", tmp_path)]) is None
+
+
+def test_noise_of_grey_in_all_channels_is_not_taken_for_white_noise(tmp_path):
+    noise = 12 * np.random.default_rng(3).standard_normal((*CLEAN.shape[:2], 1))
+    pixels = np.rint(255 * CLEAN + noise).clip(0, 255).astype(np.uint8)
+    assert noise_before_jpeg([picture(pixels, 85, "4:4:4", tmp_path)]) is None
+
+
+def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
+    pictures = [picture(stored(CLEAN, 20), 98, "4:4:4", tmp_path)]
+    assert 255 * noise_before_jpeg(pictures) == pytest.approx(20, rel=0.12)
+    assert not is_changed(pictures, 20 / 255)
+    assert is_changed(pictures, 1 / 255)
+
+
+def test_what_does_not_belong_to_the_surface_does_not_count(tmp_path):
+    whole = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
+    pixels, used = whole.pixels.copy(), whole.used.copy()
+    pixels[:, 128:], used[:, 128:] = 90, False  # a background that has no noise
+    found = noise_before_jpeg([CodedPicture(pixels, used, whole.steps, whole.span)])
+    assert 255 * found == pytest.approx(10, rel=0.12)
+
+
+def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
+    random = np.random.default_rng(1)
+    mean, middle = random.normal(0, 30, 300), 10 * np.rint(random.normal(0, 3, 300))
+    reach, sigma = np.full(300, 5.0), 7.0
+    low, high = (middle - reach - mean) / sigma, (middle + reach - mean) / sigma
+    near = np.maximum(abs(low), abs(high)) < 6  # beyond, SciPy's own mean loses digits
+    found = _mean_within(mean, sigma, middle, reach)
+    assert near.sum() > 150
+    np.testing.assert_allclose(found[near], truncnorm.mean(low, high, mean, sigma)[near], atol=1e-4)
+    far = _mean_within(np.array([0.0, 0.0]), 0.1, np.array([1000.0, -1000.0]), np.array([5.0, 5.0]))
+    np.testing.assert_allclose(far, [995, -995], atol=0.01)
+
+
+@pytest.mark.parametrize(("quality", "subsampling"), [(75, "4:4:4"), (80, "4:2:0")])
+def test_decoding_with_the_noise_known_comes_closer_to_the_truth(quality, subsampling, tmp_path):
+    own = picture(stored(CLEAN, 10), quality, subsampling, tmp_path)
+    pilot = gaussian_filter(own.pixels / 255, (1, 1, 0)).astype(np.float32)
+    result = pilot.copy()
+    decode(own, result, 10 / 255)
+    # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
+    assert psnr(result) > psnr(own.pixels / 255) + 1.5
+
+
+def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
+    own = picture(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
+    result = np.full(own.pixels.shape, 0.5, np.float32)
+    decode(own, result, 10 / 255)
+    planes = own.planes(own.pixels), own.planes(255 * result), own.tables
+    for before, after, steps in zip(*planes, strict=True):
+        middle = np.rint(coefficients_of(before) / steps) * steps
+        # The other planes move a pixel's rounding only, and single precision has seven digits.
+        assert np.all(abs(coefficients_of(after) - middle) <= steps / 2 + 0.01)
+
+
+def test_the_noise_that_decoding_leaves_is_foretold(tmp_path):
+    own = picture(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
+    result = CLEAN.astype(np.float32)
+    decode(own, result, 10 / 255)
+    left, before = noise_after([own], [CLEAN.astype(np.float32)], 10 / 255)
+    for told, image in ((left.sigma / PILOT_ERROR, result), (before, own.pixels / 255)):
+        true = np.sqrt(np.mean((image - CLEAN) ** 2, axis=(0, 1)))
+        np.testing.assert_allclose(told, true, rtol=0.05)  # of 65,536 pixels, and ringing of paint
+
+
+@pytest.mark.parametrize(("subsampling", "least"), [("4:4:4", 2.0), ("4:2:0", 1.0)])
+def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(subsampling, least, tmp_path):
+    data = jpeg_file(stored(CLEAN, 10), 80, subsampling)
+    pixels = decoded(data, tmp_path / "in.jpg")
+    (tmp_path / "in.png").write_bytes(encode(pixels, "png"))
+    results = {}
+    for suffix in (".jpg", ".png"):
+        report = tmp_path / f"{suffix}.json"
+        out = tmp_path / f"out{suffix[1:]}.png"
+        assert beltrami("smooth", tmp_path / f"in{suffix}", out, "--report", report).returncode == 0
+        results[suffix] = psnr(decoded(out.read_bytes(), out) / 255)
+        if suffix == ".jpg":
+            read = list(json.loads(report.read_text())["image"]["noise"].values())
+    assert results[".jpg"] > results[".png"] + least
+    true = np.sqrt(np.mean((pixels / 255 - CLEAN) ** 2))
+    assert np.sqrt(np.mean(np.square(read))) == pytest.approx(true, rel=0.3)
+
+
+def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tmp_path):
+    data = jpeg_file(stored(CLEAN, 10), 80, "4:4:4")
+    (tmp_path / "in.png").write_bytes(encode(decoded(data, tmp_path / "in.jpg"), "png"))
+    for options in (["--preset", "paper"], ["--fast"]):
+        outs = [tmp_path / f"{suffix}.png" for suffix in ("jpg", "png")]
+        for out in outs:
+            given = tmp_path / f"in.{out.stem}"
+            assert beltrami("smooth", given, out, "--overwrite", *options).returncode == 0
+        np.testing.assert_array_equal(*(decoded(out.read_bytes(), out) for out in outs))
+
+
+def test_noise_that_is_given_is_that_before(tmp_path):
+    decoded(jpeg_file(stored(CLEAN, 10), 80, "4:4:4"), tmp_path / "in.jpg")
+    results = {}
+    for noise in ("1", "10"):
+        out = tmp_path / f"{noise}.png"
+        assert beltrami("smooth", tmp_path / "in.jpg", out, "--noise", noise).returncode == 0
+        results[noise] = psnr(decoded(out.read_bytes(), out) / 255)
+    assert results["10"] > results["1"] + 3
+
+
+def test_the_number_of_threads_changes_nothing(tmp_path):
+    decoded(jpeg_file(stored(CLEAN, 10), 80), tmp_path / "in.jpg")
+    outs = [tmp_path / f"{count}.png" for count in (1, 2)]
+    for out in outs:
+        assert beltrami("smooth", tmp_path / "in.jpg", out, "--threads", out.stem).returncode == 0
+    assert outs[0].read_bytes() == outs[1].read_bytes()
