@@ -75,12 +75,17 @@ class Grains:
 
 def as_jpeg(shown: Float32s, quality: int) -> Float32s:
     """Return display values of a picture, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
+    coded = read_image(jpeg_file(shown, quality), "a picture").pixels
+    return np.asarray(coded[..., : shown.shape[2]] / np.float32(255), np.float32)
+
+
+def jpeg_file(shown: Float32s, quality: int) -> bytes:
+    """Return the JPEG file of display values, (H, W, 1 or 3), with colour at half the resolution."""
     pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
     new = new_picture(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
     new.spec.attribute("jpeg:subsampling", "4:2:0")
     picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
-    coded = read_image(write_image(picture, new.pixels, jpeg_quality=quality).data, "a picture").pixels
-    return np.asarray(coded[..., : shown.shape[2]] / np.float32(255), np.float32)
+    return write_image(picture, new.pixels, jpeg_quality=quality).data
 
 
 def channel_numbers(

@@ -103,15 +103,12 @@ class TexelSamples(samples.Samples):
         is_stored = self._levelled is None and self.colours.shows_all
         tables = self._tables if is_stored else []
         pixels = [picture.pixels for picture in self.pictures]
-        flow = flow_on_pictures(self._manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
+        flow = flow_on_pictures(self.manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
         self._guides = []
         return flow
 
-    def manifold(self) -> GridManifold:
-        """Return the manifold of the texels, with the noise of their colours."""
-        return self._manifold(None, None)
-
-    def _manifold(self, planes: Float32s | None, noise: FoundNoise | None) -> GridManifold:
+    def manifold(self, planes: Float32s | None = None, noise: FoundNoise | None = None) -> GridManifold:
+        """Return the manifold of the texels, with the noise of their colours; or of others, with theirs."""
         whole = None if self._group is None else self._group.common.whole(self.names)
         if noise is not None:
             whole = Whole(None if whole is None else whole.unit, noise)

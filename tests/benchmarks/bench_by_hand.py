@@ -13,9 +13,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from bench_camera_noise import cases, images, psnr
-
-import beltrami_cli
+from bench_camera_noise import cases, colours_of, images, psnr, smoothed
 
 
 def main():
@@ -30,12 +28,9 @@ def main():
         for kind, noisy, truth in cases(clean):
             if not kind.startswith(options.kind):
                 continue
-            ours = psnr(beltrami_cli.smooth_image(noisy).colours, truth)
-            rms = float(np.sqrt(np.mean((noisy - truth) ** 2)))
-            tried = [
-                (psnr(beltrami_cli.smooth_image(noisy, **each).colours, truth), each)
-                for each in settings(rms)
-            ]
+            ours = psnr(smoothed(noisy).colours, truth)
+            rms = float(np.sqrt(np.mean((colours_of(noisy) - truth) ** 2)))
+            tried = [(psnr(smoothed(noisy, **each).colours, truth), each) for each in settings(rms)]
             best, chosen = max(tried, key=lambda each: each[0])
             lost[kind.split()[0]].append(best - ours)
             words = ", ".join(f"{key} {value}" for key, value in chosen.items())

@@ -9,16 +9,20 @@ noise. BM3D is told 1, 1.5 and 2.2 times the true root mean square of the noise,
 from __future__ import annotations
 
 import argparse
+import tempfile
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import texture_peers
 
 import beltrami_cli
+from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.noise import add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains, as_jpeg
+from beltrami_cli.samples.samples import Grains, jpeg_file
 from beltrami_cli.surface.baking import Cells
 
 SIDE = 224
@@ -43,7 +47,8 @@ def main():
     gains = []
     for name, clean in images(options.images):
         for kind, noisy, truth in cases(clean):
-            ours = psnr(beltrami_cli.smooth_image(noisy).colours, truth)
+            ours = psnr(smoothed(noisy).colours, truth)
+            noisy = colours_of(noisy)
             best = float("nan") if options.no_peers else best_of_bm3d(noisy, truth)
             gains.append((ours - psnr(noisy, truth), ours - best))
             row = psnr(noisy, truth), best, ours, ours - best
@@ -68,12 +73,12 @@ def images(paths):
 
 
 def cases(clean):
-    """Yield each kind of noise: its name, the noisy image and the truth."""
+    """Yield each kind of noise: its name, the noisy image, or the bytes of a JPEG file, and the truth."""
     truth = with_noise(clean, "camera", shot=0.0, read=0.0)
     for seed, (shot, read) in enumerate(CAMERAS):
         noisy = with_noise(clean, "camera", shot=shot, read=read, seed=seed)
         yield f"camera {shot}, {read}", stored(noisy), truth
-        yield f"camera {shot}, {read}, JPEG 95", as_jpeg(noisy, 95), truth
+        yield f"camera {shot}, {read}, JPEG 95", jpeg_file(noisy, 95), truth
     for seed, (size, sigma) in enumerate(GRAINS):
         grain = with_noise(clean, "grain", size=float(size), sigma=sigma / 255, seed=seed)
         yield f"grain of {size}, {sigma}", stored(grain), clean
@@ -96,6 +101,36 @@ def with_noise(image, kind, **wanted):
 def stored(image):
     """Round to 8 bit."""
     return (np.rint(255 * np.clip(image, 0, 1)) / 255).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What became of an image: its colours, the noise that was read in it, and the interval told for its PSNR."""
+
+    colours: Any
+    noise: Any
+    interval: Any  # None: it was left as it is; []: nothing was told
+
+
+def smoothed(noisy, **parameters):
+    """Smooth an image, or a JPEG file."""
+    if not isinstance(noisy, bytes):
+        result = beltrami_cli.smooth_image(noisy, **parameters)
+        choice = result.choice
+        return Smoothed(result.colours, result.noise, None if choice is None else choice.interval or [])
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "in.jpg", Path(folder) / "out.png"
+        source.write_bytes(noisy)
+        report = beltrami_cli.smooth_file(source, target, **parameters).image
+        choice, noise = report.choice, np.array(list(report.noise.values()))
+        return Smoothed(
+            colours_of(target.read_bytes()), noise, None if choice is None else choice["interval"] or []
+        )
+
+
+def colours_of(image):
+    """Return an image in [0, 1], which may be a file."""
+    return read_image(image, "an image").pixels / np.float32(255) if isinstance(image, bytes) else image
 
 
 def best_of_bm3d(noisy, truth):

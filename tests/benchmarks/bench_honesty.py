@@ -11,11 +11,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from bench_camera_noise import SIDE, cases, images, psnr, stored
+from bench_camera_noise import SIDE, cases, colours_of, images, psnr, smoothed, stored
 from scipy.ndimage import gaussian_filter, zoom
 
-import beltrami_cli
-from beltrami_cli.samples.samples import as_jpeg
+from beltrami_cli.samples.samples import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 
@@ -27,17 +26,18 @@ def main():
     held = []
     for name, clean in images(options.images):
         for kind, noisy, truth in [*kinds(stored(clean)), *cases(stored(clean))]:
-            result = beltrami_cli.smooth_image(noisy)
+            result = smoothed(noisy)
             true = psnr(result.colours, truth)
             read, rms = (
-                255 * float(np.sqrt(np.mean(np.square(each)))) for each in (result.noise, noisy - truth)
+                255 * float(np.sqrt(np.mean(np.square(each))))
+                for each in (result.noise, colours_of(noisy) - truth)
             )
             case = f"{name}, {kind}, noise of {rms:.1f} read as {read:.1f}"
-            if result.choice is None or result.choice.interval is None:
-                what = "left as it is" if result.choice is None else "nothing told"
+            if not result.interval:
+                what = "left as it is" if result.interval is None else "nothing told"
                 print(f"{case}: {what}, {true:.1f} dB")
                 continue
-            least, most = result.choice.interval
+            least, most = result.interval
             held.append(least <= true and (most is None or true <= most))
             end = "" if most is None else f" to {most:.1f}"
             verdict = "" if held[-1] else "  MISSED"
@@ -46,7 +46,7 @@ def main():
 
 
 def kinds(clean):
-    """Yield the name of each kind of noise, the noisy image and the truth."""
+    """Yield the name of each kind of noise, the noisy image, or the bytes of a JPEG file, and the truth."""
     random = np.random.default_rng(2)
 
     def white(sigma, like=clean):
@@ -61,7 +61,7 @@ def kinds(clean):
         noise = gaussian_filter(random.standard_normal(clean.shape), (width, width, 0))
         yield f"blurred by {width}, {sigma}", stored(clean + sigma / 255 / noise.std() * noise), clean
     for quality in (75, 85, 92, 98):
-        yield f"JPEG {quality}", as_jpeg(white(10), quality), clean
+        yield f"JPEG {quality}", jpeg_file(white(10), quality), clean
     small = stored(zoom(clean, (0.5, 0.5, 1), order=1))
     large = zoom(small, (2, 2, 1), order=1)
     for sigma in (10, 20):

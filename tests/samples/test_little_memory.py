@@ -141,7 +141,7 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
             file.write_bytes(encode(np.rint(noisy.clip(0, 1) * 255).astype(np.uint8), "png"))
     made = []
     take = TexelSamples.manifold
-    monkeypatch.setattr(TexelSamples, "manifold", lambda self: made.append(take(self)) or made[-1])
+    monkeypatch.setattr(TexelSamples, "manifold", lambda self, *of: made.append(take(self, *of)) or made[-1])
     monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 16)
     memory = 1_100_000  # bytes; all tiles take 1,207,000 with their arrays in files
     settings = SmoothSettings(parameters_with({}, fast=True))
