@@ -45,8 +45,9 @@ def flow_on_pictures(
         return BeltramiFlow(make(None, None), kernel, tick)
     pilot = BeltramiFlow(make(None, None), dataclasses.replace(kernel, patches="off"), tick)
     pilot.run(None if tick is None else lambda *_: tick())
-    rows, noise, stored = _decoded(atlas, pictures, pilot.values(), sigma)
-    del pilot
+    rows = pilot.values()
+    del pilot  # before pictures as large are made
+    noise, stored = _decode(atlas, pictures, rows, sigma)
     flow = BeltramiFlow(make(painted(atlas, rows, kernel.thread_count), noise), kernel, tick)
     if not flow.parameters.iterations:  # what is not smoothed stays as it is
         return BeltramiFlow(make(None, None), kernel, tick)
@@ -85,27 +86,27 @@ def _sigma_before(pictures: Sequence[CodedPicture], given: GivenNoise | None) ->
     return sigma if sigma and is_changed(pictures, sigma) else None
 
 
-def _decoded(
-    atlas: Atlas, pictures: Sequence[CodedPicture], pilot: Float32s, sigma: float
-) -> tuple[Float32s, FoundNoise, Float64s]:
-    """Return the colours of owned cells, which overwrite those of the pilot, their noise, and sigma of that before."""
+def _decode(
+    atlas: Atlas, pictures: Sequence[CodedPicture], rows: Float32s, sigma: float
+) -> tuple[FoundNoise, Float64s]:
+    """Replace a pilot's colours of the owned cells by decoded ones; return their noise, and sigma of that stored."""
     from beltrami_cli.flow.noise.before_jpeg import noise_after
     from beltrami_cli.flow.noise.coded_picture import decode
 
     rasters = []
     for picture in pictures:
         raster = large_arrays.empty(picture.pixels.shape, np.float32)
-        for rows in picture.bands:
-            raster[rows] = picture.pixels[rows] / np.float32(255)
+        for band in picture.bands:
+            raster[band] = picture.pixels[band] / np.float32(255)
         rasters.append(raster)
     blocks = list(large_arrays.blocks(len(atlas.owned_texels)))
     for block in blocks:
         for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-            rasters[index].reshape(-1, pilot.shape[1])[texels] = pilot[block][inside]
+            rasters[index].reshape(-1, rows.shape[1])[texels] = rows[block][inside]
     noise, stored = noise_after(pictures, rasters, sigma)
     for picture, raster in zip(pictures, rasters, strict=True):
         decode(picture, raster, sigma)
     for block in blocks:
         for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-            pilot[block][inside] = rasters[index].reshape(-1, pilot.shape[1])[texels]
-    return pilot, noise, stored
+            rows[block][inside] = rasters[index].reshape(-1, rows.shape[1])[texels]
+    return noise, stored
