@@ -82,6 +82,13 @@ def test_noise_of_grey_in_all_channels_is_not_taken_for_white_noise(tmp_path):
     assert noise_before_jpeg([picture(pixels, 85, "4:4:4", tmp_path)]) is None
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_noise_that_is_louder_in_some_places_is_not_taken_for_the_same_everywhere(turned, tmp_path):
+    pixels = np.where(np.arange(256)[:, None, None] < 128, stored(CLEAN, 5), stored(CLEAN, 20))
+    pixels = np.ascontiguousarray(pixels.swapaxes(0, 1) if turned else pixels)
+    assert noise_before_jpeg([picture(pixels, 85, "4:2:0", tmp_path)]) is None
+
+
 def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
     pictures = [picture(stored(CLEAN, 20), 98, "4:4:4", tmp_path)]
     assert 255 * noise_before_jpeg(pictures) == pytest.approx(20, rel=0.12)

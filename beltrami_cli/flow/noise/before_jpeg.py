@@ -6,6 +6,7 @@ are decoded with that known shows on a pilot, with noise added, coded and decode
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,7 @@ from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.arrays import Bools, Float32s, Float64s
+    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
     from beltrami_cli.flow.noise.coded_picture import CodedPicture
 
 # The order of a coefficient is that of its row plus that of its column.
@@ -53,6 +54,10 @@ _ALIKE, _NEAR = 1.45, 1.15
 # this factor on photographs, from 1.25 on, and grain of two texels from 1.6 on, white noise on one of five.
 _CERTAIN, _ALIKE_LOW = 100, 1.3
 
+# Noise differs from place to place if it is louder by this factor in more than this share of them; and the columns of
+# blocks of a place.
+_LOUDER, _MANY, _BLOCKS_OF_PLACE = 1.7, 0.1, 16
+
 # Noise that is worth it; and steps of luma, relative to its noise, that do, unless chroma is coarser.
 _LEAST_SIGMA, _COARSE = 2.0 / 255, 1.5
 
@@ -72,11 +77,15 @@ _SEED = 80
 def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
     """Estimate sigma of white noise that pictures had before JPEG, full scale 1.
 
-    None if there is little beside texture, or if it was not white, or not the same in all channels and at all levels.
+    None if there is little beside texture, or if it was not white, or not the same in all channels, at all levels and
+    places.
     """
-    luma, low, chroma = _count_in_even_blocks(pictures)
+    counted = _Counted()
+    for picture, some in zip(pictures, _some_bands(pictures), strict=True):
+        counted.add(picture, some)
+    luma = counted.luma
     telling = [own for own in luma if own.observed >= _TELLING]
-    if not telling or sum(own.variance for own in telling) > _MOST_SCATTER * sum(own.even for own in telling):
+    if not telling or not _Counts.joined(telling).is_noise:
         return None
     sigmas = [own.sigma for own in telling]
     least, most = min(sigmas), max(sigmas)
@@ -87,9 +96,11 @@ def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
     near = [own for own, found in zip(telling, sigmas, strict=True) if found < _NEAR * least]
     sigma = _Counts.joined(near).sigma
     is_white = min(own.observed for own in luma[-2:]) >= _CERTAIN
-    if not is_white and low.sigma > _ALIKE_LOW * sigma:
+    if not is_white and counted.low.sigma > _ALIKE_LOW * sigma:
         return None
-    if chroma.expected(sigma) > 2 * _TELLING and chroma.sigma < sigma / _ALIKE:
+    if counted.chroma.expected(sigma) > 2 * _TELLING and counted.chroma.sigma < sigma / _ALIKE:
+        return None
+    if counted.differs(sigma):
         return None
     return sigma / 255
 
@@ -107,10 +118,7 @@ class _Counts:
 
     def __init__(self) -> None:
         self.observed = 0
-        self.variance, self.even = (
-            0.0,
-            0.0,
-        )  # of their number in a block, and what it would be if they were independent
+        self._variance, self._even = 0.0, 0.0  # of their number in a block, and that if they were independent
         self._steps: list[Float64s] = []  # of coefficients, in units of their noise for a sigma of 1
         self._blocks: list[int] = []
 
@@ -121,6 +129,9 @@ class _Counts:
         whole.observed = sum(part.observed for part in parts)
         whole._steps = [steps for part in parts for steps in part._steps]
         whole._blocks = [blocks for part in parts for blocks in part._blocks]
+        whole._variance, whole._even = (
+            sum(own) for own in zip(*((p._variance, p._even) for p in parts), strict=True)
+        )
         return whole
 
     def add(self, multiples: Float64s, steps: Float64s, orders: range) -> None:
@@ -130,8 +141,8 @@ class _Counts:
         self.observed += int(np.count_nonzero(found))
         if len(found):
             shares = found.mean(axis=0)
-            self.variance += len(found) * float(found.sum(axis=1).var())
-            self.even += len(found) * float((shares * (1 - shares)).sum())
+            self._variance += len(found) * float(found.sum(axis=1).var())
+            self._even += len(found) * float((shares * (1 - shares)).sum())
         self._steps.append(steps)
         self._blocks.append(len(multiples))
 
@@ -143,6 +154,11 @@ class _Counts:
         return float(sum(2 * blocks * ndtr(-steps / (2 * sigma)).sum() for steps, blocks in parts))
 
     @property
+    def is_noise(self) -> bool:
+        """Whether their numbers differ from block to block as those of noise do."""
+        return self._variance <= _MOST_SCATTER * self._even
+
+    @property
     def sigma(self) -> float:
         """The noise that explains them."""
         low, high = 0.0, 255.0
@@ -152,28 +168,56 @@ class _Counts:
         return high
 
 
-def _count_in_even_blocks(pictures: Sequence[CodedPicture]) -> tuple[list[_Counts], _Counts, _Counts]:
-    """Count coefficients of luma by orders, in darker and brighter blocks, and low ones of luma and of chroma."""
-    luma, low, chroma = [_Counts() for _ in range(2 * len(_OF_LUMA))], _Counts(), _Counts()
-    for picture, some in zip(pictures, _some_bands(pictures), strict=True):
-        parts = [_even_candidates(picture, rows) for rows in some]
+class _Counted:
+    """Coefficients of even blocks that are not 0."""
+
+    def __init__(self) -> None:
+        self.luma = [_Counts() for _ in range(2 * len(_OF_LUMA))]  # by orders, in darker and brighter blocks
+        self.low, self.chroma = _Counts(), _Counts()  # low orders of luma and of chroma
+        self.places: list[_Counts] = []  # the first of the orders of luma in each part of the pictures
+
+    def add(self, picture: CodedPicture, some: Sequence[slice]) -> None:
+        """Add bands of rows of a picture."""
+        parts = [_band_of(picture, rows) for rows in some]
         for plane, (table, unit) in enumerate(zip(picture.tables, picture.sigma_of_planes(1.0), strict=True)):
-            blocks = np.concatenate([part[plane] for part in parts])
+            blocks, steps = np.concatenate([part.planes[plane] for part in parts]), table.reshape(-1)
             if len(blocks) < _FEWEST:
                 continue
-            energy = np.square(blocks[:, _ORDERS == 1]).sum(axis=1)
-            count = max(_FEWEST, int(_EVEN * len(blocks)))
-            even = blocks[np.argsort(energy, kind="stable")[:count]]
-            steps = table.reshape(-1).astype(np.float64)
+            even = _most_even(blocks)
             multiples = np.rint(even / steps)
-            (chroma if plane else low).add(multiples, steps / unit, _LOW)
+            (self.chroma if plane else self.low).add(multiples, steps / unit, _LOW)
             if plane:
                 continue
             bright = even[:, 0] > np.median(even[:, 0])
             for number, orders in enumerate(_OF_LUMA):
                 for level in (0, 1):
-                    luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
-    return luma, low, chroma
+                    self.luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
+            for part in parts:
+                self._add_places(part, steps, unit)
+
+    def _add_places(self, band: _Band, steps: Float64s, unit: float) -> None:
+        """Add the places of a band of rows one by one."""
+        places = band.columns // _BLOCKS_OF_PLACE
+        for place in np.unique(places):
+            own = _Counts()
+            own.add(np.rint(_most_even(band.planes[0][places == place]) / steps), steps / unit, _OF_LUMA[0])
+            self.places.append(own)
+
+    def differs(self, sigma: float) -> bool:
+        """Whether noise is stronger than elsewhere in many places."""
+        louder = [
+            own
+            for own in self.places
+            if own.observed >= _TELLING and own.is_noise and own.sigma > _LOUDER * sigma
+        ]
+        return len(louder) > _MANY * len(self.places)
+
+
+def _most_even(blocks: Float32s) -> Float32s:
+    """Return the coefficients of the blocks, shape (B, 64), in which the first order has the least energy."""
+    energy = np.square(blocks[:, _ORDERS == 1]).sum(axis=1)
+    count = max(_FEWEST, int(_EVEN * len(blocks)))
+    return blocks[np.argsort(energy, kind="stable")[:count]]
 
 
 def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
@@ -186,16 +230,24 @@ def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
     return chosen
 
 
-def _even_candidates(picture: CodedPicture, rows: slice) -> list[Float32s]:
-    """Return the coefficients of blocks of each plane, shape (B, 64), where nothing is cut off or beyond borders."""
+@dataclass(frozen=True)
+class _Band:
+    """Blocks of some rows of a picture, where nothing is cut off or beyond borders."""
+
+    planes: list[Float32s]  # coefficients of each plane, shape (B, 64)
+    columns: Int64s  # in which blocks of luma are, shape (B,)
+
+
+def _band_of(picture: CodedPicture, rows: slice) -> _Band:
     pixels = picture.pixels[rows]
     inside = picture.used[rows] & ((pixels > 0) & (pixels < 255)).all(axis=2)
-    found = []
-    for number, plane in enumerate(picture.planes(pixels)):
-        fits = inside if number == 0 else means_over(inside.astype(np.float32), picture.span) == 1
+    planes, columns = [], None
+    for plane in picture.planes(pixels):
+        fits = inside if columns is None else means_over(inside.astype(np.float32), picture.span) == 1
         whole = in_blocks(fits).all(axis=(2, 3))
-        found.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))
-    return found
+        planes.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))
+        columns = np.nonzero(whole)[1] if columns is None else columns
+    return _Band(planes, np.zeros(0, np.int64) if columns is None else columns)
 
 
 def noise_after(
