@@ -8,13 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.levelling.fit import fit_exposures
-from beltrami_cli.levelling.steps import ChartPlaces, steps_over_edges, steps_over_seams, weighted_median
+from beltrami_cli.levelling.hues import continue_hues, mixed_cells
+from beltrami_cli.levelling.steps import (
+    ChartPlaces,
+    limits_of,
+    steps_over_edges,
+    steps_over_seams,
+    weighted_median,
+)
 from beltrami_cli.levelling.verdict import judge
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import refresh_halo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
     from beltrami_cli.levelling.fit import Exposures
@@ -145,12 +152,21 @@ class Correction:
 
 
 def level_canvas(
-    atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None
+    atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None, halved: Sequence[bool] = ()
 ) -> tuple[Levelled, float]:
-    """Take exposures out of planes, shape (N, R, C), in place; return also the mean change, 0 if they stay."""
+    """Take exposures out of planes, shape (N, R, C), in place; return also the mean change, 0 if they stay.
+
+    `halved`: of which textures colour, red, green and blue, is stored at half the resolution.
+    """
     places, columns = ChartPlaces.of(atlas), atlas.kind.shape[1]
-    found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
     flat = planes.reshape(len(planes), -1)
+    found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
+    # Hues continued over more texels are less sure: whether there are exposures at all, mixed ones must tell, too.
+    if found.exposures is not None and any(halved):
+        mixed = mixed_cells(atlas, halved)
+        own = continue_hues(atlas, planes, mixed, limits_of(planes))
+        found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
+        flat[:, mixed] = own
 
     def samples(rows: Int64s | slice) -> tuple[Float32s, Indices, Float64s]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]

@@ -9,16 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples.reports import LevelReport
 from beltrami_cli.surface import large_arrays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from beltrami_cli.arrays import Bools, Int64s
+    from beltrami_cli.arrays import Bools, Float32s, Int64s
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
+    from beltrami_cli.formats.image.jpeg_tables import JpegTables
     from beltrami_cli.levelling.correction import Levelled
+    from beltrami_cli.samples.settings import LevelSettings
     from beltrami_cli.surface.atlas import Atlas
     from beltrami_cli.surface.records import Texture
 
@@ -72,6 +75,12 @@ class TextureCharts:
             found |= np.isin(self.texture_of, fits)
         return found
 
+    def level(
+        self, atlas: Atlas, planes: Float32s, wanted: LevelSettings, halved: Sequence[bool]
+    ) -> tuple[Levelled, float]:
+        """Take exposures out of planes as wanted, see `level_canvas`."""
+        return level_canvas(atlas, planes, wanted.strength, self.matching(wanted.reference), halved)
+
     def facts(self, pictures: Sequence[Picture]) -> list[dict[str, object]]:
         """Return for each chart its number, its texture, a texel of it there, and how many it has."""
         found: list[dict[str, object]] = []
@@ -81,6 +90,12 @@ class TextureCharts:
             place = {"texture": self.textures[index].name, "column": column, "row": row}
             found.append({"chart": chart, **place, "samples": int(self.areas[chart])})
         return found
+
+
+def halved_colour(tables: Sequence[JpegTables | None], names: Sequence[str]) -> list[bool]:
+    """Return which textures are JPEG with colour at half the resolution, along rows, columns or both."""
+    is_coloured = tuple(names) == ("red", "green", "blue")
+    return [is_coloured and each is not None and max(each.span) > 1 for each in tables]
 
 
 def level_report(

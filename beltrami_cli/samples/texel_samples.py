@@ -16,10 +16,9 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture, check_writable, is_unchanged, losses, read_image
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
-from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
-from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, level_report
+from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
@@ -134,7 +133,7 @@ class TexelSamples(samples.Samples):
             cause = f"{self.label}: they are data, which no camera exposed; leave them out of --slots"
             raise UsageError(cause)
         planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
-        found, change = level_canvas(self.atlas, planes, wanted.strength, charts.matching(wanted.reference))
+        found, change = charts.level(self.atlas, planes, wanted, halved_colour(self._tables, self.names))
         self._levelled = planes if change else None
         if not change and not self.settings.level_seams:
             self._gutter = None  # what is not levelled stays as it is

@@ -10,10 +10,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import canvas_colours
+from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams, with_noise
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
@@ -29,8 +32,33 @@ class ExposureScene:
 
     @classmethod
     def of(cls, path):
-        samples = TexelSamples(open_document(str(path)).textured("baseColor"), "baseColor", DEFAULTS)
+        return cls.on(open_document(str(path)).textured("baseColor"))
+
+    @classmethod
+    def on(cls, surface):
+        samples = TexelSamples(surface, "baseColor", DEFAULTS)
         return cls(samples, samples.colours.samples(samples.atlas).astype(float))
+
+    def as_jpeg(self, colours, quality, subsampling="4:2:0"):
+        """Return the scene of other colours that were stored as JPEG, with those of neighbours in the gutters."""
+        surface, textures = self.samples.surface, []
+        settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
+        samples = TexelSamples(surface, "baseColor", settings)
+        planes = painted(samples.atlas, colours.astype(np.float32), 1)
+        images = samples.repaint(canvas_colours(samples.atlas, planes, 1)).images
+        for texture in surface.textures:
+            png = read_image(images["baseColor", texture.key].data, texture.name)
+            new = new_picture(png.pixels, texture.name)
+            new.spec.attribute("jpeg:subsampling", subsampling)
+            jpeg = replace(new, format="jpeg", suffix=".jpg")
+            file = write_image(jpeg, png.pixels, jpeg_quality=quality)
+            textures.append(replace(texture, content=file.data))
+        return ExposureScene.on(replace(surface, textures=tuple(textures)))
+
+    def levelled_as_file(self):
+        """Return what `beltrami level` makes of the colours of its files."""
+        self.samples.level(LevelSettings())
+        return self.samples.levelled().table().astype(float)
 
     @property
     def charts(self):
@@ -44,9 +72,10 @@ class ExposureScene:
         truth, expose = self.exposures(seed, fall_off=fall_off, clipped=clipped, in_light=in_light)
         return truth, np.rint(np.clip(expose(truth), 0, 1) * 255) / 255
 
-    def restored(self, seed, *, fall_off=False, clipped=False):
-        """Return the colours that one has who knows the exposures, but not what they cut off."""
+    def restored(self, seed, *, fall_off=False, clipped=False, shown=None):
+        """Return what one makes of colours, of the exposed ones if not given, who knows the exposures."""
         truth, exposed = self.exposed(seed, fall_off=fall_off, clipped=clipped)
+        exposed = exposed if shown is None else shown
         _, expose = self.exposures(seed, fall_off=fall_off, clipped=clipped)
         offset = expose(0 * truth)
         return (exposed - offset) / (expose(1 + 0 * truth) - offset)

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts
 from beltrami_cli.levelling.fit import Exposures, fit_exposures, known_steps
+from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median, with_noise
 from beltrami_cli.levelling.verdict import STRONG, bridges, judge
 from benchmarks.exposure_scene import ExposureScene, error, fall
@@ -49,6 +50,55 @@ def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name
         truth, exposed = scene.exposed(seed, fall_off=True)
         falls.append(fall(exposed, scene.levelled(exposed)[0], truth))
     assert np.mean(falls) >= least
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [("head-tex-clean.glb", 8), pytest.param("scan-clean.glb", 6, marks=pytest.mark.slow)],
+)
+def test_exposures_are_found_where_jpeg_mixed_hues_over_the_borders_of_charts(name, least):
+    # Who knows the exposures gains 11 and 9 dB, and who does not know of the mixing 3 and 2.
+    scene = ExposureScene.of(SAMPLES / name)
+    truth, exposed = scene.exposed(1)
+    stored = scene.as_jpeg(exposed, 92)
+    assert fall(stored.truth, stored.levelled_as_file(), truth) >= least
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["head-tex-clean.glb", "torus-two-clean.gltf", "scan-clean.glb"])
+def test_a_jpeg_without_exposure_steps_keeps_every_bit(name):
+    scene = ExposureScene.of(SAMPLES / name)
+    for quality in (85, 92):
+        stored = scene.as_jpeg(scene.truth, quality)
+        assert np.array_equal(stored.levelled_as_file(), stored.truth)
+
+
+def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
+    atlas, random = head.samples.atlas, np.random.default_rng(3)
+    hue = random.uniform(-0.2, 0.2, (atlas.charts, 3))
+    hue -= (hue @ LUMA)[:, None]
+    grey = random.uniform(0.3, 0.7, (len(head.charts), 1))
+    planes = painted(atlas, (grey + hue[head.charts]).astype(np.float32), 1)
+    cells, flat = mixed_cells(atlas, [True]), planes.reshape(3, -1)
+    wanted = flat[:, cells]
+    mixed = random.uniform(-0.2, 0.2, (len(cells), 3))
+    flat[:, cells] += (mixed - (mixed @ LUMA)[:, None]).T
+    before = flat[:, cells]
+    assert np.array_equal(continue_hues(atlas, planes, cells, (0.0, 1.0)), before)
+    # Where a chart is so narrow that all is mixed, nothing can be done.
+    is_known = np.any(flat[:, cells] != before, axis=0)
+    assert is_known.mean() > 0.95
+    assert np.abs(flat[:, cells] - wanted)[:, is_known].max() < 1e-5
+
+
+def test_only_cells_near_borders_in_textures_with_halved_colour_are_mixed():
+    scene = ExposureScene.of(SAMPLES / "torus-two-clean.gltf")
+    atlas = scene.samples.atlas
+    cells = mixed_cells(atlas, [False, True])
+    texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, cells)]
+    assert np.all(texels >= atlas.texture_offsets[1])
+    assert 0 < len(cells) < 0.1 * len(atlas.owned_cells)
+    assert len(mixed_cells(atlas, [False, False])) == 0
 
 
 def test_two_charts_are_enough():
