@@ -54,8 +54,8 @@ _ALIKE, _NEAR = 1.45, 1.15
 # this factor on photographs, from 1.25 on, and grain of two texels from 1.6 on, white noise on one of five.
 _CERTAIN, _ALIKE_LOW = 100, 1.3
 
-# Noise differs from place to place if it is louder by this factor in more than this share of them; and the columns of
-# blocks of a place.
+# Noise differs from place to place if it is louder by this factor in more than this share of them; and the rows and
+# columns of blocks of a place.
 _LOUDER, _MANY, _BLOCKS_OF_PLACE = 1.7, 0.1, 16
 
 # Noise that is worth it; and steps of luma, relative to its noise, that do, unless chroma is coarser.
@@ -192,16 +192,11 @@ class _Counted:
             for number, orders in enumerate(_OF_LUMA):
                 for level in (0, 1):
                     self.luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
-            for part in parts:
-                self._add_places(part, steps, unit)
-
-    def _add_places(self, band: _Band, steps: Float64s, unit: float) -> None:
-        """Add the places of a band of rows one by one."""
-        places = band.columns // _BLOCKS_OF_PLACE
-        for place in np.unique(places):
-            own = _Counts()
-            own.add(np.rint(_most_even(band.planes[0][places == place]) / steps), steps / unit, _OF_LUMA[0])
-            self.places.append(own)
+            places = np.concatenate([part.places for part in parts])
+            for place in np.unique(places):
+                own = _Counts()
+                own.add(np.rint(_most_even(blocks[places == place]) / steps), steps / unit, _OF_LUMA[0])
+                self.places.append(own)
 
     def differs(self, sigma: float) -> bool:
         """Whether noise is stronger than elsewhere in many places."""
@@ -235,19 +230,21 @@ class _Band:
     """Blocks of some rows of a picture, where nothing is cut off or beyond borders."""
 
     planes: list[Float32s]  # coefficients of each plane, shape (B, 64)
-    columns: Int64s  # in which blocks of luma are, shape (B,)
+    places: Int64s  # in which blocks of luma are, shape (B,)
 
 
 def _band_of(picture: CodedPicture, rows: slice) -> _Band:
     pixels = picture.pixels[rows]
     inside = picture.used[rows] & ((pixels > 0) & (pixels < 255)).all(axis=2)
-    planes, columns = [], None
-    for plane in picture.planes(pixels):
-        fits = inside if columns is None else means_over(inside.astype(np.float32), picture.span) == 1
+    planes, places = [], np.zeros(0, np.int64)
+    for number, plane in enumerate(picture.planes(pixels)):
+        fits = means_over(inside.astype(np.float32), picture.span) == 1 if number else inside
         whole = in_blocks(fits).all(axis=(2, 3))
         planes.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))
-        columns = np.nonzero(whole)[1] if columns is None else columns
-    return _Band(planes, np.zeros(0, np.int64) if columns is None else columns)
+        if not number:
+            down = rows.start // (SIDE * _BLOCKS_OF_PLACE)
+            places = down * picture.used.shape[1] + np.nonzero(whole)[1] // _BLOCKS_OF_PLACE
+    return _Band(planes, places)
 
 
 def noise_after(

@@ -35,8 +35,8 @@ _RGB = np.linalg.inv(_YCC)
 # Cells a side of a block.
 SIDE = 8
 
-# Rows that are worked on at a time, a multiple of those of blocks of chroma.
-_BAND = 128
+# Rows that are worked on at a time, which hold whole blocks of chroma: as many as have no more pixels than this.
+_BANDS, _PIXELS = (128, 64, 32, 16), 1 << 18
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,9 @@ class CodedPicture:
     @property
     def bands(self) -> list[slice]:
         """Rows to work on at a time."""
-        return list(large_arrays.blocks(len(self.pixels), _BAND))
+        count, columns = self.used.shape
+        rows = next((rows for rows in _BANDS if rows * columns <= _PIXELS), _BANDS[-1])
+        return list(large_arrays.blocks(count, rows))
 
     def planes(self, pixels: Array) -> list[Float32s]:
         """Return luma and chroma of some rows of pixels of full scale 255."""
@@ -102,9 +104,10 @@ def correction(picture: CodedPicture, stored: Float32s, pilot: Float32s, sigma: 
     for own, near, steps, noise in zip(
         picture.planes(stored), picture.planes(pilot), *of_planes, strict=True
     ):
-        stands, expected = coefficients_of(own), coefficients_of(near)
-        middle = np.rint(stands / steps) * steps
-        planes.append(_from_coefficients(_mean_within(expected, noise, middle, steps / 2) - stands))
+        changes, expected = coefficients_of(own), coefficients_of(near)
+        for row, mean in zip(changes, expected, strict=True):  # one by one, as this takes many arrays
+            row[:] = _mean_within(mean, noise, np.rint(row / steps) * steps, steps / 2) - row
+        planes.append(_from_coefficients(changes))
     return picture.pixels_of(planes, stored.shape)
 
 
