@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.formats.image.jpeg_tables import JpegTables
     from beltrami_cli.samples.probes.probe import Probe
     from beltrami_cli.samples.texture_groups import TextureGroup
 
@@ -65,8 +66,8 @@ class TexelSamples(samples.Samples):
         if group is not None:
             self.label += f", {group.label}"
         self.surface = choose_textures(surface, settings.textures)
+        self._tables: list[JpegTables | None] = []
         self.pictures = [self._picture(texture) for texture in self.surface.textures]
-        self._tables = [read_jpeg_tables(texture.data) for texture in self.surface.textures]
         self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
         self.colours = TexelColours(self.pictures, slot, settings)
         self.names = self.colours.names
@@ -92,15 +93,16 @@ class TexelSamples(samples.Samples):
         self._is_dithered = False
 
     def _picture(self, texture: Texture) -> Picture:
-        """Decode a texture; of those around a group the files are not kept."""
-        picture = read_image(texture.data, texture.name)
+        """Decode a texture, and keep its tables; of those around a group the files are not kept."""
+        data = texture.data  # which may be read anew each time
+        picture = read_image(data, texture.name)
+        self._tables.append(read_jpeg_tables(data))
         if self._group is None or texture.key in self._group.own:
             return picture
         return dataclasses.replace(picture, source=b"")
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
-        is_stored = self._levelled is None and self.colours.shows_all
-        tables = self._tables if is_stored else []
+        tables = self._tables if self._levelled is None and self.colours.shows_all else []
         pixels = [picture.pixels for picture in self.pictures]
         flow = flow_on_pictures(self.manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
         self._guides = []

@@ -56,6 +56,14 @@ def test_other_colours_than_luma_and_chroma_have_none(mode):
     assert read_jpeg_tables(saved(mode=mode, **options)) is None
 
 
+def test_steps_of_0_are_none():
+    whole = bytearray(saved(quality=85))
+    at = whole.index(b"\xff\xdb") + 5
+    assert read_jpeg_tables(bytes(whole)).steps[0, 0, 0] == whole[at]
+    whole[at] = 0
+    assert read_jpeg_tables(bytes(whole)) is None
+
+
 def test_other_and_damaged_files_have_none_or_the_same():
     whole = saved(quality=85)
     tables = read_jpeg_tables(whole)

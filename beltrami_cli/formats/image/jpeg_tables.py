@@ -41,7 +41,7 @@ class JpegTables:
 
 
 def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
-    """Read the tables of a grey or YCbCr picture; None of any other."""
+    """Read the tables of a grey or YCbCr picture; None of any other, or if they are damaged."""
     tables: dict[int, Float64s] = {}
     frame, transform = b"", 1
     try:
@@ -52,9 +52,11 @@ def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
                 frame = body
             elif marker == _ADOBE and body.startswith(b"Adobe"):
                 transform = body[11]
-        return _of_frame(frame, tables, transform)
+        found = _of_frame(frame, tables, transform)
     except (IndexError, KeyError, ValueError, struct.error):
         return None
+    # Decoders let steps of 0 pass, of which nothing can be a multiple.
+    return None if found is None or found.steps.min() < 1 or min(found.span) < 1 else found
 
 
 def _segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
