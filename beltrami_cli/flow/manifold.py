@@ -86,6 +86,9 @@ class Manifold(Domain):
     doubt: float = 0.0
     """The mean square error that may be missing in estimates because of JPEG; infinite: nobody can tell."""
 
+    most_noise: float = np.inf
+    """The root mean square of estimated noise, over channels of colour, at most."""
+
     @property
     def shares_noise(self) -> bool:
         """Whether neighbouring samples share noise."""
@@ -127,10 +130,12 @@ class Manifold(Domain):
     def take_found(self, noise: FoundNoise) -> None:
         """Take what was found of the noise."""
         self.stabiliser, self.noise_covariances, self.doubt = noise.stabiliser, noise.covariances, noise.doubt
+        self.most_noise = noise.most
 
     def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
         """Set the noise of the colours to what is reckoned with; `sigma` is of noise that is given by sample."""
         colours = self.sigma[:COLOURS]
+        colours *= min(1.0, self.most_noise / max(float(np.sqrt(np.mean(colours**2))), 1e-12))
         colours[:] = noise_of(parameters, colours, sigma, self.stabiliser)
 
     def given_beta(self, beta: float) -> float:

@@ -200,3 +200,25 @@ def test_quantiles_are_those_of_numpy(count):
     for share in (0.0, 0.1, 0.37, 0.5, 1.0):
         # The same line between the same two values, rounded once more or less.
         assert quantile(values, share) == pytest.approx(np.quantile(values, share), rel=1e-15)
+
+
+def gravel(size, contrast, seed=3):
+    """Return stones of two texels' width everywhere, of one hue."""
+    fine = gaussian_filter(np.random.default_rng(seed).standard_normal((size, size)), 0.7, mode="wrap")
+    return np.repeat(0.5 + contrast * (fine / fine.std())[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("sigma", [5, 10, 20])
+def test_a_texture_without_a_flat_place_is_no_noise_where_differences_of_channels_show_that(sigma):
+    """Of the texture alone, diagonal details have about 15/255, and larger ones more, in the mean of channels."""
+    image = stored(noisy(gravel(192, 0.12), sigma / 255))
+    assert np.sqrt(np.mean(on_grid(image) ** 2)) > 1.15 * sigma
+    assert beltrami_cli.smooth_image(image).noise * 255 == pytest.approx(sigma, rel=0.06)
+
+
+def test_grey_noise_on_a_plain_picture_is_found_though_channels_share_it():
+    """Its mean of channels is as white as their differences are, and larger: that is no texture."""
+    plain = np.full((192, 192, 3), 0.5)
+    grey = np.random.default_rng(8).standard_normal((192, 192, 1)) * 15 / 255
+    image = stored(noisy(plain, 5 / 255) + grey)
+    assert beltrami_cli.smooth_image(image).noise * 255 == pytest.approx(np.hypot(5, 15), rel=0.06)

@@ -40,6 +40,10 @@ _MOST_OF_DIAGONAL = 3.0
 # Growth of the mean of channels from single cells to the second scale, beyond which it is texture.
 _PLAIN_GROWTH = 2.0
 
+# Growth of the mean of channels from single cells to the second scale, beyond which even the flattest places are texture;
+# and change of white noise in their differences at most, as it is measured.
+_NOWHERE_FLAT, _WHITE = 1.4, 1.25
+
 # Growth to the last scale, below which noise has reached its full size.
 _LEVEL, _ALIKE = 1.5, 2.0
 
@@ -78,6 +82,7 @@ class FoundNoise:
     covariances: Float64s | None = None  # of stabilised colours, shape (L, N, N), see `haar_noise`
     doubt: float = 0.0  # mean square of what may be missing because of JPEG; infinite: nobody can tell
     sigma: Float64s | None = None  # of stabilised colours, by channel, once that is known
+    most: float = np.inf  # root mean square of independent noise, over the first channels, at most
 
 
 def noise_of_scales(
@@ -98,7 +103,8 @@ def noise_of_scales(
     stabiliser = stabiliser_of(found) if by_level else None
     doubt = _doubt(found.sigma)
     if not is_shared(found.sigma):
-        return FoundNoise(stabiliser, doubt=doubt)
+        most = _most_independent(found.sigma) if stabiliser is None else np.inf
+        return FoundNoise(stabiliser, doubt=doubt, most=most)
     count, independent = len(mixing), alone()
     sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))
     if stabiliser is not None:
@@ -108,6 +114,15 @@ def noise_of_scales(
     rest = np.arange(count, channels)  # other channels have noise of their own
     covariances[:, rest, rest] = independent[count:] ** 2
     return FoundNoise(stabiliser, covariances, doubt)
+
+
+def _most_independent(sigma: Float64s) -> float:
+    """Return what differences of channels show of white noise, if all that their mean shows is texture."""
+    if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 2 or np.isnan(sigma[:2]).any():
+        return float(np.inf)
+    fine, middle = np.sqrt(np.mean(sigma[:2, 1:] ** 2, axis=1))
+    is_white = max(fine, middle) < _WHITE * min(fine, middle)
+    return float(fine) if is_white and sigma[1, 0] > _NOWHERE_FLAT * sigma[0, 0] else float(np.inf)
 
 
 def _doubt(sigma: Float64s) -> float:

@@ -7,6 +7,7 @@ more than 131,072 samples, evenly spread blocks of consecutive samples are used.
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -239,7 +240,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     mixed = np.einsum("ki,si->sk", mixing, own)
     cut = ((own <= 0) | (own >= 1)).mean(axis=1)
     columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
-    doubt = 0.0
+    found = FoundNoise()
     if np.count_nonzero(inside) >= _FEWEST_SHARED:
         scales, levels = [], list(islice(levels_of(part), SCALES + 2))
         for fine, parents, tiles in zip(levels, levels[1:], levels[2:], strict=False):
@@ -249,10 +250,9 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
         found = noise_of_scales(scales, mixing, colours.shape[1], alone, by_level=by_level)
         if found.covariances is not None:
             return found
-        doubt = found.doubt
     # Independent noise shows better in what differs from neighbours, where slopes do not.
     fitted = fit_by_level([_residuals(columns, edges, inside)]) if by_level else None
-    return FoundNoise(None if fitted is None else stabiliser_of(fitted), doubt=doubt)
+    return dataclasses.replace(found, stabiliser=None if fitted is None else stabiliser_of(fitted))
 
 
 def _residuals(columns: Float32s, edges: Int32s, inside: Bools) -> Neighbourhoods:
