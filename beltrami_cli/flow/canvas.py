@@ -82,7 +82,7 @@ def collaborate_on_canvas(
         if progress is not None:
             progress(done)
 
-    own = mixing.forth, mixing.back, mixing.variances
+    own = mixing.parts
     variances = None if relative is None else relative[0]
     collaborate_on_grid(
         kind, noisy, pilot, own, variances, mixing.has_pilot, estimates, weights, threads, report

@@ -165,7 +165,7 @@ class MeshManifold(MeshKernels):
         """Estimate colours from patches in tangent planes."""
         assert self._patches is not None
         estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
-        own = mixing.forth, mixing.back, mixing.variances
+        own = mixing.parts
         relative = None if self.differing is None else self.differing[:, 0]
         self._patches.collaborate(
             noisy, pilot, own, relative, mixing.has_pilot, estimates, weights, self.threads, progress

@@ -46,10 +46,10 @@ if TYPE_CHECKING:
 # Differences of channels count half when patches are compared, since they hold little detail and as much noise.
 _COMPARED = np.array([1, 0.5, 0.5])
 
-# In photographs most of the detail in differences of channels is in their mean, too, and what remains of their noise is
-# what people see: more noise is reckoned with once there is a pilot. Noise that neighbours share is removed on coarser
-# levels, which differences of channels need most.
-_MORE_IN_DIFFERENCES, _MORE_IF_SHARED = 4.0, 1.0
+# What the noise is multiplied by, once there is a pilot, where patches show no detail. In photographs most of the detail in
+# differences of channels is in their mean, too, and what remains of their noise is what people see. Noise that neighbours
+# share is known less well, so that what exceeds it may be noise as well: the factors are 1 and not less where there is detail.
+_SHRINKAGE, _OF_DIFFERENCES, _IF_SHARED = 2.0, 6.0, 1.0
 
 # Channels of which the differences vary this much less than the mean are colours; so many steps are enough to tell.
 _COLOURED, _ENOUGH_STEPS = 0.7, 200_000
@@ -307,17 +307,24 @@ def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
     if count >= len(OPPONENTS) and _is_coloured(manifold, colours):
         forth[:3, :3] = _COMPARED[:, None] * OPPONENTS
     mixed = np.einsum("ki,ij,kj->k", forth, noise, forth)
-    return Mixing(*(np.ascontiguousarray(part, np.float32) for part in (forth, np.linalg.inv(forth), mixed)))
+    parts = forth, np.linalg.inv(forth), mixed, np.ones(count)
+    return Mixing(*(np.ascontiguousarray(part, np.float32) for part in parts))
 
 
 def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     """Return the same with the noise that is reckoned with once there is a pilot."""
     is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
-    more = _MORE_IF_SHARED if manifold.shares_noise else _MORE_IN_DIFFERENCES
-    factor = np.where(is_difference, more, 1.0) * SMOOTHNESS[manifold.parameters.strength]
-    variances = (mixing.variances * factor).astype(np.float32)
-    return dataclasses.replace(mixing, variances=variances, has_pilot=True)
+    shrinkage, least = np.where(is_difference, _OF_DIFFERENCES, _SHRINKAGE), 0.0
+    if manifold.shares_noise:
+        shrinkage, least = np.full(len(shrinkage), _IF_SHARED), _IF_SHARED
+    return dataclasses.replace(
+        mixing,
+        variances=mixing.variances * np.float32(SMOOTHNESS[manifold.parameters.strength]),
+        shrinkage=shrinkage.astype(np.float32),
+        least_factor=least,
+        has_pilot=True,
+    )
 
 
 def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:

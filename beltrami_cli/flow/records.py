@@ -67,7 +67,14 @@ class Mixing:
     forth: Float32s
     back: Float32s
     variances: Float32s
+    shrinkage: Float32s  # what the noise is multiplied by, with a pilot, where there is no detail, shape (N,)
+    least_factor: float = 0.0  # ... and at least, where there is
     has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
+
+    @property
+    def parts(self) -> tuple[Float32s | float, ...]:
+        """What the core takes."""
+        return self.forth, self.back, self.variances, self.shrinkage, self.least_factor
 
 
 @dataclass(frozen=True)

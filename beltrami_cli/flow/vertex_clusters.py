@@ -62,7 +62,7 @@ class Clusters(CoarseLevel):
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
         """Estimate means from patches of clusters in tangent planes; shared noise does not fall with their size."""
         estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
-        own = mixing.forth, mixing.back, mixing.variances
+        own = mixing.parts
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
         self._patches.collaborate(
             noisy, pilot, own, relative, mixing.has_pilot, estimates, weights, self._threads, None

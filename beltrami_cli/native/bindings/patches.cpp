@@ -26,17 +26,20 @@ void check_shape(const Stack& like, std::initializer_list<const Output*> stacks)
       if (stack->shape(axis) != like.shape(axis)) throw nb::value_error("all stacks must have one shape");
 }
 
-// How channels are mixed for the estimate, and the variances of their noise.
+// How channels are mixed for the estimate, the variances of their noise, and what these are multiplied by, see groups.hpp.
 struct Mixing {
   Matrix<float> forth, back;
-  Vector<float> variances;
+  Vector<float> variances, shrinkage;
+  float least_factor;
 };
 
 Mixing mixing_of(const nb::tuple& parts, std::size_t channels) {
-  Mixing mixing{nb::cast<Matrix<float>>(parts[0]), nb::cast<Matrix<float>>(parts[1]), nb::cast<Vector<float>>(parts[2])};
+  Mixing mixing{nb::cast<Matrix<float>>(parts[0]), nb::cast<Matrix<float>>(parts[1]), nb::cast<Vector<float>>(parts[2]),
+                nb::cast<Vector<float>>(parts[3]), nb::cast<float>(parts[4])};
   for (const auto* matrix : {&mixing.forth, &mixing.back})
     if (matrix->shape(0) != channels || matrix->shape(1) != channels) throw nb::value_error("mixing must be square");
-  if (mixing.variances.size() != channels) throw nb::value_error("one variance a channel is needed");
+  for (const auto* values : {&mixing.variances, &mixing.shrinkage})
+    if (values->size() != channels) throw nb::value_error("one variance and one shrinkage a channel are needed");
   return mixing;
 }
 
@@ -53,7 +56,8 @@ void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pil
     throw nb::value_error("the relative variance must have the grid's shape");
   const Mixing own = mixing_of(mixing, channels);
   const Canvas canvas{rows, columns, kind.data(), noisy.data(), pilot.data(), channels, own.forth.data(), own.back.data(),
-                      own.variances.data(), relative ? relative->data() : nullptr};
+                      own.variances.data(), own.shrinkage.data(), own.least_factor,
+                      relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     collaborate(canvas, has_pilot, {estimates.data(), weights.data()}, threads, poll);
   });
@@ -93,8 +97,10 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
     if (pilot.shape(axis) != noisy.shape(axis) || estimates.shape(axis) != noisy.shape(axis) ||
         weights.shape(axis) != noisy.shape(axis))
       throw nb::value_error("all stacks must have one shape");
-  const SurfacePatches::Colours colours{noisy.data(),     pilot.data(),    channels,
-                                        own.forth.data(), own.back.data(), own.variances.data(),
+  const SurfacePatches::Colours colours{noisy.data(),         pilot.data(),
+                                        channels,             own.forth.data(),
+                                        own.back.data(),      own.variances.data(),
+                                        own.shrinkage.data(), own.least_factor,
                                         relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     surface.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads, poll);

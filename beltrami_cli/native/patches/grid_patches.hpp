@@ -38,7 +38,8 @@ struct Canvas {
   const float *noisy, *pilot;  // `channels` planes
   std::size_t channels;
   const float *mixing, *unmixing;  // channels * channels: makes the channels that are estimated one by one, and back
-  const float* variances;          // of the noise of these
+  const float *variances, *shrinkage;  // of these, see Channels
+  float least_factor;
   const float* relative;           // what a cell's variance is multiplied by; nullptr: 1
 };
 

@@ -17,6 +17,10 @@ constexpr float least_share = 0.05F;
 // What is added at least, as a share of the trace, so that float32 can solve the system.
 constexpr float least_of_trace = 1e-7F;
 
+// Patches whose noise the detail of a group must exceed to count more than `shrinkage`; and the detail of a patch in the
+// pilot, in units of what D was made, below which there is none.
+constexpr float trusted_patches = 10, least_detail = 0.02F;
+
 // A bound on weights.
 constexpr float least_norm = 1e-6F;
 
@@ -46,6 +50,7 @@ class Estimate {
   explicit Estimate(Group& group) : group_(group) {}
 
   void run(bool has_pilot) {
+    if (has_pilot && !match_detail()) return;
     transpose(has_pilot ? group_.pilot.data() : group_.noisy.data());
     multiply();
     float *theta = group_.theta.data(), *energy = group_.energy.data(), trace = 0;
@@ -74,6 +79,48 @@ class Estimate {
     for (std::size_t v = 0; v < count; ++v) values[v] = load(row + v * lane_count);
     for (std::size_t j = 0; j < block; ++j)
       for (std::size_t v = 0; v < count; ++v) sums[j][v] += values[v] * factors[j];
+  }
+
+  // Multiplies D by alpha; returns false if there is no detail, and all patches became their mean.
+  bool match_detail() {
+    const auto found = static_cast<float>(group_.found);
+    float* energy = group_.energy.data();
+    float noise = 0;
+    for (std::size_t k = 0; k < group_.found; ++k) noise += energy[k];
+    noise /= found;
+    const float of_pilot = spread_of(group_.pilot.data()), of_noisy = spread_of(group_.noisy.data());
+    const float detail = std::max(of_noisy - (found - 1) * noise, 0.0F), trusted = trusted_patches * noise;
+    const float ratio = (of_pilot + group_.shrinkage * trusted) / (detail + trusted);
+    const float alpha = std::max(ratio, group_.least_factor);
+    if (of_pilot < least_detail * alpha * noise * (found - 1)) {
+      for (std::size_t k = 0; k < group_.found; ++k)
+        std::copy_n(mean_.data(), length, group_.estimates.data() + k * length);
+      std::fill_n(group_.weights.data(), group_.found, found);
+      return false;
+    }
+    for (std::size_t k = 0; k < group_.found; ++k) energy[k] *= alpha;
+    return true;
+  }
+
+  // The sum of the squared differences of patches from their mean, which is kept.
+  float spread_of(const float* patches) {
+    std::array<Lanes, long_packs> sums{}, squares{};
+    for (std::size_t k = 0; k < group_.found; ++k)
+      for (std::size_t v = 0; v < long_packs; ++v) {
+        const Lanes values = load(patches + k * length + v * lane_count);
+        sums[v] += values;
+        squares[v] += values * values;
+      }
+    const float inverse = 1 / static_cast<float>(group_.found);
+    alignas(64) std::array<float, length> totals;
+    for (std::size_t v = 0; v < long_packs; ++v) {
+      store(mean_.data() + v * lane_count, sums[v] * inverse);
+      store(totals.data() + v * lane_count, squares[v] - sums[v] * sums[v] * inverse);
+    }
+    // In the same order for any number of lanes.
+    for (std::size_t half = length / 2; half > 0; half /= 2)
+      for (std::size_t i = 0; i < half; ++i) totals[i] += totals[i + half];
+    return std::max(totals[0], 0.0F);
   }
 
   // Makes rows of values, of which the patches are columns: one for each place in the rows of patches.
@@ -215,6 +262,7 @@ class Estimate {
 
   Group& group_;
   std::array<float, size> added_;
+  alignas(64) std::array<float, length> mean_;
 };
 
 }  // namespace

@@ -10,6 +10,15 @@
 // which is the ridge estimate of [1], eqs. (8) and (13), under the constraint that a constant stays. Without a pilot, the
 // least of Stein's unbiased estimate of the error is at the same Theta with B = (Y^T Y)^-1.
 //
+// A pilot has lost some detail and kept some noise. How much detail a group holds is known without bias: with sums over
+// its K patches of squared differences from their mean, E_X of the pilot and E_Y of the noisy patches, and d the mean of D,
+// it is E_Y - (K - 1) d. So D is multiplied by
+//
+//   alpha = (E_X + c s d) / (max(E_Y - (K - 1) d, 0) + c d),
+//
+// the ratio of what the pilot holds to that, drawn to `shrinkage` s where there is little of either, and at least
+// `least_factor`. Where the pilot holds next to nothing beside alpha D, every patch becomes the mean of all: Theta = 1 / K.
+//
 // [1] S. Herbreteau, C. Kervrann, "Towards a unified view of unsupervised non-local methods for image denoising: the
 //     NL-Ridge approach", ICIP 2022, https://arxiv.org/abs/2203.00570
 #pragma once
@@ -32,6 +41,8 @@ constexpr std::size_t short_row = 32, long_row = 64;
 struct Channels {
   const float *noisy, *pilot;
   const float* variances;  // of the noise, one a channel
+  const float* shrinkage;  // see above, one a channel
+  float least_factor;
   const float* relative;   // what a sample's variance is multiplied by; nullptr: 1
   std::size_t count, stride;
 };
@@ -47,7 +58,8 @@ struct alignas(64) Group {
   std::size_t size, length;  // `few` to `many`, `short_row` or `long_row`
   std::size_t found;         // patches, at most `size`
   std::size_t count;         // values in a patch
-  std::array<std::uint8_t, long_row> used;  // where in its row each is; elsewhere the noisy patches are 0
+  std::array<std::uint8_t, long_row> used;  // where in its row each is; elsewhere the patches are 0
+  float shrinkage, least_factor;            // with a pilot
 
   alignas(64) std::array<float, many> energy;  // of the noise
   alignas(64) std::array<float, many * long_row> noisy, pilot;

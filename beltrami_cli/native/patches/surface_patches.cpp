@@ -252,7 +252,8 @@ class SurfacePatches::Worker {
     collect(surface, candidates.vertices, part.members);
     mix(colours, part.members);
     const float* relative = colours.relative != nullptr ? relative_.data() : nullptr;
-    const Channels channels{noisy_.data(),     pilot_.data(), colours.variances, relative, colours.channels, part.members.size()};
+    const Channels channels{noisy_.data(),        pilot_.data(), colours.variances, colours.shrinkage,
+                            colours.least_factor, relative,      colours.channels,  part.members.size()};
     describe(surface, channels);
     part.sums.assign(noisy_.size(), {0, 0});
     const std::size_t size = has_pilot ? medium : few;
@@ -372,14 +373,16 @@ class SurfacePatches::Worker {
   // Adds the estimates of the group at its places.
   void estimate(const Channels& channels, bool has_pilot, std::vector<std::array<float, 2>>& sums, const Variant& variant) {
     const auto count = static_cast<float>(group_.count);
-    std::fill(group_.noisy.begin(), group_.noisy.end(), 0.0F);  // patches before this one may have other nodes
+    for (auto* rows : {&group_.noisy, &group_.pilot}) rows->fill(0);  // patches before this one may have other nodes
     for (std::size_t channel = 0; channel < channels.count; ++channel) {
       const std::size_t plane = channel * channels.stride;
       const float *noisy = channels.noisy + plane, *pilot = channels.pilot + plane;
       float mean = 0;
       for (std::size_t p = 0; p < group_.count; ++p) mean += pilot[places_[p]];
       mean /= count;
-      std::fill(group_.energy.begin(), group_.energy.end(), count * channels.variances[channel]);
+      group_.shrinkage = channels.shrinkage[channel];
+      group_.least_factor = channels.least_factor;
+      group_.energy.fill(count * channels.variances[channel]);
       for (std::size_t k = 0; channels.relative != nullptr && k < group_.found; ++k) {
         float total = 0;
         for (std::size_t p = 0; p < group_.count; ++p) total += channels.relative[places_[k * nodes + p]];

@@ -36,7 +36,8 @@ class SurfacePatches {
     const float *noisy, *pilot;  // a row of `channels` a vertex
     std::size_t channels;
     const float *mixing, *unmixing;  // see Canvas
-    const float* variances;
+    const float *variances, *shrinkage;
+    float least_factor;
     const float* relative = nullptr;  // what a vertex's variance is multiplied by; nullptr: 1
   };
 

@@ -40,7 +40,7 @@ class TilePlanes {
 
   Channels channels() const {
     const float* relative = canvas_.relative != nullptr ? own_.relative.data() : nullptr;
-    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances,
+    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances,  canvas_.shrinkage, canvas_.least_factor,
             relative,          canvas_.channels,  static_cast<std::size_t>(area)};
   }
 
@@ -287,6 +287,8 @@ void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums&
   for (std::size_t channel = 0; channel < channels.count; ++channel) {
     const std::size_t plane = channel * channels.stride;
     const float mean = mean_of(channels.pilot + plane, shape, centre);
+    group.shrinkage = channels.shrinkage[channel];
+    group.least_factor = channels.least_factor;
     for (std::size_t k = 0; k < many; ++k) group.energy[k] = relative[k] * channels.variances[channel];
     read_patches(channels.noisy + plane, shape, places.data(), group.found, mean, group.noisy.data());
     if (has_pilot) read_patches(channels.pilot + plane, shape, places.data(), group.found, mean, group.pilot.data());

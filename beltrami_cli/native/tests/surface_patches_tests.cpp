@@ -21,7 +21,7 @@ struct Sheets {
   std::vector<Position> positions;
   std::vector<std::array<std::int32_t, 2>> edges;
   std::vector<std::uint64_t> priorities;
-  std::vector<float> noisy, pilot, mixing{1, 0, 0, 0, 1, 0, 0, 0, 1}, variances{0.01F, 0.01F, 0.01F};
+  std::vector<float> noisy, pilot, mixing{1, 0, 0, 0, 1, 0, 0, 0, 1}, variances{0.01F, 0.01F, 0.01F}, shrinkage{2, 2, 2};
 
   Sheets(std::size_t vertices, std::size_t sheets, Random& random) : side(vertices), count(sheets) {
     for (std::size_t sheet = 0; sheet < count; ++sheet)
@@ -53,8 +53,8 @@ struct Sheets {
 
   std::vector<float> result(const SurfacePatches& own, bool has_pilot, unsigned threads) const {
     std::vector<float> estimates(noisy.size()), weights(noisy.size());
-    const SurfacePatches::Colours colours{noisy.data(),  pilot.data(),  channels,
-                                          mixing.data(), mixing.data(), variances.data()};
+    const SurfacePatches::Colours colours{noisy.data(),  pilot.data(),     channels,         mixing.data(),
+                                          mixing.data(), variances.data(), shrinkage.data(), 0};
     own.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads);
     return estimates;
   }
