@@ -209,7 +209,7 @@ def collaborate_on_grid(
     kind: NDArray[np.uint8],
     noisy: NDArray[np.float32],
     pilot: NDArray[np.float32],
-    mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float],
     relative: NDArray[np.float32] | None,
     has_pilot: bool,
     estimates: NDArray[np.float32],
@@ -231,7 +231,9 @@ class SurfacePatches:
         self,
         noisy: NDArray[np.float32],
         pilot: NDArray[np.float32],
-        mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        mixing: tuple[
+            NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float
+        ],
         relative: NDArray[np.float32] | None,
         has_pilot: bool,
         estimates: NDArray[np.float32],

@@ -267,18 +267,20 @@ class GridManifold(GridKernels):
         taps = gaussian_taps(_SPREAD)
         reach, kind = len(taps) // 2, self.atlas.kind
         at_once = max(_ROWS, large_arrays.BLOCK // max(1, kind.shape[1]))
+        before, after = self.planes(len(planes)), self.planes(len(planes))
+        for rows in large_arrays.blocks(len(kind), at_once):
+            np.multiply(planes[:, rows], kind[rows] != EMPTY, out=before[:, rows])
         for _ in range(round((self.width / _SPREAD) ** 2)):
-            after = self.planes(len(planes))
             for rows in large_arrays.blocks(len(kind), at_once):
                 first = max(0, rows.start - reach)
-                part = planes[:, first : rows.stop + reach] * (kind[first : rows.stop + reach] != EMPTY)
-                after[:, rows] = convolve(part, taps, self.threads)[:, rows.start - first :][
+                part = np.ascontiguousarray(before[:, first : rows.stop + reach])
+                means = convolve(part, taps, self.threads)[:, rows.start - first :][
                     :, : rows.stop - rows.start
                 ]
-                after[:, rows] *= kind[rows] != EMPTY
+                np.multiply(means, kind[rows] != EMPTY, out=after[:, rows])
             refresh_halo(after, self.atlas)
-            planes = after
-        return planes
+            before, after = after, before
+        return before
 
     def _laid_out(self, guide: Guide) -> Float32s:
         planes = painted(self.atlas, guide.values, self.threads)

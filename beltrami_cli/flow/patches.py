@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 # Differences of channels count half when patches are compared, since they hold little detail and as much noise.
 _COMPARED = np.array([1, 0.5, 0.5])
 
-# What the noise is multiplied by, once there is a pilot, where patches show no detail. In photographs most of the detail in
-# differences of channels is in their mean, too, and what remains of their noise is what people see. Noise that neighbours
-# share is known less well, so that what exceeds it may be noise as well: the factors are 1 and not less where there is detail.
+# What the noise is multiplied by, once there is a pilot, where patches show no detail. In photographs most detail of
+# differences of channels is in their mean, too, and what remains of their noise is what people see. Noise that
+# neighbours share is known less well, and what exceeds it may be noise as well: it is never multiplied by less.
 _SHRINKAGE, _OF_DIFFERENCES, _IF_SHARED = 2.0, 6.0, 1.0
 
 # Channels of which the differences vary this much less than the mean are colours; so many steps are enough to tell.
@@ -308,7 +308,8 @@ def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
         forth[:3, :3] = _COMPARED[:, None] * OPPONENTS
     mixed = np.einsum("ki,ij,kj->k", forth, noise, forth)
     parts = forth, np.linalg.inv(forth), mixed, np.ones(count)
-    return Mixing(*(np.ascontiguousarray(part, np.float32) for part in parts))
+    own, back, variances, shrinkage = (np.ascontiguousarray(part, np.float32) for part in parts)
+    return Mixing(own, back, variances, shrinkage)
 
 
 def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:

@@ -72,7 +72,7 @@ class Mixing:
     has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
 
     @property
-    def parts(self) -> tuple[Float32s | float, ...]:
+    def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float]:
         """What the core takes."""
         return self.forth, self.back, self.variances, self.shrinkage, self.least_factor
 

@@ -66,6 +66,7 @@ class Neighbourhoods:
     unevenness: Float64s  # of means around, shape (M,)
     level: Float64s  # mean level, shape (M,)
     values: int  # details in each
+    cut_off: float = 0.0  # share of colours at a limit, in these and in others that were left out
 
 
 @dataclass(frozen=True)

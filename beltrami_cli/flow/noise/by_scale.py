@@ -40,9 +40,9 @@ _MOST_OF_DIAGONAL = 3.0
 # Growth of the mean of channels from single cells to the second scale, beyond which it is texture.
 _PLAIN_GROWTH = 2.0
 
-# Growth of the mean of channels from single cells to the second scale, beyond which even the flattest places are texture;
-# and change of white noise in their differences at most, as it is measured.
-_NOWHERE_FLAT, _WHITE = 1.4, 1.25
+# Growth of the mean of channels from single cells to the second scale, beyond which even flat places are texture;
+# and change of white noise in their differences at most, as it is measured, where few colours are cut off.
+_NOWHERE_FLAT, _WHITE, _FEW_CUT_OFF = 1.4, 1.25, 0.05
 
 # Growth to the last scale, below which noise has reached its full size.
 _LEVEL, _ALIKE = 1.5, 2.0
@@ -103,7 +103,8 @@ def noise_of_scales(
     stabiliser = stabiliser_of(found) if by_level else None
     doubt = _doubt(found.sigma)
     if not is_shared(found.sigma):
-        most = _most_independent(found.sigma) if stabiliser is None else np.inf
+        is_known = stabiliser is None and scales[0].cut_off < _FEW_CUT_OFF
+        most = _most_independent(found.sigma) if is_known else float(np.inf)
         return FoundNoise(stabiliser, doubt=doubt, most=most)
     count, independent = len(mixing), alone()
     sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))

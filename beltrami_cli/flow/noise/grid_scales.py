@@ -106,6 +106,7 @@ def measure_by_scale(
                 (np.sum(square - level**2, axis=0) / remaining)[~plain],
                 (level[0] / np.sqrt(len(mixing)) if len(mixing) == 3 else level.mean(axis=0))[~plain],
                 3 * side**2,
+                float(share[whole].mean()),
             )
         )
     return scales, mixing

@@ -282,4 +282,4 @@ def _details(columns: Float32s, fine: Level, parents: Level, tiles: Level) -> Ne
     uneven = np.bincount(tile_of_parent, apart, within)[used] / (tiles.counts[used] * variances)
     seen = energy.min(axis=0, initial=np.inf) > _PLAIN
     levels = level[used][seen, 0] / np.sqrt(len(energy))
-    return Neighbourhoods(energy[:, seen], uneven[seen], levels, _DETAILS)
+    return Neighbourhoods(energy[:, seen], uneven[seen], levels, _DETAILS, float(cut.mean()))
