@@ -209,7 +209,9 @@ def collaborate_on_grid(
     kind: NDArray[np.uint8],
     noisy: NDArray[np.float32],
     pilot: NDArray[np.float32],
-    mixing: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float],
+    mixing: tuple[
+        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float, float
+    ],
     relative: NDArray[np.float32] | None,
     has_pilot: bool,
     estimates: NDArray[np.float32],
@@ -232,7 +234,7 @@ class SurfacePatches:
         noisy: NDArray[np.float32],
         pilot: NDArray[np.float32],
         mixing: tuple[
-            NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float
+            NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float, float
         ],
         relative: NDArray[np.float32] | None,
         has_pilot: bool,

@@ -321,9 +321,9 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
         shrinkage, least = np.full(len(shrinkage), _IF_SHARED), _IF_SHARED
     return dataclasses.replace(
         mixing,
-        variances=mixing.variances * np.float32(SMOOTHNESS[manifold.parameters.strength]),
         shrinkage=shrinkage.astype(np.float32),
-        least_factor=least,
+        least_ratio=least,
+        strength=SMOOTHNESS[manifold.parameters.strength],
         has_pilot=True,
     )
 

@@ -68,13 +68,14 @@ class Mixing:
     back: Float32s
     variances: Float32s
     shrinkage: Float32s  # what the noise is multiplied by, with a pilot, where there is no detail, shape (N,)
-    least_factor: float = 0.0  # ... and at least, where there is
+    least_ratio: float = 0.0  # ... and at least, where there is
+    strength: float = 1.0  # ... and besides, everywhere
     has_pilot: bool = field(default=False, kw_only=True)  # patches are compared on an estimate
 
     @property
-    def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float]:
+    def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float, float]:
         """What the core takes."""
-        return self.forth, self.back, self.variances, self.shrinkage, self.least_factor
+        return self.forth, self.back, self.variances, self.shrinkage, self.least_ratio, self.strength
 
 
 @dataclass(frozen=True)

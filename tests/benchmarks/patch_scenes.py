@@ -26,6 +26,7 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "immunohistochemistry")
+MATERIALS = ("brick", "grass", "gravel")  # without a flat place, and grey
 LARGEST = 1024  # texels a side; larger images are halved
 FEWEST = 20_000  # covered texels of an image that is judged
 QUADS = 24  # a side of a chart of the sphere
@@ -36,12 +37,12 @@ SEAMS_COUNT = 3  # times as much as other texels, where a part of an image is lo
 def textured_names():
     """Return the names of textured scenes: photographs, and paths."""
     samples = [min((ROOT / "sample_data").glob(f"{name}-clean.[gop][lb]*")) for name in SAMPLES]
-    return [*PHOTOGRAPHS, *map(str, samples), *map(str, extra_models())]
+    return [*PHOTOGRAPHS, *MATERIALS, *map(str, samples), *map(str, extra_models())]
 
 
 def textured(name):
     """Return a textured scene; None if it has no texture that can be judged."""
-    if name in PHOTOGRAPHS:
+    if name in PHOTOGRAPHS + MATERIALS:
         return photograph_in_charts(name)
     try:
         scene = texture_scene.from_file(Path(name))
@@ -108,7 +109,8 @@ def photograph(name):
         from skimage import data
     except ImportError as error:
         raise PeerError(reason(error)) from error
-    return getattr(data, name)()[..., :3] / 255.0
+    image = getattr(data, name)() / 255.0
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
 
 
 def on_sphere(image, directions):

@@ -30,12 +30,13 @@ void check_shape(const Stack& like, std::initializer_list<const Output*> stacks)
 struct Mixing {
   Matrix<float> forth, back;
   Vector<float> variances, shrinkage;
-  float least_factor;
+  float least_ratio, strength;
 };
 
 Mixing mixing_of(const nb::tuple& parts, std::size_t channels) {
   Mixing mixing{nb::cast<Matrix<float>>(parts[0]), nb::cast<Matrix<float>>(parts[1]), nb::cast<Vector<float>>(parts[2]),
-                nb::cast<Vector<float>>(parts[3]), nb::cast<float>(parts[4])};
+                nb::cast<Vector<float>>(parts[3]), nb::cast<float>(parts[4]),
+                nb::cast<float>(parts[5])};
   for (const auto* matrix : {&mixing.forth, &mixing.back})
     if (matrix->shape(0) != channels || matrix->shape(1) != channels) throw nb::value_error("mixing must be square");
   for (const auto* values : {&mixing.variances, &mixing.shrinkage})
@@ -56,7 +57,7 @@ void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pil
     throw nb::value_error("the relative variance must have the grid's shape");
   const Mixing own = mixing_of(mixing, channels);
   const Canvas canvas{rows, columns, kind.data(), noisy.data(), pilot.data(), channels, own.forth.data(), own.back.data(),
-                      own.variances.data(), own.shrinkage.data(), own.least_factor,
+                      own.variances.data(), own.shrinkage.data(), own.least_ratio, own.strength,
                       relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     collaborate(canvas, has_pilot, {estimates.data(), weights.data()}, threads, poll);
@@ -100,8 +101,8 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
   const SurfacePatches::Colours colours{noisy.data(),         pilot.data(),
                                         channels,             own.forth.data(),
                                         own.back.data(),      own.variances.data(),
-                                        own.shrinkage.data(), own.least_factor,
-                                        relative ? relative->data() : nullptr};
+                                        own.shrinkage.data(), own.least_ratio,
+                                        own.strength,         relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
     surface.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads, poll);
   });

@@ -39,7 +39,7 @@ struct Canvas {
   std::size_t channels;
   const float *mixing, *unmixing;  // channels * channels: makes the channels that are estimated one by one, and back
   const float *variances, *shrinkage;  // of these, see Channels
-  float least_factor;
+  float least_ratio, strength;
   const float* relative;           // what a cell's variance is multiplied by; nullptr: 1
 };
 

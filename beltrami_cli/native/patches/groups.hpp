@@ -14,10 +14,10 @@
 // its K patches of squared differences from their mean, E_X of the pilot and E_Y of the noisy patches, and d the mean of D,
 // it is E_Y - (K - 1) d. So D is multiplied by
 //
-//   alpha = (E_X + c s d) / (max(E_Y - (K - 1) d, 0) + c d),
+//   alpha = strength (E_X + c s d) / (max(E_Y - (K - 1) d, 0) + c d),
 //
-// the ratio of what the pilot holds to that, drawn to `shrinkage` s where there is little of either, and at least
-// `least_factor`. Where the pilot holds next to nothing beside alpha D, every patch becomes the mean of all: Theta = 1 / K.
+// with the ratio of what the pilot holds to that, drawn to `shrinkage` s where there is little of either, and at least
+// `least_ratio`. Where the pilot holds next to nothing beside alpha D, every patch becomes the mean of all: Theta = 1 / K.
 //
 // [1] S. Herbreteau, C. Kervrann, "Towards a unified view of unsupervised non-local methods for image denoising: the
 //     NL-Ridge approach", ICIP 2022, https://arxiv.org/abs/2203.00570
@@ -42,7 +42,7 @@ struct Channels {
   const float *noisy, *pilot;
   const float* variances;  // of the noise, one a channel
   const float* shrinkage;  // see above, one a channel
-  float least_factor;
+  float least_ratio, strength;
   const float* relative;   // what a sample's variance is multiplied by; nullptr: 1
   std::size_t count, stride;
 };
@@ -59,7 +59,7 @@ struct alignas(64) Group {
   std::size_t found;         // patches, at most `size`
   std::size_t count;         // values in a patch
   std::array<std::uint8_t, long_row> used;  // where in its row each is; elsewhere the patches are 0
-  float shrinkage, least_factor;            // with a pilot
+  float shrinkage, least_ratio, strength;   // with a pilot
 
   alignas(64) std::array<float, many> energy;  // of the noise
   alignas(64) std::array<float, many * long_row> noisy, pilot;

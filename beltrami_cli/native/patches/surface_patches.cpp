@@ -252,8 +252,9 @@ class SurfacePatches::Worker {
     collect(surface, candidates.vertices, part.members);
     mix(colours, part.members);
     const float* relative = colours.relative != nullptr ? relative_.data() : nullptr;
-    const Channels channels{noisy_.data(),        pilot_.data(), colours.variances, colours.shrinkage,
-                            colours.least_factor, relative,      colours.channels,  part.members.size()};
+    const Channels channels{noisy_.data(),       pilot_.data(),    colours.variances,
+                            colours.shrinkage,   colours.least_ratio, colours.strength,
+                            relative,            colours.channels, part.members.size()};
     describe(surface, channels);
     part.sums.assign(noisy_.size(), {0, 0});
     const std::size_t size = has_pilot ? medium : few;
@@ -381,7 +382,8 @@ class SurfacePatches::Worker {
       for (std::size_t p = 0; p < group_.count; ++p) mean += pilot[places_[p]];
       mean /= count;
       group_.shrinkage = channels.shrinkage[channel];
-      group_.least_factor = channels.least_factor;
+      group_.least_ratio = channels.least_ratio;
+      group_.strength = channels.strength;
       group_.energy.fill(count * channels.variances[channel]);
       for (std::size_t k = 0; channels.relative != nullptr && k < group_.found; ++k) {
         float total = 0;

@@ -37,7 +37,7 @@ class SurfacePatches {
     std::size_t channels;
     const float *mixing, *unmixing;  // see Canvas
     const float *variances, *shrinkage;
-    float least_factor;
+    float least_ratio, strength;
     const float* relative = nullptr;  // what a vertex's variance is multiplied by; nullptr: 1
   };
 

@@ -40,8 +40,8 @@ class TilePlanes {
 
   Channels channels() const {
     const float* relative = canvas_.relative != nullptr ? own_.relative.data() : nullptr;
-    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances,  canvas_.shrinkage, canvas_.least_factor,
-            relative,          canvas_.channels,  static_cast<std::size_t>(area)};
+    return {own_.noisy.data(), own_.pilot.data(), canvas_.variances, canvas_.shrinkage, canvas_.least_ratio,
+            canvas_.strength,  relative,          canvas_.channels,  static_cast<std::size_t>(area)};
   }
 
   Sums sums() const { return {own_.estimates.data(), own_.weights.data()}; }
@@ -288,7 +288,8 @@ void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums&
     const std::size_t plane = channel * channels.stride;
     const float mean = mean_of(channels.pilot + plane, shape, centre);
     group.shrinkage = channels.shrinkage[channel];
-    group.least_factor = channels.least_factor;
+    group.least_ratio = channels.least_ratio;
+    group.strength = channels.strength;
     for (std::size_t k = 0; k < many; ++k) group.energy[k] = relative[k] * channels.variances[channel];
     read_patches(channels.noisy + plane, shape, places.data(), group.found, mean, group.noisy.data());
     if (has_pilot) read_patches(channels.pilot + plane, shape, places.data(), group.found, mean, group.pilot.data());

@@ -54,7 +54,7 @@ struct Sheets {
   std::vector<float> result(const SurfacePatches& own, bool has_pilot, unsigned threads) const {
     std::vector<float> estimates(noisy.size()), weights(noisy.size());
     const SurfacePatches::Colours colours{noisy.data(),  pilot.data(),     channels,         mixing.data(),
-                                          mixing.data(), variances.data(), shrinkage.data(), 0};
+                                          mixing.data(), variances.data(), shrinkage.data(), 0, 1};
     own.collaborate(colours, has_pilot, {estimates.data(), weights.data()}, threads);
     return estimates;
   }
