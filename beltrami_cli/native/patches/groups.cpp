@@ -90,9 +90,10 @@ class Estimate {
     noise /= found;
     const float of_pilot = spread_of(group_.pilot.data()), of_noisy = spread_of(group_.noisy.data());
     const float detail = std::max(of_noisy - (found - 1) * noise, 0.0F), trusted = trusted_patches * noise;
-    const float ratio = (of_pilot + group_.shrinkage * trusted) / (detail + trusted);
+    const bool is_known = detail + trusted > 0;  // unless patches are equal and without noise
+    const float ratio = is_known ? (of_pilot + group_.shrinkage * trusted) / (detail + trusted) : 1;
     const float alpha = group_.strength * std::max(ratio, group_.least_ratio);
-    if (of_pilot < least_detail * alpha * noise * (found - 1)) {
+    if (!is_known || of_pilot < least_detail * alpha * noise * (found - 1)) {
       for (std::size_t k = 0; k < group_.found; ++k)
         std::copy_n(mean_.data(), length, group_.estimates.data() + k * length);
       std::fill_n(group_.weights.data(), group_.found, found);

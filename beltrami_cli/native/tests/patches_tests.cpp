@@ -259,6 +259,20 @@ void equal_patches_with_next_to_no_noise_stay() {
       }
 }
 
+// Nothing may be divided by nothing.
+void plain_patches_without_noise_stay() {
+  Random random(29);
+  for (const auto& [size, length] : shapes) {
+    Group own = some_group(size, length, size, 25, random);
+    own.energy.fill(0);
+    own.noisy.fill(0);
+    own.pilot.fill(0);
+    baseline::estimate_group(own, true);
+    for (std::size_t k = 0; k < size; ++k)
+      for (std::size_t p = 0; p < own.count; ++p) CHECK(own.estimates[k * length + own.used[p]] == 0 && own.weights[k] > 0);
+  }
+}
+
 // A canvas with holes, of which nothing may be read, and halo.
 struct Grid {
   std::size_t rows, columns, channels;
@@ -372,6 +386,7 @@ int main() {
   noise_is_averaged_and_lost_detail_comes_back();
   a_constant_stays_whatever_the_pilot_is();
   equal_patches_with_next_to_no_noise_stay();
+  plain_patches_without_noise_stay();
   grids_have_an_estimate_in_every_owned_cell_and_the_pilot_elsewhere();
   grids_do_not_depend_on_threads();
   colours_are_mixed_and_mixed_back();
