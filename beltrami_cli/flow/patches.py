@@ -313,7 +313,7 @@ def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
 
 
 def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
-    """Return the same with the noise that is reckoned with once there is a pilot."""
+    """Return the same for estimates with a pilot."""
     is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
     shrinkage, least = np.where(is_difference, _OF_DIFFERENCES, _SHRINKAGE), 0.0
