@@ -94,6 +94,7 @@ class Estimate {
     const float ratio = is_known ? (of_pilot + group_.shrinkage * trusted) / (detail + trusted) : 1;
     const float alpha = group_.strength * std::max(ratio, group_.least_ratio);
     if (!is_known || of_pilot < least_detail * alpha * noise * (found - 1)) {
+      shrink_mean(group_.strength * noise / found);
       for (std::size_t k = 0; k < group_.found; ++k)
         std::copy_n(mean_.data(), length, group_.estimates.data() + k * length);
       std::fill_n(group_.weights.data(), group_.found, found);
@@ -101,6 +102,23 @@ class Estimate {
     }
     for (std::size_t k = 0; k < group_.found; ++k) energy[k] *= alpha;
     return true;
+  }
+
+  // Draws the mean of the noisy patches to its own mean; `noise` is the energy of the noise in it.
+  void shrink_mean(float noise) {
+    const auto count = static_cast<float>(group_.count);
+    float level = 0, squares = 0;
+    for (std::size_t p = 0; p < group_.count; ++p) level += mean_[group_.used[p]] / count;
+    for (std::size_t p = 0; p < group_.count; ++p) {
+      const float difference = mean_[group_.used[p]] - level;
+      squares += difference * difference;
+    }
+    noise *= (count - 1) / count;
+    const float kept = squares > noise ? 1 - noise / squares : 0;
+    for (std::size_t p = 0; p < group_.count; ++p) {
+      float& own = mean_[group_.used[p]];
+      own = level + kept * (own - level);
+    }
   }
 
   // The sum of the squared differences of patches from their mean, which is kept.

@@ -17,10 +17,13 @@
 //   alpha = strength (E_X + c s d) / (max(E_Y - (K - 1) d, 0) + c d),
 //
 // with the ratio of what the pilot holds to that, drawn to `shrinkage` s where there is little of either, and at least
-// `least_ratio`. Where the pilot holds next to nothing beside alpha D, every patch becomes the mean of all: Theta = 1 / K.
+// `least_ratio`. Where the pilot holds next to nothing beside alpha D, every patch becomes the mean m of all, Theta = 1 / K.
+// Noise of the energy e = strength d (n - 1) / (n K) is left in its differences from its own mean, which are multiplied by
+// (1 - e / E_m)+, with E_m the sum of their squares [2].
 //
 // [1] S. Herbreteau, C. Kervrann, "Towards a unified view of unsupervised non-local methods for image denoising: the
 //     NL-Ridge approach", ICIP 2022, https://arxiv.org/abs/2203.00570
+// [2] W. James, C. Stein, "Estimation with quadratic loss", Proc. Fourth Berkeley Symposium 1 (1961), 361-379.
 #pragma once
 
 #include <array>

@@ -156,6 +156,24 @@ void compare(const float* pilot, std::size_t channels, const Shape& shape, Index
     }
 }
 
+// The mean of a patch.
+float mean_of(const float* plane, const Shape& shape, Index centre) {
+  float sum = 0;
+  for (std::size_t p = 0; p < shape.count; ++p) sum += plane[centre + shape.offsets[p]];
+  return sum / static_cast<float>(shape.count);
+}
+
+// Patches of the pilot that differ by less than this, in units of the noise, are alike.
+constexpr float least_difference = 0.08F;
+
+// The energy of the noise in the differences that are summed, of the patch at `centre`.
+float noise_of(const Channels& channels, const Shape& shape, Index centre) {
+  float energy = 0;
+  for (std::size_t channel = 0; channel < channels.count; ++channel)
+    energy += channels.variances[channel] * static_cast<float>(channel == 0 ? shape.count : shape.half_count);
+  return channels.relative == nullptr ? energy : energy * mean_of(channels.relative, shape, centre);
+}
+
 // A bound that at least `size` candidates are below, if there are so many: of as many least distances of parts.
 float bound_of(const float* distances, std::size_t size) {
   constexpr Index rows = 2 * rows_beside + 1, parts = 2;
@@ -173,18 +191,22 @@ float bound_of(const float* distances, std::size_t size) {
   return *bound;
 }
 
-// Chooses the nearest candidates, always the patch itself, in their order in the window; returns how many there are. Keys
-// hold a distance, and in their last bits a candidate.
-std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& keys, std::size_t size) {
-  constexpr std::uint32_t low = 1023;
-  constexpr std::size_t itself = rows_beside * candidate_columns + columns_before;
+// Chooses the nearest candidates, always the patch itself, in their order in the window; returns how many there are.
+// Candidates nearer than `near` are alike, and are taken as if at random, all over the window: by the pilot's noise those
+// would be chosen that share it. Keys hold a distance, and in their last bits the number of a candidate, shuffled.
+std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& keys, std::size_t size, float near) {
+  constexpr std::uint32_t low = 1023, shuffling = 599, ordering = 359;
+  static_assert((shuffling * ordering & low) == 1);
+  constexpr std::uint32_t itself = rows_beside * candidate_columns + columns_before;
+  for (std::size_t first = 0; first < candidates; first += lane_count)
+    store(distances.data() + first, larger(load(distances.data() + first), splat(near)));
   distances[itself] = 0;
   const float most = std::min(bound_of(distances.data(), size), std::nextafter(too_far, 0.0F));
   std::size_t found = 0;
   for (std::uint32_t first = 0; first < candidates; first += lane_count) {
     if (least_lane(load(distances.data() + first)) > most) continue;
     for (std::uint32_t i = first; i < first + lane_count; ++i) {
-      keys[found] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | (i == itself ? 0 : i + 1);
+      keys[found] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | ((i - itself) * shuffling & low);
       found += distances[i] <= most ? 1 : 0;
     }
   }
@@ -196,10 +218,7 @@ std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& ke
     found = static_cast<std::size_t>(std::remove_if(keys.begin(), keys.begin() + static_cast<Index>(found),
                                                     [&](std::uint32_t key) { return key >= beyond; }) - keys.begin());
   }
-  for (std::size_t k = 0; k < found; ++k) {
-    const std::uint32_t number = keys[k] & low;
-    keys[k] = number == 0 ? static_cast<std::uint32_t>(itself) : number - 1;
-  }
+  for (std::size_t k = 0; k < found; ++k) keys[k] = (keys[k] * ordering + itself) & low;
   return found;
 }
 
@@ -256,13 +275,6 @@ bool has_enough(const Shape& shape, Index centre, const std::uint16_t* counts) {
                      [&](std::int32_t offset) { return counts[centre + offset] >= enough_estimates; });
 }
 
-// The mean of a patch.
-float mean_of(const float* plane, const Shape& shape, Index centre) {
-  float sum = 0;
-  for (std::size_t p = 0; p < shape.count; ++p) sum += plane[centre + shape.offsets[p]];
-  return sum / static_cast<float>(shape.count);
-}
-
 // Estimates the patches that look like the one at `centre`, unless its cells have been estimated with others.
 void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
   const Shape shape(scratch.kind.data(), centre);
@@ -271,7 +283,8 @@ void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums&
   Group& group = scratch.group;
   group.size = has_pilot ? many : few;
   group.length = long_row;
-  group.found = choose(scratch.distances, scratch.keys, group.size);
+  const float near = has_pilot ? least_difference * noise_of(channels, shape, centre) : 0;
+  group.found = choose(scratch.distances, scratch.keys, group.size, near);
   group.count = shape.count;
   group.used = shape.used;
   std::array<std::int32_t, many> places;
