@@ -114,8 +114,11 @@ class GridKernels(Manifold):
             top, bottom = block.start, block.stop
             last = min(rows, bottom + self.margin)
             # What lies above was overwritten by the block before.
-            before = np.concatenate([above, np.concatenate([stack[:, top:last] for stack in stacks])], axis=1)
-            first = last - before.shape[1]
+            first = top - above.shape[1]
+            before = np.empty((len(above), last - first, columns), np.float32)
+            before[:, : top - first] = above
+            for own, stack in zip(_split(before, stacks), stacks, strict=True):
+                own[:, top - first :] = stack[:, top:last]
             inside = np.zeros((before.shape[1], 1), bool)
             inside[top - first : bottom - first] = True
             part = self.cut(slice(first, last), inside)

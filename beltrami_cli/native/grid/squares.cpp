@@ -55,11 +55,12 @@ void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const f
       for (std::size_t row = first; row < last; ++row) {
         const float* values = planes + (i / down * squares.rows + row) * squares.columns;
         const std::uint8_t* kind = squares.kind + row * squares.columns;
-        for (std::size_t column = 0; column < squares.columns; ++column) {
-          const float counted = kind[column] == wanted[column / side] ? 1.0F : 0.0F;
-          sums[column / side] += counted * values[column];
-          counts[column / side] += counted;
-        }
+        for (std::size_t square = 0, column = 0; square < across; ++square)
+          for (const std::size_t end = std::min(column + side, squares.columns); column < end; ++column) {
+            const float counted = kind[column] == wanted[square] ? 1.0F : 0.0F;
+            sums[square] += counted * values[column];
+            counts[square] += counted;
+          }
       }
       for (std::size_t square = 0; square < across; ++square)
         means[i * across + square] = wanted[square] == empty ? 0.0F : sums[square] / counts[square];
