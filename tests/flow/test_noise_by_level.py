@@ -9,9 +9,11 @@ from scipy.ndimage import gaussian_filter
 import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares, sort_squares
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.noise import by_level
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, stabiliser_of
 from beltrami_cli.flow.noise.given import given_noise
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
+from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
@@ -94,6 +96,32 @@ def test_texture_of_dark_places_is_no_noise_by_level():
     found_at = fit_by_level(scales)
     assert stabiliser_of(found_at) is None
     assert found_at.sigma[0, 1:] == pytest.approx(1, abs=0.05)
+
+
+def mostly_white(seed, size=224):
+    """Return planes: a third has blurred noise of 4 of 255 on a texture that is stronger here and weaker there."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[:size, :size] / size
+    texture = gaussian_filter(random.standard_normal((3, size, size)), (0, 3, 3))
+    contrast = 0.06 * np.clip(24 * np.abs(y % 0.25 - 0.125) - 1, 0, 2)
+    clean = np.where(x < 0.3, 0.3 + 0.5 * y + contrast * texture / texture.std(), 1)
+    noise = gaussian_filter(random.standard_normal(clean.shape), (0, 0.7, 0.7))
+    return np.float32(np.rint(255 * np.clip(clean + 4 / 255 * noise / noise.std(), 0, 1)) / 255)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_texture_of_few_tiles_is_no_shared_noise(seed):
+    """Where six tiles are most of a level, some hold texture, which would show a fifth to three quarters too much."""
+    planes = mostly_white(seed)
+    noise = find_grid_noise(planes, np.ones(planes.shape[1:], bool), by_level=False)
+    assert 255 * sigma_of_covariances(noise.covariances) == pytest.approx(np.full(3, 4), rel=0.15)
+
+
+def test_hardly_any_neighbourhoods_without_texture_are_left_out():
+    """Of those of twelve values each: in some of a thousand draws at most."""
+    random = np.random.default_rng(0)
+    counts = [by_level._free_of_texture(random.chisquare(12, (3, 6))) for _ in range(1000)]
+    assert np.mean(np.array(counts) == 6) > 0.995
 
 
 # Deviations of 255 in tiles as of a photographed statue of stone, kept as JPEG after noise of 20 was added: by scale,

@@ -48,6 +48,11 @@ LEVELS, _LEAST_APART = 8, 1 / 32
 # left out.
 _SHARE, _FEWEST, _LEAST = 0.1, 6, 3
 
+# Where the more even half of these holds less than this factor of their energy in the differences of channels, the
+# others hold texture: of a window that is mostly white, six may be nearly all of a group. Halves of three with a dozen
+# values each hold that much less by chance once in some thousands. Factors of 0.6 to 0.7 give such a window the same.
+_LESS = 0.6
+
 # Residuals, in logarithms of variance, above which there is texture; and iterations of the weights.
 _SCATTER, _ROUNDS = 0.1, 30
 
@@ -100,10 +105,11 @@ def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
                 continue
             count = min(len(members), max(_FEWEST, int(_SHARE * len(members))))
             even = members[np.argsort(own.unevenness[members], kind="stable")[:count]]
+            even = even[: _free_of_texture(own.energy[:, even])]
             for component, energy in enumerate(own.energy[:, even].mean(axis=1)):
                 numbers.append((scale, component, number))
                 logs.append(float(np.log(energy)))
-                weights.append(min(1.0, count * own.values / _ENOUGH_VALUES))
+                weights.append(min(1.0, len(even) * own.values / _ENOUGH_VALUES))
     if not numbers:
         return None
     levels = np.where(seen > 0, total / np.maximum(seen, 1), (edges[1:] + edges[:-1]) / 2)
@@ -116,6 +122,19 @@ def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
     middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
     sigma = np.exp((fitted[: shape[0] * shape[1]].reshape(shape) + middle) / 2)
     return NoiseByLevel(np.where(known, sigma, np.nan), levels, np.exp((relative - middle) / 2), seen)
+
+
+def _free_of_texture(energy: Float64s) -> int:
+    """Return how many neighbourhoods hold no texture, by their energies by component, the most even ones first."""
+    differences = energy[1:] if len(energy) == len(OPPONENTS) else energy
+    count: int = energy.shape[1]
+    while count > _LEAST:
+        half = max(_LEAST, count // 2)
+        shares = differences[:, :half].mean(axis=1) / differences[:, :count].mean(axis=1)
+        if np.log(shares).mean() > np.log(_LESS):
+            break
+        count = half
+    return count
 
 
 def _is_even(numbers: Int64s, logs: Float64s, shape: tuple[int, int]) -> bool:
