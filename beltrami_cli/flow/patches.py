@@ -215,10 +215,8 @@ def _improve_means(
     for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
         stacks, in_blocks(0, sums), strict=True
     ):
-        # Of colours at a limit, half the noise is cut off, and what is imputed is no better than the estimate of the
-        # noise.
-        trusted = np.maximum(0, 4 * within - 3)
-        d[:], near_d[:] = b + trusted * (d - b) - b, near_b + trusted * (near_d - near_b) - near_b
+        d -= b
+        near_d -= near_b
         own[:] = model.terms(
             residual, probe / noisy.size**2, within * d, within * near_d, within * relative[0]
         )
