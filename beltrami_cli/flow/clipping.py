@@ -111,14 +111,15 @@ class ClippedChannels:
                 at = own <= 0
                 own[at] = around[at] - sigma[at] * tables.mean_beyond(around[at] / sigma[at])
 
-    def is_within(self, channels: Float32s) -> Bools:
-        """Mark imputed samples that were not cut off."""
-        within = np.ones(channels.shape, bool)
+    def share_within(self, channels: Float32s, relative: Float32s) -> Float32s:
+        """Return the share of samples that are not cut off on average, by their colours without noise."""
+        tables, within = normal_tables(), np.ones_like(channels)
         for k in self.clipped:
-            if self.low[k]:
-                within[k] &= channels[k] >= 0
+            own, sigma = channels[k], self._sigma_at(k, relative, channels[k].shape)
             if self.high[k]:
-                within[k] &= channels[k] <= 1
+                within[k] -= tables.share_beyond((1 - own) / sigma)
+            if self.low[k]:
+                within[k] -= tables.share_beyond(own / sigma)
         return within
 
 
@@ -231,8 +232,14 @@ class NormalTables:
 
     def mean_beyond(self, a: Float32s) -> Float32s:
         """Interpolate E[z | z > a]."""
-        limits = np.linspace(-self.furthest, self.furthest, len(self.beyond))
-        return _interpolated(a, limits, self.beyond)
+        return self._at(a, self.beyond)
+
+    def share_beyond(self, a: Float32s) -> Float32s:
+        """Interpolate P(z > a)."""
+        return self._at(a, self.share.astype(np.float64))
+
+    def _at(self, a: Float32s, table: Float64s) -> Float32s:
+        return _interpolated(a, np.linspace(-self.furthest, self.furthest, len(table)), table)
 
 
 @cache

@@ -38,7 +38,7 @@ from beltrami_cli.surface import large_arrays
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
+    from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.flow.clipping import ClippedChannels
     from beltrami_cli.flow.domain import CoarseLevel, Domain
     from beltrami_cli.flow.manifold import Manifold
@@ -70,8 +70,12 @@ class _Prior:
     variance: float  # of w around it
 
 
-# Regions of which sums say little are plain. There the kernel is at home, and means of many samples even more.
-_OF_SAMPLES, _OF_MEANS = _Prior(2.0, 0.03), _Prior(0.5, 0.01)
+# Regions of which sums say little are plain, and there means of many samples are at home.
+_OF_SAMPLES, _OF_MEANS = _Prior(1.0, 0.02), _Prior(0.5, 0.01)
+
+# Shares of samples that are not cut off, from which on means of them are trusted, and fully. What lies at a limit, as
+# black and white do, errs to one side only, and the kernel does not err there.
+_LEAST_WITHIN, _ENOUGH_WITHIN = 0.64, 0.84
 
 # How many iterations of the kernel both steps of an estimate take as long as.
 _FIRST, _SECOND = 6, 20
@@ -160,7 +164,7 @@ def _mix(
 class _NoisyMeans:
     """Means of noisy colours, of what was added to them as a probe of a size, and of the residual of the estimate.
 
-    `within` is the share of samples that are not cut off.
+    `within` is the share of samples that are not cut off on average.
     """
 
     colours: Float32s
@@ -185,8 +189,8 @@ def _means(
     for z, p, own, relative in in_blocks(axis, colours, before, memory, manifold.relative):
         model.write_residual(z, p, relative, own)
     residual = level.means(memory)
-    for z, own in in_blocks(axis, colours, memory):
-        own[:] = model.is_within(z)
+    for p, own, relative in in_blocks(axis, before, memory, manifold.relative):
+        own[:] = model.share_within(p, relative[0])
     return _NoisyMeans(means, probe, float(size), residual, level.means(memory))
 
 
@@ -215,8 +219,8 @@ def _improve_means(
     for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
         stacks, in_blocks(0, sums), strict=True
     ):
-        d -= b
-        near_d -= near_b
+        trusted = np.clip((within - _LEAST_WITHIN) / (_ENOUGH_WITHIN - _LEAST_WITHIN), 0, 1)
+        d[:], near_d[:] = trusted * (d - b), trusted * (near_d - near_b)
         own[:] = model.terms(
             residual, probe / noisy.size**2, within * d, within * near_d, within * relative[0]
         )
@@ -242,9 +246,11 @@ class _Model:
         tables = normal_tables()
         self._noise = own, tables.furthest, tables.lost, tables.share
 
-    def is_within(self, noisy: Float32s) -> Bools | bool:
-        """Mark imputed colours that were not cut off."""
-        return True if self._clipped is None else self._clipped.is_within(noisy)
+    def share_within(self, estimate: Float32s, relative: Float32s) -> Float32s:
+        """Return the share of noisy colours that are not cut off on average, by an estimate of them."""
+        if self._clipped is None:
+            return np.ones_like(estimate)
+        return self._clipped.share_within(estimate, relative)
 
     def write_residual(self, noisy: Float32s, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
         """Write what was observed, less what noisy colours are on average by an estimate of them."""
