@@ -71,7 +71,7 @@ class _Prior:
 
 
 # Regions of which sums say little are plain, and there means of many samples are at home.
-_OF_SAMPLES, _OF_MEANS = _Prior(1.0, 0.02), _Prior(0.5, 0.01)
+_OF_SAMPLES, _OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.01)
 
 # Shares of samples that are not cut off, from which on means of them are trusted, and fully. What lies at a limit, as
 # black and white do, errs to one side only, and the kernel does not err there.
