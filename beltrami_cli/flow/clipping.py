@@ -116,10 +116,10 @@ class ClippedChannels:
         tables, within = normal_tables(), np.ones_like(channels)
         for k in self.clipped:
             own, sigma = channels[k], self._sigma_at(k, relative, channels[k].shape)
-            if self.high[k]:
-                within[k] -= tables.share_beyond((1 - own) / sigma)
-            if self.low[k]:
-                within[k] -= tables.share_beyond(own / sigma)
+            for is_cut, gap in ((self.high[k], 1 - own), (self.low[k], own)):
+                near = gap < np.float32(_NEAR) * sigma
+                if is_cut and near.any():
+                    within[k][near] -= tables.share_beyond(gap[near] / sigma[near])
         return within
 
 
