@@ -56,7 +56,7 @@ void means_of_squares(const Squares& squares, const std::uint8_t* kinds, const f
         const float* values = planes + (i / down * squares.rows + row) * squares.columns;
         const std::uint8_t* kind = squares.kind + row * squares.columns;
         for (std::size_t square = 0, column = 0; square < across; ++square)
-          for (const std::size_t end = std::min(column + side, squares.columns); column < end; ++column) {
+          for (const std::size_t beyond = std::min(column + side, squares.columns); column < beyond; ++column) {
             const float counted = kind[column] == wanted[square] ? 1.0F : 0.0F;
             sums[square] += counted * values[column];
             counts[square] += counted;
