@@ -114,12 +114,10 @@ class ClippedChannels:
     def share_within(self, channels: Float32s, relative: Float32s) -> Float32s:
         """Return the share of samples that are not cut off on average, by their colours without noise."""
         tables, within = normal_tables(), np.ones_like(channels)
-        for k in self.clipped:
-            own, sigma = channels[k], self._sigma_at(k, relative, channels[k].shape)
-            for is_cut, gap in ((self.high[k], 1 - own), (self.low[k], own)):
-                near = gap < np.float32(_NEAR) * sigma
-                if is_cut and near.any():
-                    within[k][near] -= tables.share_beyond(gap[near] / sigma[near])
+        for k, side in self.sides():
+            own, near = channels[k], side.near_limit(channels[k : k + 1], relative)[0]
+            gap, sigma = own if side.low[0] else 1 - own, self._sigma_at(k, relative, own.shape)
+            within[k][near] -= tables.share_beyond(gap[near] / sigma[near])
         return within
 
 
