@@ -11,8 +11,10 @@
 namespace beltrami::patches {
 namespace {
 
-// Vertices around one that its lattice is looked for in, and that its patches are compared with.
-constexpr std::size_t enough_for_lattice = 50, enough_candidates = 200;
+// Vertices around one that its lattice is looked for in, more if nodes are left without one, and that its patches are
+// compared with.
+constexpr std::array<std::size_t, 2> enough_for_lattice{36, 50};
+constexpr std::size_t enough_candidates = 200;
 
 // In units of the lattice: how far from its node a vertex may be, and how far off the tangent plane.
 constexpr double furthest = 0.8, highest = 2.0;
@@ -176,10 +178,13 @@ void SurfacePatches::find_patches(std::span<const Position> positions, const std
         total += std::sqrt(dot(edge, edge));
       }
       const auto degree = static_cast<double>(first_[vertex + 1] - first_[vertex]);
-      const auto around = rings[worker].around(static_cast<std::int32_t>(vertex), enough_for_lattice, first_, neighbours_);
       const double step = degree > 0 ? total / degree : 0;
-      patches_[vertex] =
-          lattice_of(static_cast<std::int32_t>(vertex), around, positions, step, axes, priorities, offsets[worker]);
+      for (const std::size_t enough : enough_for_lattice) {
+        const auto around = rings[worker].around(static_cast<std::int32_t>(vertex), enough, first_, neighbours_);
+        patches_[vertex] =
+            lattice_of(static_cast<std::int32_t>(vertex), around, positions, step, axes, priorities, offsets[worker]);
+        if (std::find(patches_[vertex].begin(), patches_[vertex].end(), -1) == patches_[vertex].end()) break;
+      }
     }
   };
   parallel_chunks(patches_.size(), chunk, static_cast<unsigned>(rings.size()), find, poll);
