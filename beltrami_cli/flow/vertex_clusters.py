@@ -10,7 +10,6 @@ import numpy as np
 
 from beltrami_cli.flow.domain import CoarseLevel
 from beltrami_cli.flow.noise.haar_noise import root_of
-from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.tuning.mesh_trial import random_signs
 from beltrami_cli.flow.vertex_graph import levels_of
 
@@ -23,10 +22,6 @@ if TYPE_CHECKING:
 
 # Fewer clusters hold no patches that could be compared.
 _FEWEST = 500
-
-# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about alike. On a triangle
-# lattice a pass adds so many squared spacings to the variance.
-_FLAT, _PASS = 3.0, 0.43
 
 
 class Clusters(CoarseLevel):
@@ -72,7 +67,7 @@ class Clusters(CoarseLevel):
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
         variance = 1 / (12 * self.noise)
-        stack += _smoothed(self._samples, changes[self._level.members], variance)
+        stack += self._samples.smoothed(changes[self._level.members], variance)
 
     def planes(self, count: int) -> Float32s:
         """Return rows of zeros."""
@@ -85,15 +80,7 @@ class Clusters(CoarseLevel):
     def spread(self, planes: Float32s) -> Float32s:
         """Average rows over the clusters around."""
         rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise))).T)
-        return np.ascontiguousarray(_smoothed(self._graph, rows, self.width**2).T)
-
-
-def _smoothed(graph: Graph, rows: Float32s, variance: float) -> Float32s:
-    """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
-    means = MeshGaussian(graph.size, graph.edges, np.ones(len(graph.edges)), _FLAT, gain=1.0)
-    for _ in range(max(1, round(variance / _PASS))):
-        rows = means.smooth(rows)
-    return rows
+        return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)
 
 
 def clusters_for(

@@ -18,12 +18,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.flow.regularisation import MeshGaussian
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+
+# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about alike. On a triangle
+# lattice a pass adds so many squared spacings to the variance.
+_FLAT, _PASS = 3.0, 0.43
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,16 @@ class Graph:
     def size(self) -> int:
         """The number of samples."""
         return len(self.positions)
+
+    @cached_property
+    def _means(self) -> MeshGaussian:
+        return MeshGaussian(self.size, self.edges, np.ones(len(self.edges)), _FLAT, gain=1.0)
+
+    def smoothed(self, rows: Float32s, variance: float) -> Float32s:
+        """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
+        for _ in range(max(1, round(variance / _PASS))):
+            rows = self._means.smooth(rows)
+        return rows
 
     def clustered(self, members: Int32s, centres: Int64s) -> Graph:
         """Return the clusters of samples, joined where any of their samples are."""
