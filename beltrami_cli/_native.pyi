@@ -205,6 +205,12 @@ def blend_residual(
     residual: NDArray[np.float32],
     threads: int,
 ) -> None: ...
+def blend_share_within(
+    estimate: NDArray[np.float32],
+    noise: tuple[NDArray[np.float32], float, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    share: NDArray[np.float32],
+    threads: int,
+) -> None: ...
 def collaborate_on_grid(
     kind: NDArray[np.uint8],
     noisy: NDArray[np.float32],

@@ -111,15 +111,6 @@ class ClippedChannels:
                 at = own <= 0
                 own[at] = around[at] - sigma[at] * tables.mean_beyond(around[at] / sigma[at])
 
-    def share_within(self, channels: Float32s, relative: Float32s) -> Float32s:
-        """Return the share of samples that are not cut off on average, by their colours without noise."""
-        tables, within = normal_tables(), np.ones_like(channels)
-        for k, side in self.sides():
-            own, near = channels[k], side.near_limit(channels[k : k + 1], relative)[0]
-            gap, sigma = own if side.low[0] else 1 - own, self._sigma_at(k, relative, own.shape)
-            within[k][near] -= tables.share_beyond(gap[near] / sigma[near])
-        return within
-
 
 def find_clipped(colours: Float32s, sigma: Float64s) -> ClippedChannels | None:
     """Find which channels of colours, shape (S, N), were cut off at 0 or full scale; None if none was."""
@@ -230,14 +221,7 @@ class NormalTables:
 
     def mean_beyond(self, a: Float32s) -> Float32s:
         """Interpolate E[z | z > a]."""
-        return self._at(a, self.beyond)
-
-    def share_beyond(self, a: Float32s) -> Float32s:
-        """Interpolate P(z > a)."""
-        return self._at(a, self.share.astype(np.float64))
-
-    def _at(self, a: Float32s, table: Float64s) -> Float32s:
-        return _interpolated(a, np.linspace(-self.furthest, self.furthest, len(table)), table)
+        return _interpolated(a, np.linspace(-self.furthest, self.furthest, len(self.beyond)), self.beyond)
 
 
 @cache

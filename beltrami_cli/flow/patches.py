@@ -190,7 +190,7 @@ def _means(
         model.write_residual(z, p, relative, own)
     residual = level.means(memory)
     for p, own, relative in in_blocks(axis, before, memory, manifold.relative):
-        own[:] = model.share_within(p, relative[0])
+        model.write_share_within(p, relative, own)
     return _NoisyMeans(means, probe, float(size), residual, level.means(memory))
 
 
@@ -236,7 +236,7 @@ class _Model:
     """What the noise of channels does to the sums."""
 
     def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
-        self._clipped, self._threads = clipped, threads
+        self._threads = threads
         self._variances = np.square(sigma, dtype=np.float32)
         self.variance = float(np.mean(np.square(sigma)))
         own = np.zeros((len(sigma), 4), np.float32)
@@ -246,11 +246,11 @@ class _Model:
         tables = normal_tables()
         self._noise = own, tables.furthest, tables.lost, tables.share
 
-    def share_within(self, estimate: Float32s, relative: Float32s) -> Float32s:
-        """Return the share of noisy colours that are not cut off on average, by an estimate of them."""
-        if self._clipped is None:
-            return np.ones_like(estimate)
-        return self._clipped.share_within(estimate, relative)
+    def write_share_within(self, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
+        """Write the share of noisy colours that are not cut off on average, by an estimate of them."""
+        from beltrami_cli._native import blend_share_within
+
+        blend_share_within(estimate, (*self._noise, relative), to, self._threads)
 
     def write_residual(self, noisy: Float32s, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
         """Write what was observed, less what noisy colours are on average by an estimate of them."""

@@ -50,6 +50,13 @@ def noise_of_blend(clipped, relative):
     return rows.astype(np.float32), tables.furthest, tables.lost, tables.share, relative
 
 
+def share_within(true, clipped):
+    found = np.empty_like(true)
+    relative = np.broadcast_to(ONE, (1, true.shape[1]))
+    _native.blend_share_within(true, noise_of_blend(clipped, relative), found, 1)
+    return found
+
+
 def residual(noisy, estimate, clipped):
     found = np.empty_like(noisy)
     relative = np.broadcast_to(ONE, (1, noisy.shape[1]))
@@ -67,7 +74,7 @@ def test_imputed_samples_have_the_true_mean_and_are_cut_off_as_they_were(level):
     inside = (samples > 0) & (samples < 1)
     assert np.array_equal(imputed[inside], samples[inside])
     # Of as many samples, the share at a limit deviates by less than this.
-    share = float(BOTH.share_within(np.full((1, 1), level, np.float32), ONE)[0, 0])
+    share = float(share_within(np.full((1, 1), level, np.float32), BOTH)[0, 0])
     assert abs(share - inside.mean()) < 4 * 0.5 / np.sqrt(samples.size) + 1e-4
     # What is compared with an estimate is the same as before.
     middle = np.full_like(samples, 0.5)
@@ -127,17 +134,23 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
     stacks = [noisy, probe, *estimates]
     if in_rows:
         stacks = [np.ascontiguousarray(stack.T).T for stack in stacks]
-    found = []
+    found, shares = [], []
     for threads in (1, 2):
-        terms = np.empty((2, count), np.float32)
+        terms, share = np.empty((2, count), np.float32), np.empty((3, count), np.float32)
         noise = noise_of_blend(clipped, relative)
         _native.blend_terms(*stacks[:2], tuple(stacks[2:]), noise, terms, threads)
+        _native.blend_share_within(stacks[2], noise, share, threads)
         found.append(terms)
+        shares.append(share)
     assert np.array_equal(*found)
+    assert np.array_equal(*shares)
     # Linear interpolation in steps of 1/256 errs by 1/8 of the squared step times a second derivative of at most 0.4,
     # in units of sigma; each term is a sum of a dozen such values and their roundings, times differences below 2.
     np.testing.assert_allclose(found[0][0], slope.sum(axis=0), atol=2e-5)
     np.testing.assert_allclose(found[0][1], np.square(change).sum(axis=0), atol=2e-5)
+    np.testing.assert_allclose(
+        shares[0], clipped_mean_and_share(estimates[0].astype(np.float64), sigma, clipped)[1], atol=2e-5
+    )
 
 
 def pixel_flow(image, **parameters):

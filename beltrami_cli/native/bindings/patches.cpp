@@ -185,6 +185,17 @@ void write_blend_residual(const Channels<const float>& noisy, const Channels<con
   blend_residual(z, p, own.get(), count, to, threads);
 }
 
+// See blend_share_within.
+void write_blend_share_within(const Channels<const float>& estimate, const nb::tuple& noise, const Channels<float>& share,
+                              unsigned threads) {
+  const std::size_t channels = estimate.shape(0), count = samples_of(estimate);
+  const NoiseOfBlend own(noise, channels, count);
+  const Values p = layout_of(estimate, channels, count);
+  const Layout<float> to = layout_of(share, channels, count);
+  const nb::gil_scoped_release unlock;
+  blend_share_within(p, own.get(), count, to, threads);
+}
+
 }  // namespace
 
 void bind_patches(nb::module_& module) {
@@ -194,6 +205,7 @@ void bind_patches(nb::module_& module) {
              "threads"_a);
   module.def("blend_residual", &write_blend_residual, "noisy"_a, "estimate"_a, "noise"_a, "residual"_a.noconvert(),
              "threads"_a);
+  module.def("blend_share_within", &write_blend_share_within, "estimate"_a, "noise"_a, "share"_a.noconvert(), "threads"_a);
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")

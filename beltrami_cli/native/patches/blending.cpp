@@ -46,15 +46,20 @@ class Channel {
     }
   }
 
-  // The share of samples that are not cut off, by the colours without noise, times the variance of each.
-  void variance_within(const Run& values, Run& variances) const {
+  // The share of samples that are not cut off, by the colours without noise.
+  void share_within(const Run& values, Run& within) const {
     const std::span<const float> share = noise_.tables.share;
     for (std::size_t i = 0; i < count_; ++i) {
-      float within = 1;
-      if (own_.high) within -= look_up((1 - values[i]) / sigma_[i], share);
-      if (own_.low) within -= look_up(values[i] / sigma_[i], share);
-      variances[i] = own_.variance * (within * noise_.relative.at(0, first_ + i));
+      within[i] = 1;
+      if (own_.high) within[i] -= look_up((1 - values[i]) / sigma_[i], share);
+      if (own_.low) within[i] -= look_up(values[i] / sigma_[i], share);
     }
+  }
+
+  // The same times the variance of each.
+  void variance_within(const Run& values, Run& variances) const {
+    share_within(values, variances);
+    for (std::size_t i = 0; i < count_; ++i) variances[i] = own_.variance * (variances[i] * noise_.relative.at(0, first_ + i));
   }
 
  private:
@@ -122,6 +127,19 @@ void blend_residual(const Values& noisy, const Values& estimate, const BlendNois
       channel.cut_off(z);
       channel.expect(p);
       for (std::size_t i = 0; i < size; ++i) residual.at(k, first + i) = z[i] - p[i];
+    }
+  });
+}
+
+void blend_share_within(const Values& estimate, const BlendNoise& noise, std::size_t count, const Layout<float>& share,
+                        unsigned threads) {
+  each_run(count, threads, [&](std::size_t first, std::size_t size) {
+    Run p, within;
+    for (std::size_t k = 0; k < noise.channels.size(); ++k) {
+      const Channel channel(noise, k, first, size);
+      channel.read(estimate, p);
+      channel.share_within(p, within);
+      for (std::size_t i = 0; i < size; ++i) share.at(k, first + i) = within[i];
     }
   });
 }

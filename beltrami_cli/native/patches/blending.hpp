@@ -53,4 +53,8 @@ void blend_terms(const Values& noisy, const Values& probe, const Estimates& esti
 void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, std::size_t count,
                     const Layout<float>& residual, unsigned threads);
 
+// Writes the share of noisy colours that are not cut off, by an estimate of the colours without noise.
+void blend_share_within(const Values& estimate, const BlendNoise& noise, std::size_t count, const Layout<float>& share,
+                        unsigned threads);
+
 }  // namespace beltrami::patches
