@@ -133,7 +133,7 @@ def blend_with_patches(
     del response, responses
     for level in manifold.coarse_levels():
         means = _means(level, manifold, model, (noisy, signs, size), results)
-        gain += _improve_means(level, model, (mixing, second), means, (before, disturbed))
+        gain += _improve_means(level, model, second, means, (before, disturbed))
     growth = 1.0 if manifold.stabiliser is None else manifold.stabiliser.growth
     count = max(1, manifold.kernels)
     return Blend(before, share / count, growth**2 * gain / count / len(sigma))
@@ -197,23 +197,17 @@ def _means(
 def _improve_means(
     level: CoarseLevel,
     model: _Model,
-    mixings: tuple[Mixing, Mixing],
+    mixing: Mixing,
     noisy: _NoisyMeans,
     colours: tuple[Float32s, Float32s],
 ) -> float:
     """Blend the means of colours, in place, with what patches estimate of them; return the estimated gain."""
-    first, second = (dataclasses.replace(own, variances=own.variances * level.noise) for own in mixings)
-
-    def estimate(means: Float32s, pilot: Float32s) -> Float32s:
-        before = level.collaborate(means, pilot, first)
-        before += pilot
-        before /= 2
-        return level.collaborate(means, before, second)
-
+    # The means of the blend are the pilot as they are: patches without a pilot would bring back noise.
+    mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
     (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
-    q = estimate(noisy.colours, p)
+    q = level.collaborate(noisy.colours, p, mixing)
     with _added(axis, noisy.colours, noisy.probe, np.float32(1)):
-        near_q = estimate(noisy.colours, near_p)
+        near_q = level.collaborate(noisy.colours, near_p, mixing)
     differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
     stacks = in_blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
     for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
