@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.recolour import open_input
+from beltrami_cli.samples.levelled_charts import describe_level, photograph_attribute, photographs_of
 from beltrami_cli.samples.memory_check import checked_memory, memory_beside, too_many_together
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures, only_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.tile_groups import TileGroups
@@ -74,7 +75,11 @@ def inspect_file(
             if samples.part == "textures":
                 textures.append(samples.describe())
             else:
-                facts |= samples.describe()
+                exposure = {}
+                if samples.part == "vertices" and photograph_attribute(document) is not None:
+                    report = samples.level(LevelSettings(strength=0.0), photographs_of(document))
+                    exposure["exposure"] = describe_level(report)
+                facts |= {**samples.describe(), **exposure}
             notices += samples.notices()
         for slot in rest:
             alike = [each for each in textures if each["slot"] == slot]

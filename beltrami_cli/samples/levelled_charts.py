@@ -30,7 +30,7 @@ _NO_SEAMS = "no seam joins two of its charts"
 _NO_EXPOSURE = (
     "no exposure steps: those at some seams do not foretell the others, as exposures of charts would"
 )
-_TOO_SMALL = "its exposure steps are too small to be seen"
+_TOO_SMALL = "the change would be too small to be seen"
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,10 @@ class TextureCharts:
                     f"there are {names}"
                 )
             found |= np.isin(self.texture_of, fits)
+        if found[self.texture_of >= 0].all():
+            raise UsageError(
+                f"--reference {' '.join(wanted)} keeps all charts as they are, so none is levelled"
+            )
         return found
 
     def level(
@@ -132,11 +136,16 @@ def level_report(
     )
 
 
-def photographs_of(document: Document, wanted: str | None) -> Int64s:
-    """Return the number of the photograph of each vertex, shape (V,); InputError if the file does not say it."""
+def photograph_attribute(document: Document, wanted: str | None = None) -> str | None:
+    """Return the name of the attribute that numbers the photographs of vertices, if there is one."""
     known = {name.lower(): name for name in document.attributes()}
     words = [wanted] if wanted else [*_PHOTOGRAPHS, *(f"{name}_id" for name in _PHOTOGRAPHS)]
-    name = next((known[word.lower()] for word in words if word.lower() in known), None)
+    return next((known[word.lower()] for word in words if word.lower() in known), None)
+
+
+def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
+    """Return the number of the photograph of each vertex, shape (V,); InputError if the file does not say it."""
+    name = photograph_attribute(document, wanted)
     if name is None:
         has = ", ".join(document.attributes()) or "none"
         cause = (

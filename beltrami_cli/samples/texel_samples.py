@@ -90,7 +90,7 @@ class TexelSamples(samples.Samples):
             self._guides = GuidedTexels(guided[0], *known, guided[1]).guides()
         self._gutter, self._is_smoothed = settings.textures.gutter, True
         self._levelled: Float32s | None = None
-        self._is_dithered = False
+        self._is_levelled = self._is_dithered = False
 
     def _picture(self, texture: Texture) -> Picture:
         """Decode a texture, and keep its tables; of those around a group the files are not kept."""
@@ -136,7 +136,7 @@ class TexelSamples(samples.Samples):
             raise UsageError(cause)
         planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
         found, change = charts.level(self.atlas, planes, wanted, halved_colour(self._tables, self.names))
-        self._levelled = planes if change else None
+        self._levelled, self._is_levelled = planes if change else None, change > 0
         if not change and not self.settings.level_seams:
             self._gutter = None  # what is not levelled stays as it is
         return level_report(self.label, found, change, charts.facts(self.pictures))
@@ -172,9 +172,10 @@ class TexelSamples(samples.Samples):
         ]
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
-        if not flow.parameters.iterations and not self.settings.level_seams:
-            self._gutter = None  # what is not smoothed stays as it is
         self._is_smoothed = flow.parameters.iterations > 0
+        if not self._is_smoothed and not self._is_levelled:
+            self._gutter = None  # what is neither smoothed nor levelled stays as it is
+        self._is_dithered = not self._is_smoothed and self._is_levelled
         used, counts = self._used(flow, result), self.atlas.counts
         if self._group is not None:
             used |= self._group.common.described

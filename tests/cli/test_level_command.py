@@ -98,8 +98,12 @@ def test_smooth_levels_first(exposed, tmp_path, flag):
 
 @pytest.mark.slow
 def test_smooth_with_no_iterations_only_levels(exposed, tmp_path):
-    beltrami("smooth", exposed, tmp_path / "level.glb", "--level", "-n", 0)
-    assert step(tmp_path / "level.glb") < 0.1 * step(exposed)
+    beltrami("level", exposed, tmp_path / "level.glb")
+    beltrami("smooth", exposed, tmp_path / "smooth.glb", "--level", "-n", 0)
+    assert (tmp_path / "smooth.glb").read_bytes() == (tmp_path / "level.glb").read_bytes()
+    # Where nothing is levelled either, the colours around charts stay, too.
+    beltrami("smooth", HEAD, tmp_path / "same.glb", "--level", "-n", 0)
+    assert (tmp_path / "same.glb").read_bytes() == HEAD.read_bytes()
 
 
 def test_a_number_after_level_is_that_of_a_level_set(tmp_path):
@@ -114,6 +118,15 @@ def test_what_has_no_charts_is_refused_with_a_reason(tmp_path):
     assert "no charts" in done.stderr
     done = beltrami("level", HEAD, tmp_path / "out.glb", "--reference", "absent*", code=2)
     assert "--reference absent*" in done.stderr
+    done = beltrami("level", HEAD, tmp_path / "out.glb", "--reference", "*", code=2)
+    assert "keeps all charts" in done.stderr
+
+
+@pytest.mark.slow
+def test_no_strength_is_not_said_of_the_steps(exposed, tmp_path):
+    done = beltrami("level", exposed, tmp_path / "same.glb", "--strength", 0)
+    assert "change would be too small" in done.stderr
+    assert (tmp_path / "same.glb").read_bytes() == exposed.read_bytes()
 
 
 def photographed(path, *, exposed):
@@ -144,6 +157,9 @@ def photographed(path, *, exposed):
 def test_vertices_are_levelled_by_the_photographs_that_an_attribute_names(tmp_path):
     truth = photographed(tmp_path / "truth.ply", exposed=False)
     before = photographed(tmp_path / "exposed.ply", exposed=True)
+    known = beltrami_cli.inspect_file(tmp_path / "exposed.ply", PLAIN)["exposure"]
+    assert known["is_exposure"]
+    assert known["seams"] == 2
     beltrami("level", tmp_path / "exposed.ply", tmp_path / "out.ply")
     after = open_document(str(tmp_path / "out.ply")).painted().colours
 
