@@ -75,11 +75,10 @@ def inspect_file(
             if samples.part == "textures":
                 textures.append(samples.describe())
             else:
-                exposure = {}
+                facts |= samples.describe()
                 if samples.part == "vertices" and photograph_attribute(document) is not None:
                     report = samples.level(LevelSettings(strength=0.0), photographs_of(document))
-                    exposure["exposure"] = describe_level(report)
-                facts |= {**samples.describe(), **exposure}
+                    facts["exposure"] = describe_level(report)
             notices += samples.notices()
         for slot in rest:
             alike = [each for each in textures if each["slot"] == slot]
