@@ -75,10 +75,13 @@ def inspect_file(
             if samples.part == "textures":
                 textures.append(samples.describe())
             else:
-                facts |= samples.describe()
+                steps = None
                 if samples.part == "vertices" and photograph_attribute(document) is not None:
-                    report = samples.level(LevelSettings(strength=0.0), photographs_of(document))
-                    facts["exposure"] = describe_level(report)
+                    # First, since a description uses up the surface.
+                    steps = samples.level(LevelSettings(strength=0.0), photographs_of(document))
+                facts |= samples.describe()
+                if steps is not None:
+                    facts["exposure"] = describe_level(steps)
             notices += samples.notices()
         for slot in rest:
             alike = [each for each in textures if each["slot"] == slot]
