@@ -218,7 +218,7 @@ CLEAN = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", [10, 40])
+@pytest.mark.parametrize("sigma", [5, 10, 40])
 @pytest.mark.parametrize("name", CLEAN)
 def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, monkeypatch):
     clean = CLEAN[name](128)
