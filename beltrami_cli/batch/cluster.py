@@ -9,23 +9,19 @@ import queue
 import socket
 import time
 import uuid
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
-from beltrami_cli.batch.item import Attempt, do_item, failed
+from beltrami_cli.batch.item import Attempt, Item, do_item, failed
 from beltrami_cli.batch.storage import is_url, place_of
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import is_file
 from beltrami_cli.formats.data_text import CONFIGURATION, parse_json, read_bounded
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from beltrami_cli.batch.item import Item
 
 LOST = "the connection to the scheduler was lost"
 _PATIENCE = 15.0  # seconds for a scheduler to answer

@@ -9,24 +9,28 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.batch.cluster import LOST
-from beltrami_cli.batch.item import Attempt, do_item
+from beltrami_cli.batch.item import Attempt, Item, do_item
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.beltrami_flow import in_partitions
-from beltrami_cli.flow.partitions import Advance, Joined, TooNarrowError, collect, joined, plan_transfers
+from beltrami_cli.flow.partitions import (
+    Advance,
+    Joined,
+    Partition,
+    TooNarrowError,
+    Transfer,
+    collect,
+    joined,
+    plan_transfers,
+)
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from beltrami_cli.arrays import Float32s, Int64s
-    from beltrami_cli.batch.item import Item
-    from beltrami_cli.flow.partitions import Partition, Transfer
-
-    Progress = Callable[[int, int], None] | None
+Progress = Callable[[int, int], None] | None
 
 _TRIES = 5  # of a surface, after workers died
 _PAUSE = 0.1  # seconds between two messages on progress

@@ -16,18 +16,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from beltrami_cli.batch.storage import hash_at, is_url, staged
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.jobs.job import Job, limited_memory
+from beltrami_cli.jobs.job import Job, Progress, limited_memory
 from beltrami_cli.jobs.output import FileSet
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from beltrami_cli.jobs.noise import NoiseReport
     from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
-
-    Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 
 Status = Literal["started", "done", "skipped", "failed", "not started"]
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 import csv
 import io
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from beltrami_cli.batch.storage import (
     find_at,
@@ -28,9 +29,6 @@ from beltrami_cli.formats.access import is_file, is_there
 from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.samples.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 # What a folder stands for: models and points. Its images may be their textures, and are named by themselves.
 MODEL_SUFFIXES = tuple(f".{name}" for name in OUTPUT_FORMATS)

@@ -6,22 +6,18 @@ import dataclasses
 import json
 import os
 import re
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
-from beltrami_cli.batch.item import Outcome, Status
+from beltrami_cli.batch.item import Item, Outcome, Status
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import is_there, open_regular
 from beltrami_cli.formats.data_text import parse_json
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.output import Output, Overwrite
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from beltrami_cli.batch.item import Item
 
 _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'

@@ -14,24 +14,18 @@ import signal
 import sys
 import time
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import wait
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol, cast
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from types import FrameType
+from typing import Any, NoReturn, Protocol, cast
 
-from beltrami_cli.batch.item import Attempt, do_item, failed, outcome_of
-from beltrami_cli.batch.record import is_done, is_ours
+from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
+from beltrami_cli.batch.record import Record, is_done, is_ours
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.errors import OutputError
 from beltrami_cli.flow.parameters import KernelParameters
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from multiprocessing.connection import Connection
-    from multiprocessing.context import SpawnProcess
-    from types import FrameType
-
-    from beltrami_cli.batch.item import Item, Outcome
-    from beltrami_cli.batch.record import Record
 
 _GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
 _PAUSE = 0.1  # seconds between two messages on progress

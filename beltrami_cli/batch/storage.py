@@ -12,15 +12,13 @@ import os
 import re
 import tempfile
 import uuid
+from collections.abc import Iterator
 from pathlib import Path, PurePath, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import Access, is_there, open_regular
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)

@@ -6,15 +6,12 @@ import errno
 import os
 import stat
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from io import BufferedReader
 
 # Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
 _OPENING = (

@@ -13,18 +13,15 @@ import tokenize
 import warnings
 import zipfile
 import zlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, require_ratio
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from beltrami_cli.arrays import Array
 
 _MOST_MEMBERS = 10_000
 _LARGEST = 1 << 30  # bytes of a member, where no memory limit is given

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.surface.records import MeshContents, VertexColours
+from beltrami_cli.surface.records import MeshContents, VertexColours
 
 BYTE = 255.0
 _INTEGER_SCALES = (BYTE, 65535.0)

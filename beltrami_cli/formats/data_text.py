@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING, Any, BinaryIO
+from pathlib import Path
+from typing import Any, BinaryIO
 
 from beltrami_cli.formats.access import open_regular
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24
 """Bytes that such a file has at most."""

@@ -16,23 +16,20 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from pathlib import Path
+from typing import ClassVar
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import PaintedVertices
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.surface import records
-
-    NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
+NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: NewImages = {}

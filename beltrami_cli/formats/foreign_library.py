@@ -8,20 +8,17 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.worker_process import working
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Array
-
-    Message = tuple[Any, dict[str, Array]]  # words, as JSON has them, and arrays by name
+Message = tuple[Any, dict[str, Array]]  # words, as JSON has them, and arrays by name
 
 _PATIENCE = 60  # seconds
 _MISSING = 77  # exit code where a package is not installed

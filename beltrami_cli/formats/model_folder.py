@@ -17,18 +17,14 @@ import posixpath
 import re
 import stat
 import unicodedata
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
+from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image.picture import format_of_suffix
 from beltrami_cli.surface.tiling import COLUMNS, ROWS, Tile
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from beltrami_cli.formats.document import Naming
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.arrays import Float64s, Int32s
+from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import NewNames, tile_name
-from beltrami_cli.surface.records import ImageFile, Material, MaterialMap, MeshImage, Texture
+from beltrami_cli.surface.records import (
+    AlphaMode,
+    ImageFile,
+    Material,
+    MaterialMap,
+    MeshImage,
+    Slot,
+    Texture,
+    TexturedMesh,
+    Wrap,
+)
 from beltrami_cli.surface.tiling import Tile, tiles_under
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float64s, Int32s
-    from beltrami_cli.formats.document import NewImages
-    from beltrami_cli.surface.records import AlphaMode, Slot, TexturedMesh, Wrap
 
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.large_arrays import blocks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Float64s, Int64s
 
 PLACEHOLDER = b"\0"
 """Replaces what may differ in a part of a fingerprint."""

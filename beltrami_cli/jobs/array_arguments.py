@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Sequence
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import Encoding, PaintedVertices, check_scale
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import ArrayLike
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
-    from beltrami_cli.samples.settings import SmoothSettings
 
 _ARRAYS = "the arrays"  # as messages call them
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.embedding import Guide, centred, from_space, to_space
+from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.jobs.array_arguments import (
     checked_surface,
     deviations_in,
@@ -19,20 +22,11 @@ from beltrami_cli.jobs.array_arguments import (
     settings_for,
 )
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
-from beltrami_cli.samples.settings import DEFAULTS
-from beltrami_cli.samples.vertex_samples import VertexSamples, count_cloud
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.vertex_samples import CloudCounts, VertexSamples, count_cloud
+from beltrami_cli.surface.records import Encoding, PaintedVertices
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from beltrami_cli.flow.tuning.choice import Choice
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.samples.vertex_samples import CloudCounts
-    from beltrami_cli.surface.records import Encoding, PaintedVertices
-
-    Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
@@ -21,17 +24,7 @@ from beltrami_cli.samples.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows, group_places
 from beltrami_cli.surface.lookup import look_up, noise_around
-from beltrami_cli.surface.records import MeshContents
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.surface.records import Encoding, TexturedSurface
+from beltrami_cli.surface.records import Encoding, MeshContents, TexturedSurface
 
 _DEFAULTS = BakeSettings()
 _ALIKE = 8 / 255  # a step that can hardly be seen, and that texels of several triangles' colours make anyway

@@ -6,18 +6,14 @@ import io
 import json
 import sys
 import zipfile
+from collections.abc import Iterator
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from beltrami_cli.fields import parameters
+from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.settings import SmoothSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.fields import Parameter
 
 _FILES = {"addon.py": "__init__.py"}  # all others keep their names
 # Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.

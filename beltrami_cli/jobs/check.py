@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import NamedImage
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from beltrami_cli.arrays import Array
-    from beltrami_cli.formats.document import NamedImage
 
 Held = TypeVar("Held")
 

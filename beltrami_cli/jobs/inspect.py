@@ -5,24 +5,21 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections import Counter
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.levelled_charts import describe_level, photograph_attribute, photographs_of
 from beltrami_cli.samples.memory_check import checked_memory, memory_beside, too_many_together
-from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
+from beltrami_cli.samples.selection import Selection, require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures, only_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import group_places
-
-if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.selection import Selection
-    from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.records import Slot
 
 
 def inspect_file(

@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -18,13 +19,10 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.output import FileSet, Output
 
-    Progress = Callable[[str, int, int], None]
-
+Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 
 Item = TypeVar("Item")
 

@@ -9,32 +9,25 @@ import csv
 import io
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.probes.probe import MeshView, WindowView, read_location
+from beltrami_cli.samples.probes.probe import Location, MeshView, Probe, WindowView, read_location
 from beltrami_cli.samples.selection import require_scale, samples_of, select
-from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES
+from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.samples.probes.probe import Location, Probe
-    from beltrami_cli.samples.settings import SmoothSettings
 
 _TABLES = (".csv", ".json", ".npz")
 SUFFIXES = (".ply", *IMAGE_SUFFIXES, *_TABLES)

@@ -5,19 +5,15 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.jobs.job import PLAIN_JOB, peak_memory
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, peak_memory
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.smoothing import Levelling
-from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, describe_settings
-
-if TYPE_CHECKING:
-    from beltrami_cli.jobs.job import Job
-    from beltrami_cli.samples.reports import LevelReport
-    from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.reports import LevelReport
+from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
 
 @dataclass(frozen=True)

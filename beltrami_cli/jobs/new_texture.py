@@ -3,41 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.image import read_image, to_float, without_alpha, write_image
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.jobs.job import Progress
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.surface.baking import bake, interpolated, overlap, texels_for_vertices
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import (
+    Encoding,
+    ImageFile,
     Material,
     MaterialMap,
+    MeshContents,
     MeshImage,
     Texture,
     TexturedMesh,
     TexturedSurface,
 )
-from beltrami_cli.surface.unwrap import require_few_faces, unwrap
+from beltrami_cli.surface.unwrap import Unwrapped, require_few_faces, unwrap
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.jobs.settings import BakeSettings
-    from beltrami_cli.surface.records import Encoding, ImageFile, MeshContents
-    from beltrami_cli.surface.unwrap import Unwrapped
-
-    Progress = Callable[[str, int, int], None] | None
-    Depth = type[np.uint8] | type[np.uint16]
+Depth = type[np.uint8] | type[np.uint16]
 
 _ON_A_LEVEL = 0.05  # of an 8-bit step: numbers this close to levels came from 8 bits
 _SHARED = 0.01  # share of texels at several places that rounding at the edges of charts may make
@@ -76,7 +72,10 @@ class NewTexture:
 
 
 def texture_from_vertices(
-    document: Document, wanted: BakeSettings, progress: Progress = None, colours: Float32s | None = None
+    document: Document,
+    wanted: BakeSettings,
+    progress: Progress | None = None,
+    colours: Float32s | None = None,
 ) -> NewTexture:
     """Spread the vertex colours, or others, shape (V, C), in their stead, over the texels of a texture."""
     # They are interpolated as the numbers that are stored (in glTF linear light), and rounded once.
@@ -109,7 +108,7 @@ def texture_from_vertices(
 def texture_from_textures(
     document: Document,
     wanted: BakeSettings,
-    progress: Progress = None,
+    progress: Progress | None = None,
     smoothed: Mapping[str, ImageFile] | None = None,
 ) -> NewTexture:
     """Move all base colour textures, or others by their keys in their stead, to one new atlas."""
@@ -143,7 +142,7 @@ def texture_from_textures(
 
 def _unwrapped(
     document: Document, positions: Float64s, faces: Int32s, space_of: Int32s | None, texels: float,
-    wanted: BakeSettings, progress: Progress,
+    wanted: BakeSettings, progress: Progress | None,
 ) -> Unwrapped:  # fmt: skip
     require_few_faces(len(faces), wanted.max_unwrap_faces, document.name)
     return unwrap(

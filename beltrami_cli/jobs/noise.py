@@ -11,25 +11,20 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
-from beltrami_cli.jobs.job import PLAIN_JOB
+from beltrami_cli.formats.document import Document
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import recolour
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.samples.samples import Grains, Repainted, Samples
+from beltrami_cli.samples.selection import OutputFormat, Selection
+from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.settings import NoiseSettings
-    from beltrami_cli.samples.samples import Grains, Repainted, Samples
-    from beltrami_cli.samples.selection import OutputFormat, Selection
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.baking import Cells
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash

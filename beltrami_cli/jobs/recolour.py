@@ -7,40 +7,32 @@ are. OUTPUT has the format that it asks for, and beside it are the files that be
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats import registry
-from beltrami_cli.formats.access import read_regular, read_source
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.access import Access, read_regular, read_source
+from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
-from beltrami_cli.jobs.job import Stopwatch
+from beltrami_cli.jobs.job import Job, Stopwatch
+from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
-from beltrami_cli.samples.selection import NOTHING, OutputFormat, choose_format, samples_of, select
+from beltrami_cli.samples.samples import Repainted, Samples
+from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import ImageFile, MovedVertices
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.output import Output
-    from beltrami_cli.samples.samples import Repainted, Samples
-    from beltrami_cli.samples.selection import Selection
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
 
 
 class Painter(Protocol):

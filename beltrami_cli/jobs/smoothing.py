@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from beltrami_cli.jobs.job import peak_memory
+from beltrami_cli.arrays import Int64s
+from beltrami_cli.flow.beltrami_flow import FlowResult
+from beltrami_cli.formats.document import Document
+from beltrami_cli.jobs.job import Job, peak_memory
 from beltrami_cli.samples.levelled_charts import photographs_of
-from beltrami_cli.samples.reports import SlotReport
-from beltrami_cli.samples.samples import Change
-from beltrami_cli.samples.selection import require_geometry, require_scale
-from beltrami_cli.samples.settings import LevelSettings, describe_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Int64s
-    from beltrami_cli.flow.beltrami_flow import FlowResult
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.job import Job
-    from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, VertexReport
-    from beltrami_cli.samples.samples import Part, Repainted, Samples
-    from beltrami_cli.samples.selection import OutputFormat, Selection
-    from beltrami_cli.samples.settings import SmoothSettings
-
+from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
+from beltrami_cli.samples.samples import Change, Part, Repainted, Samples
+from beltrami_cli.samples.selection import OutputFormat, Selection, require_geometry, require_scale
+from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, describe_settings
 
 _USUAL_TICKS = 30  # while parameters are chosen
 

@@ -6,32 +6,28 @@ For vertices they are attributes, or tables in files with one row per vertex; fo
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.embedding import Guide, centred
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, read_npy
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
 from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import TexelColours
+from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.lookup import look_up
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.atlas import Atlas
-    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 _MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW = "it needs one row for each coloured vertex, in the order of the file"

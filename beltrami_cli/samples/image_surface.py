@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
+from beltrami_cli.formats.image.jpeg_tables import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.guides import require_size
+from beltrami_cli.samples.settings import ImageSettings
 from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.records import check_scale
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.noise.by_scale import FoundNoise
-    from beltrami_cli.flow.parameters import KernelParameters
-
-    Pixels = NDArray[np.int64]
-
-    from beltrami_cli.formats.image.jpeg_tables import JpegTables
-    from beltrami_cli.samples.settings import ImageSettings
+Pixels = NDArray[np.int64]
 
 # Channels that hold a depth or height, as renderers and cameras call them.
 _HEIGHTS = ("z", "depth", "height", "depth.z", "y")

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import ImageSize, measure_image
+from beltrami_cli.samples.settings import TextureSettings
 from beltrami_cli.surface.large_arrays import kept_on_disk
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.settings import TextureSettings
-    from beltrami_cli.surface.records import Slot, Texture
+from beltrami_cli.surface.records import Slot, Texture
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
 

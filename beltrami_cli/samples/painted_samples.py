@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.grouping import group_places
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import PaintedVertices
 
 
 @dataclass(frozen=True)

@@ -4,21 +4,37 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.image import check_writable, is_exact, is_unchanged, label_of, losses
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import (
+    ImageDocument,
+    Picture,
+    check_writable,
+    is_exact,
+    is_unchanged,
+    label_of,
+    losses,
+)
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
+from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
@@ -33,23 +49,11 @@ from beltrami_cli.samples.samples import (
     refuse_options_of_meshes,
     store,
 )
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
-    from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.parameters import KernelParameters, Space
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import ImageDocument, Picture
-    from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.settings import SmoothSettings
-
-    Pixels = Int64s
+Pixels = Int64s
 
 _COLOURS = ("red", "green", "blue", "grey")
 _BLOCK = 1 << 20  # pixels rounded at a time, which bounds the memory for them

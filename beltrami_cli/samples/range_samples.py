@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.embedding import Guide, to_space
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.records import NewColours
+from beltrami_cli.formats.document import Document
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
+from beltrami_cli.samples.probes.probe import Probe
+from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Repainted, describe_kernel, options_of_meshes
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Float32s, Int64s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
-    from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.records import NewColours
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.reports import VertexReport
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.surface.records import PaintedVertices
 
 
 class RangeSamples(PaintedSamples):

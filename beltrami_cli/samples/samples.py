@@ -9,37 +9,37 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+from beltrami_cli.flow.parameters import Space
+from beltrami_cli.flow.records import NewColours
+from beltrami_cli.flow.tuning.choice import Choice
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS
-from beltrami_cli.surface.atlas import store_integers
+from beltrami_cli.samples.probes.probe import Probe
+from beltrami_cli.samples.reports import LevelReport, SamplesReport
+from beltrami_cli.samples.settings import (
+    COLOUR_SLOTS,
+    DEFAULTS,
+    LevelSettings,
+    SmoothSettings,
+    TextureSettings,
+)
+from beltrami_cli.surface.atlas import Indices, store_integers
+from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.records import ImageFile, Slot
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
-    from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.flow.records import NewColours
-    from beltrami_cli.flow.tuning.choice import Choice
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.reports import LevelReport, SamplesReport
-    from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, TextureSettings
-    from beltrami_cli.surface.atlas import Indices
-    from beltrami_cli.surface.baking import Cells
-    from beltrami_cli.surface.records import ImageFile, Slot
-
-    Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 Part = Literal["vertices", "textures", "image"]
 

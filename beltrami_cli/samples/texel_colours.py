@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.parameters import Space
+from beltrami_cli.flow.records import NewColours
+from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
 from beltrami_cli.samples.samples import Change, channel_numbers, store
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, fill_gutter, texels_by_texture, within
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-    from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.flow.records import NewColours
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.surface.atlas import Indices
-    from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+from beltrami_cli.surface.atlas import Atlas, Indices, fill_gutter, texels_by_texture, within
+from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:

@@ -3,41 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, canvas_colours
+from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, is_unchanged, losses, read_image
-from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
+from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
+from beltrami_cli.samples.texture_groups import TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.noise.by_scale import FoundNoise
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image.jpeg_tables import JpegTables
-    from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.samples.texture_groups import TextureGroup
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
 _UNSEEN = (

@@ -7,27 +7,23 @@ plain wall. Noise is estimated once for all, as they mostly come from one camera
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.samples.samples import describe_choice
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.grouping import group_places
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float64s, Int64s
-    from beltrami_cli.flow.noise.by_scale import FoundNoise
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import TexturedSurface
-
+from beltrami_cli.surface.records import TexturedSurface
 
 # Covered texels that parameters are chosen from well; parts of a surface with fewer are put together.
 _ENOUGH_TEXELS = 1 << 16

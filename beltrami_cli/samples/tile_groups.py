@@ -8,26 +8,21 @@ Parameters and noise are chosen once, on textures spread evenly over all, for al
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.flow.canvas import canvas_margin
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.image.reading import ImageSize
 from beltrami_cli.samples import memory_check
 from beltrami_cli.samples.texel_colours import only_textures
-from beltrami_cli.samples.texture_groups import Borders, TextureGroup
+from beltrami_cli.samples.texture_groups import Borders, Common, TextureGroup
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Bools, Float64s, Int64s
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.formats.image.reading import ImageSize
-    from beltrami_cli.samples.texture_groups import Common
-    from beltrami_cli.surface.records import TexturedSurface
+from beltrami_cli.surface.records import TexturedSurface
 
 # Patches are looked for around each texel twice, and their weights are averaged.
 _PASSES_OF_PATCHES = 4

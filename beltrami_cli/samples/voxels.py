@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.colours import full_scale
@@ -15,14 +16,11 @@ from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume
 from beltrami_cli.formats.volume.arrays import require_package
+from beltrami_cli.samples.settings import Inside, LevelSetSettings
 from beltrami_cli.surface import level_set
 from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.samples.settings import Inside, LevelSetSettings
-
-    Source = level_set.GridColours | level_set.NearColours
+Source = level_set.GridColours | level_set.NearColours
 
 # Other types have no full scale of their own: it is derived from their largest value.
 _FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}

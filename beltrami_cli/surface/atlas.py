@@ -15,27 +15,23 @@ plane of the face before it, and looked up there; beyond open edges, and edges o
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beltrami_cli._native import build_atlas as build_native_atlas
 from beltrami_cli._native import nearest_marked, store_colours
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.records import TexturedSurface
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-    from beltrami_cli.surface.records import TexturedSurface
-
-    Indices: TypeAlias = NDArray[np.signedinteger[Any]]
+Indices: TypeAlias = NDArray[np.signedinteger[Any]]
 
 EMPTY, OWNED, HALO = 0, 1, 2
 # A line through the values 1/2, 3/2 and 5/2 texels from a seam, by least squares, has this value at the seam.

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
+from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
 from beltrami_cli.surface.atlas import fill_gutter
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
+from beltrami_cli.surface.records import TexturedSurface
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import DTypeLike, NDArray
-
-    from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.records import TexturedSurface
-
-    Shade = Callable[[Int64s, Float64s], Array]
+Shade = Callable[[Int64s, Float64s], Array]
 
 
 _BLOCK = 1 << 20  # texels looked at at a time, which bounds the memory for them

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
 
 _SLOPE = 12.92  # of the straight piece near black
 _OFFSET = 0.055

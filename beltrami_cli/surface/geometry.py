@@ -12,12 +12,10 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 
 
 def bounds(positions: Float64s) -> list[list[float]]:

@@ -10,20 +10,14 @@ their colours.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.surface.records import SampledSurface
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
+from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 
 # Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)

@@ -12,21 +12,16 @@ import mmap
 import os
 import shutil
 import weakref
+from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
+from beltrami_cli.arrays import Array, Int8s
 from beltrami_cli.errors import ProcessingError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import DTypeLike
-
-    from beltrami_cli.arrays import Array, Int8s
 
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""

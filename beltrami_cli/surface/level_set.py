@@ -18,17 +18,14 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-    from beltrami_cli.surface.records import Encoding
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
+from beltrami_cli.surface.records import Encoding
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
 # much, since marching cubes leaves holes where values are on the level itself.

@@ -7,13 +7,10 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.surface.records import Wrap
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.surface.records import Wrap
 
 
 def look_up(

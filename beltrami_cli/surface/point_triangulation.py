@@ -16,15 +16,11 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.surface.grouping import group_places
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s
-    from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.surface.records import PaintedVertices
 
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number
 # does, on rims and between the lines of a scanner the last may not.

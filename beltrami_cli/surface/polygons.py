@@ -14,16 +14,11 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float64s, Int32s, Int64s
 
 _BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
 _MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most

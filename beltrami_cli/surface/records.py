@@ -5,17 +5,14 @@ And what every surface must fulfil before anything is computed on it.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 
 Encoding = Literal["srgb", "linear"]
 

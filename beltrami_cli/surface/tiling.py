@@ -6,18 +6,15 @@ Tile (u, v) has its lower left corner at (u, v).
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.grouping import group_places
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from beltrami_cli.arrays import Float64s, Int32s, Int64s
-    from beltrami_cli.surface.records import TexturedSurface
+from beltrami_cli.surface.records import TexturedSurface
 
 Tile: TypeAlias = tuple[int, int]
 """Column and row of a unit square of the UV plane, (0, 0) the first, rows counted upwards."""

@@ -12,24 +12,20 @@ import contextlib
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.worker_process import working
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float64s, Int32s
-
-    Progress = Callable[[int, int], None] | None
+Progress = Callable[[int, int], None] | None
 
 _SIDES = [part * 2**k for k in range(6, 11) for part in (4, 5, 6, 7)]  # 256, 320, 384, 448, 512, 640 ...
 _SIDES.append(8192)

@@ -9,16 +9,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Float32s, Float64s
 
 _COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
 _ENOUGH = 0.92  # of the side of the texture that charts should fill

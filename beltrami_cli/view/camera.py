@@ -6,12 +6,10 @@ View coordinates are x to the right, y up, z towards the eye.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Float64s
+from beltrami_cli.arrays import Array, Float64s
 
 _SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
 _NARROWEST = 1e-3  # degrees, below which rays are parallel

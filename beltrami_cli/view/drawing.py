@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Uint8s
+from beltrami_cli.jobs.job import Progress
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.view.camera import fitted, orientation, part_of
+from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
+from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sheet import Background, Panel, arranged, detail_size, is_lost_on_white
-from beltrami_cli.view.views import ImageView
+from beltrami_cli.view.views import Drawable, ImageView
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
-    from beltrami_cli.view.camera import Camera, Window
-    from beltrami_cli.view.settings import RenderSettings
-    from beltrami_cli.view.views import Drawable
-
-    Draw = Callable[..., Float32s]  # of a size and a window
-    Progress = Callable[[str, int, int], None]
+Draw = Callable[..., Float32s]  # of a size and a window
 
 _ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Int64s, Uint8s
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.surface.records import Texture
+from beltrami_cli.surface.records import Slot, Texture
 from beltrami_cli.view.models import (
     Box,
     ModelPacker,
@@ -19,13 +21,8 @@ from beltrami_cli.view.models import (
 )
 from beltrami_cli.view.preview import Focus, Patch
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Int64s, Uint8s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.surface.records import Slot
-
-    # Pixels as a page shows them, by layer and texture; those that are absent are the document's own.
-    Shown = dict[tuple[int, int], Uint8s]
+# Pixels as a page shows them, by layer and texture; those that are absent are the document's own.
+Shown = dict[tuple[int, int], Uint8s]
 
 _QUICK = 1  # of zlib
 

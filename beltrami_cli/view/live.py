@@ -11,11 +11,12 @@ import html
 import json
 import threading
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Queue
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +25,13 @@ from beltrami_cli.fields import override
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.jobs.smoothing import Smoothing, make_report
+from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, make_report
 from beltrami_cli.samples.selection import select
-from beltrami_cli.view.layers import Layers
+from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.view.layers import Layers, Shown
 from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset
 from beltrami_cli.view.parameters import (
     controls,
@@ -41,15 +44,7 @@ from beltrami_cli.view.preview import Focus, NoPreviewError, Previewer
 from beltrami_cli.view.server import Events, RefusedError
 from beltrami_cli.view.views import image_files
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.view.layers import Shown
-
-    Command = Callable[[SmoothSettings, str], str]
+Command = Callable[[SmoothSettings, str], str]
 
 _SCRIPTS = (LIBRARY, *VIEWER_SCRIPTS, "live.js")
 _WAIT = 0.5  # seconds after a preview in which the whole is not begun, since another change may follow

@@ -16,27 +16,23 @@ from __future__ import annotations
 import base64
 import hashlib
 import zlib
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import ImageDocument, Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.colour_values import VIRIDIS, linear_to_srgb
 from beltrami_cli.surface.grouping import distinct_corners, group_places
-from beltrami_cli.surface.records import Texture
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import data_address
 from beltrami_cli.view.views import disc_radii, light_of, sheet_of, texture_sheet
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import ImageDocument, Picture
-    from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
-
-    Pair = tuple[Document, Document]
+Pair = tuple[Document, Document]
 
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _FULL = 65535

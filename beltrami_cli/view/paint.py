@@ -6,20 +6,17 @@ doi:10.1145/800059.801126.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.surface.lookup import look_up
+from beltrami_cli.surface.records import TexturedSurface, Wrap
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
-    from beltrami_cli.surface.records import TexturedSurface, Wrap
-
-    Sheet = Float32s
-    """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
+Sheet = Float32s
+"""An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
 
 _EXACT = 1 << 13  # texels from the origin up to which single precision does
 _UNPAINTED = 0.32  # linear light of a middle grey

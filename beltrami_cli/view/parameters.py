@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import html
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, override, parameters
 from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings, describe_settings
+from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.pages import table
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from beltrami_cli.surface.records import Slot
 
 _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
 _CHOICES = ("strength", "patches")

@@ -3,36 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.guides import vertex_guides
+from beltrami_cli.samples.painted_samples import PaintedSamples
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.range_samples import RangeSamples
+from beltrami_cli.samples.settings import EmbeddingSettings, SmoothSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import VertexSamples
+from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float64s, Int64s
-    from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.painted_samples import PaintedSamples
-    from beltrami_cli.samples.settings import EmbeddingSettings, SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
-
-    Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 _PIECE = 320  # texels of a triangle at most, so that enough of them fit
 _MOST_PIECES = 100_000  # in a whole texture, even if they are larger then

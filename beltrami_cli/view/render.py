@@ -9,35 +9,30 @@ import contextlib
 import importlib
 import io
 import struct
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.access import Access, read_regular
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import is_image, new_picture
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.output import Output, Overwrite
+from beltrami_cli.jobs.output import FileSet, Output, Overwrite
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.view.drawing import draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
 from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.tracing import require_embree
 from beltrami_cli.view.views import open_views, require_memory_to_draw
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Uint8s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.output import FileSet
-    from beltrami_cli.samples.settings import SmoothSettings
-
-    Frames = Sequence[Uint8s]  # of one size, (H, W, 3), or (H, W, 4) with opacity
+Frames = Sequence[Uint8s]  # of one size, (H, W, 3), or (H, W, 4) with opacity
 
 # A preview has no mark, and its bytes shall stay. But all have this head: their size, 8 bits of RGB, and no metadata.
 _SIZE = (1288, 1013)

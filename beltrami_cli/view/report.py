@@ -5,36 +5,30 @@ from __future__ import annotations
 import dataclasses
 import html
 import io
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.data_text import REPORT, parse_json, text_in
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import ImageDocument
-from beltrami_cli.jobs.compare.figures import figures
+from beltrami_cli.jobs.compare.figures import ComparedColours, figures
 from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
 from beltrami_cli.jobs.compare.models import EVERYTHING
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.colour_values import colour_by_value
+from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelPacker
 from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.sheet import distinct_labels
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float64s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.compare.figures import ComparedColours
-    from beltrami_cli.jobs.job import Progress
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import Slot
 
 _NEARLY_ALL = 99.5  # per cent of changes that are not shown brightest
 _COLUMNS = [

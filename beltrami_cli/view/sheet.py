@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import PurePath, PurePosixPath
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
-from beltrami_cli.view.camera import pixels_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Uint8s
-    from beltrami_cli.view.camera import Window
+from beltrami_cli.view.camera import Window, pixels_of
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
 _FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167], [213, 94, 0]]) / 255

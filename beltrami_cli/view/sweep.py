@@ -9,40 +9,32 @@ import html
 import io
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
+from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import read_source
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
-from beltrami_cli.samples.settings import LevelSetSettings
+from beltrami_cli.samples.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
 from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
-from beltrami_cli.view.sheet import arranged
-from beltrami_cli.view.views import image_files, view_of
+from beltrami_cli.view.sheet import Background, Panel, arranged
+from beltrami_cli.view.views import Drawable, image_files, view_of
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Uint8s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.view.drawing import Progress
-    from beltrami_cli.view.sheet import Background, Panel
-    from beltrami_cli.view.views import Drawable
-
-    Tried = tuple[dict[str, float], SmoothSettings]
+Tried = tuple[dict[str, float], SmoothSettings]
 
 FigureFormat = Literal["csv", "json"]
 

@@ -7,26 +7,22 @@ ACM Transactions on Graphics 33(4), 2014, doi:10.1145/2601097.2601199.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.jobs.job import memory_reserved
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.view.camera import size_between
+from beltrami_cli.view.camera import Camera, Window, size_between
+from beltrami_cli.view.paint import Paint
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.view.camera import Camera, Window
-    from beltrami_cli.view.paint import Paint
-
-    Rays = tuple[Array, Array]  # origins and unit directions, (K, 3) each
+Rays = tuple[Array, Array]  # origins and unit directions, (K, 3) each
 
 SAMPLES = 3  # rays along a side of each pixel
 AMBIENT = 0.35  # share of the light that comes from everywhere

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.jobs.job import tracked
+from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.view.paint import Pyramid, TexturePaint, VertexPaint
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
+from beltrami_cli.view.camera import Camera, Window
+from beltrami_cli.view.paint import Pyramid, Sheet, TexturePaint, VertexPaint
+from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.tracing import SAMPLES, SurfaceView, surface_view
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.job import Progress
-    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
-    from beltrami_cli.view.camera import Camera, Window
-    from beltrami_cli.view.paint import Sheet
-    from beltrami_cli.view.settings import RenderSettings
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
 _RGB = ("red", "green", "blue")

@@ -6,22 +6,18 @@ still be read in only one way.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.compression import draco_attribute, draco_mesh
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
-    from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.gltf.json_tree import Entry
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy types of glTF's componentType."""

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import base64
 import binascii
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 from urllib.parse import unquote, unquote_to_bytes
 
 from beltrami_cli.formats import model_folder
+from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
-from beltrami_cli.formats.gltf.json_tree import Entry, objects
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.container import Container
-    from beltrami_cli.formats.gltf.json_tree import Tree
+from beltrami_cli.formats.gltf.container import Container
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree, objects
 
 
 def is_data(uri: str) -> bool:

@@ -11,22 +11,18 @@ loses nothing.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Uint8s
 from beltrami_cli.formats.gltf.accessors import Accessors, Layout, Stored, element_bytes
 from beltrami_cli.formats.gltf.buffers import View, named_places, named_views
 from beltrami_cli.formats.gltf.compression import DRACO, draco_extension
-from beltrami_cli.formats.gltf.json_tree import Entry, objects, primitives_of
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
-
-    from beltrami_cli.arrays import Uint8s
-    from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.json_tree import Tree
+from beltrami_cli.formats.gltf.edit import Edit
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree, objects, primitives_of
 
 
 @dataclass(frozen=True)

@@ -8,21 +8,17 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Uint8s
 from beltrami_cli.formats.access import is_too_dense
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Uint8s
-    from beltrami_cli.formats.document import Bytes
-    from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.document import Bytes
+from beltrami_cli.formats.gltf.json_tree import Entry
 
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """Extensions of a bufferView; both have the same members."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.gltf import painted
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
@@ -17,7 +18,7 @@ from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.edit import Edit, compress_again
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
 from beltrami_cli.formats.gltf.geometry import placements
-from beltrami_cli.formats.gltf.json_tree import objects, primitives_of, require_structure
+from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of, require_structure
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
 from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
@@ -25,12 +26,6 @@ from beltrami_cli.formats.gltf.textured_surface import gather_textured
 from beltrami_cli.formats.gltf.textures import Images, present_slots
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedMesh, TexturedSurface
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.formats.gltf.json_tree import Tree
 
 # What conversion leaves out of a file with textures, too.
 _NOT_TEXTURED = ("skins", "animations", "cameras", "morph targets")

@@ -7,22 +7,18 @@ URI, or into a file.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, padded_elements
 from beltrami_cli.formats.gltf.buffers import data_uri, named_places, named_views
 from beltrami_cli.formats.gltf.compression import repacked
+from beltrami_cli.formats.gltf.container import Container
+from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, Images
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from beltrami_cli.formats.gltf.container import Container
-    from beltrami_cli.formats.gltf.json_tree import Tree
-    from beltrami_cli.surface.records import ImageFile
+from beltrami_cli.surface.records import ImageFile
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963
 """What a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)."""

@@ -7,23 +7,19 @@ refers to it. Numbers are compared as accessors give them, so that it counts as 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import NamedImage
+from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import named_views
 from beltrami_cli.formats.gltf.columns import used_otherwise
 from beltrami_cli.formats.gltf.compression import DRACO
-from beltrami_cli.formats.gltf.json_tree import objects, primitives_of
+from beltrami_cli.formats.gltf.container import Container
+from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of
 from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.container import Container
-    from beltrami_cli.formats.gltf.json_tree import Tree
 
 _SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
 _PLACE = ("uri", "bufferView", "mimeType")  # of an image

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.compression import draco_extension
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Sequence
-
-    from beltrami_cli.arrays import Float64s, Int64s
-    from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.gltf.json_tree import Entry
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Drawing modes with faces; 0 to 3 are points and lines."""

@@ -10,12 +10,10 @@ import json
 import re
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from beltrami_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from beltrami_cli.formats.gltf.json_tree import Tree
+from beltrami_cli.formats.gltf.json_tree import Tree
 
 DEEPEST = 100
 """Levels of nesting that are read; glTF needs about ten, and recursion must stay far from Python's limit."""

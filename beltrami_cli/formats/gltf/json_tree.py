@@ -6,13 +6,11 @@ Readers check what they use through `Entry`, and `require_structure` what is onl
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from beltrami_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 Tree = dict[str, Any]
 

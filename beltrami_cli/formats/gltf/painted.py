@@ -6,23 +6,19 @@ accessors over the same bytes) share its rows, so that every stored colour has e
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions, quantised
 from beltrami_cli.formats.gltf.columns import Column, exchange
+from beltrami_cli.formats.gltf.edit import Edit
+from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.surface.records import MovedVertices, PaintedVertices
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s
-    from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.json_tree import Entry
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _MOST_ROWS = np.iinfo(np.int32).max

@@ -8,12 +8,14 @@ pointed at it. Textures are treated likewise: changed if all that name them foll
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from beltrami_cli.errors import BeltramiError, OutputError
+from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.edit import Edit, ImageStorage
-from beltrami_cli.formats.gltf.json_tree import objects
+from beltrami_cli.formats.gltf.json_tree import Tree, objects
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
@@ -27,13 +29,7 @@ from beltrami_cli.formats.gltf.textures import (
 )
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from beltrami_cli.formats.document import NewImages
-    from beltrami_cli.formats.gltf.json_tree import Tree
-    from beltrami_cli.surface.records import ImageFile, Slot
+from beltrami_cli.surface.records import ImageFile, Slot
 
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 

@@ -5,21 +5,18 @@ A new image or buffer never takes the name of a file that the source uses, unles
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
 from beltrami_cli.formats.gltf.buffers import data_uri, is_data, named_files, read, relative_name
 from beltrami_cli.formats.gltf.compression import MESHOPT
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
+from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.json_text import revised
+from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import media_type
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, UnfitReferenceError, is_outside
-
-if TYPE_CHECKING:
-    from beltrami_cli.formats.gltf.edit import Edit
-    from beltrami_cli.formats.gltf.json_tree import Tree
-    from beltrami_cli.surface.records import ImageFile
+from beltrami_cli.surface.records import ImageFile
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
 

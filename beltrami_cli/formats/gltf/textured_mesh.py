@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, fractions
+from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import Images, TextureUse, texture_uses
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
@@ -19,14 +22,8 @@ from beltrami_cli.formats.textured_mesh import MeshImages, shown_materials, usab
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import AlphaMode, Material, MaterialMap, Slot, TexturedMesh, VertexColours
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.gltf.json_tree import Entry
-
-    # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
-    PrimitiveColours = Mapping[tuple[int, int], Float32s]
+# Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
+PrimitiveColours = Mapping[tuple[int, int], Float32s]
 
 _MOST_ROWS = np.iinfo(np.int32).max
 _ALPHA: dict[str, AlphaMode] = {"MASK": "mask", "BLEND": "blend"}

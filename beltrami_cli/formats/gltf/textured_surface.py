@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import geometry
+from beltrami_cli.formats.gltf.accessors import Accessors
+from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.formats.gltf.textures import Images, TextureUse, looks, texture_uses
 from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
 from beltrami_cli.formats.textured_mesh import SlotImages
 from beltrami_cli.surface.records import Slot, TexturedSurface
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
-
-    from beltrami_cli.arrays import Float64s, Int32s, Int64s
-    from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.json_tree import Entry
 
 _MOST_ROWS = np.iinfo(np.int32).max
 

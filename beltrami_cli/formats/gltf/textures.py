@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s
+from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import is_data, read, relative_name
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree
 from beltrami_cli.formats.image import format_of, label_of
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
 from beltrami_cli.formats.image.picture import FORMATS
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
 from beltrami_cli.surface.records import Slot, Wrap
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
-
-    from beltrami_cli.arrays import Float64s
-    from beltrami_cli.formats.gltf.accessors import Accessors
-    from beltrami_cli.formats.gltf.json_tree import Entry, Tree
 
 WEBP = "EXT_texture_webp"
 IMAGE_EXTENSIONS = {

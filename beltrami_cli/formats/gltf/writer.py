@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
+from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, not_converted, plain_name, shown_materials
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.grouping import distinct_corners
 from beltrami_cli.surface.polygons import triangulate
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.formats.gltf.json_tree import Tree
-    from beltrami_cli.surface.records import Material, MeshContents, TexturedMesh, VertexColours, Wrap
+from beltrami_cli.surface.records import Material, MeshContents, TexturedMesh, VertexColours, Wrap
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.

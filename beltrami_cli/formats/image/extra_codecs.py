@@ -14,14 +14,12 @@ import io
 import math
 import struct
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Uint8s
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
 EXTRA_CODECS = tuple(_PACKAGES)

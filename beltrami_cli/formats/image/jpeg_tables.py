@@ -6,15 +6,12 @@ The layout of markers and tables is that of ITU-T T.81, annex B.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.arrays import Float64s
+from beltrami_cli.arrays import Float64s
 
 _START, _TABLES, _SCAN, _ADOBE = b"\xff\xd8", 0xDB, 0xDA, 0xEE
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s
 from beltrami_cli.surface.large_arrays import blocks
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Bools, Float32s
-    from beltrami_cli.surface.records import Encoding
+from beltrami_cli.surface.records import Encoding
 
 
 @dataclass(frozen=True)

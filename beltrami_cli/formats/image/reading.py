@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import READABLE, Picture, format_of, label_of, suffix_for
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from beltrami_cli.arrays import Array
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image import extra_codecs, metadata
 from beltrami_cli.formats.image.picture import (
@@ -21,9 +22,6 @@ from beltrami_cli.formats.image.picture import (
 from beltrami_cli.formats.image.reading import TYPES, scratch_file
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array
 
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much

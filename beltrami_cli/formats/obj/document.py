@@ -5,19 +5,35 @@ from __future__ import annotations
 import codecs
 import dataclasses
 import os
+from collections.abc import Sequence
 from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.document import Bytes, Document, Fingerprint, NamedImage, Written
+from beltrami_cli.formats.document import (
+    Bytes,
+    Changes,
+    Document,
+    Fingerprint,
+    NamedImage,
+    Naming,
+    NewImages,
+    Written,
+)
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference, path_inside
-from beltrami_cli.formats.obj.materials import Materials
+from beltrami_cli.formats.obj.materials import Library, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.obj.texturing import gather_textured, read_coordinates, read_textured_mesh
+from beltrami_cli.formats.obj.texturing import (
+    Coordinates,
+    gather_textured,
+    read_coordinates,
+    read_textured_mesh,
+)
 from beltrami_cli.formats.obj.vertices import (
     Scan,
     among,
@@ -30,16 +46,7 @@ from beltrami_cli.formats.obj.vertices import (
 )
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, common_suffix, new_files, slots_by_path
 from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
-from beltrami_cli.surface.records import MeshContents, VertexColours
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.document import Changes, Naming, NewImages
-    from beltrami_cli.formats.obj.materials import Library, Map
-    from beltrami_cli.formats.obj.texturing import Coordinates
-    from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")

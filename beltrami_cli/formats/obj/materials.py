@@ -9,16 +9,12 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
 
 from beltrami_cli.formats import model_folder
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.records import Slot
 
 SLOTS: dict[str, Slot] = {
     "map_kd": "baseColor",

@@ -8,15 +8,12 @@ References
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.formats.tokens import Lines, without_comments
 from beltrami_cli.surface.large_arrays import blocks
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float64s, Int64s
 
 _INDICES = {b"v": (0, "vertex"), b"vt": (1, "texture coordinates"), b"vn": (2, "normal")}
 """How many "/" stand before the index of each kind in a corner, and what it refers to."""

@@ -6,23 +6,20 @@ import os
 import re
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.model_folder import remedy_for
+from beltrami_cli.formats.obj.materials import Map, Materials
+from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.polygons import triangulate_corners
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.obj.materials import Map, Materials
-    from beltrami_cli.formats.obj.statements import Statements
 
 
 @dataclass(frozen=True)

@@ -11,21 +11,17 @@ ZBrush's polypaint stands in comments, as MMRRGGBB in hexadecimal digits. MM is 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.tokens import exchange_tokens
 from beltrami_cli.surface.geometry import unit_vectors
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-    from beltrami_cli.formats.document import Bytes
 
 _SIZES = (3, 4, 5, 6, 7, 8)
 _PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours

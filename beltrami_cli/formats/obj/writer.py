@@ -5,11 +5,13 @@ Colours have six decimals, all other numbers as many digits as they need to be r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.textured_mesh import (
@@ -22,14 +24,7 @@ from beltrami_cli.formats.textured_mesh import (
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import distinct_corners
 from beltrami_cli.surface.large_arrays import blocks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh
+from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _MATERIAL = "painted"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Collection, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
@@ -17,13 +19,7 @@ from beltrami_cli.formats.ply.header import Header, read_header
 from beltrami_cli.formats.ply.tables import Table, read_tables
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.surface.records import MeshContents, VertexColours
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.records import Slot, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
 
 class PlyDocument(Document):

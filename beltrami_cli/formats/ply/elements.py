@@ -10,21 +10,17 @@ References
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, intensity_scale
+from beltrami_cli.formats.ply.header import Element, Header
+from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.surface.geometry import unit_vectors
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.ply.header import Element, Header
-    from beltrami_cli.formats.ply.tables import Table
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import tokens
-from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, Written
+from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, NewImages, Written
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
+from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from beltrami_cli.arrays import Array, Bools, Float32s
-    from beltrami_cli.formats.document import NewImages
-    from beltrami_cli.formats.ply.header import Header
-    from beltrami_cli.formats.ply.texturing import TextureComment
-    from beltrami_cli.surface.records import MovedVertices
+from beltrami_cli.formats.ply.texturing import TextureComment
+from beltrami_cli.surface.records import MovedVertices
 
 
 @dataclass(frozen=True)

@@ -8,20 +8,17 @@ has a value at every unit.
 from __future__ import annotations
 
 from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.ply.header import Element, Header, Property
 from beltrami_cli.formats.tokens import read_numbers
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from beltrami_cli.arrays import Array, Int64s
-    from beltrami_cli.formats.ply.header import Element, Header, Property
 
 
 def values_in_bytes(data: bytes | bytearray, kind: str) -> Array:

@@ -8,23 +8,19 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.ply.elements import finite_columns
+from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.formats.textured_mesh import MeshImages, alpha_mode, usable_coordinates
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate_corners
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.formats.ply.tables import Table
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
 _OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))

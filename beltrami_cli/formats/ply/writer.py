@@ -7,10 +7,13 @@ other type. They are display values, so linear ones go through the sRGB transfer
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.ply.elements import store_colours
@@ -18,14 +21,7 @@ from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
 from beltrami_cli.formats.textured_mesh import image_names, not_converted, with_slots
 from beltrami_cli.surface.geometry import shortest_type
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
-    from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, VertexColours
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are

@@ -24,10 +24,13 @@ import io
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
 from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
@@ -35,14 +38,6 @@ from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
-
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
 _INTENSITY_KEYS = ("intensity", "intensities")

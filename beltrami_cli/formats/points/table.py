@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.tokens import Lines, without_comments
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float64s, Int64s
 
 _SEPARATORS = bytes.maketrans(b",;", b"  ")
 _COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")

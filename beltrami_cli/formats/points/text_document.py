@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, Naming, Written
@@ -16,14 +18,6 @@ from beltrami_cli.formats.tokens import exchange_tokens, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import MeshContents
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
-
 
 _WHOLE = b"%.0f"
 _DIGITS = 6  # of full scale at least: as fine as 20 bits

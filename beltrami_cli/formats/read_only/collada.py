@@ -8,21 +8,18 @@ polygons with a skin, and rounds other colours to 8 bits.
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 from xml.parsers import expat
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s
-    from beltrami_cli.formats.access import Access
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
 _PYCOLLADA = ForeignLibrary(

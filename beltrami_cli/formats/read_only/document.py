@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import re
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal
+from pathlib import Path
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.read_only.off import HEADER, read_off
-from beltrami_cli.formats.read_only.polygons import check_polygons, colours_of_vertices, joined
+from beltrami_cli.formats.read_only.polygons import (
+    ColouredPolygons,
+    check_polygons,
+    colours_of_vertices,
+    joined,
+)
 from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
 from beltrami_cli.surface.records import MeshContents
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 
 Kind = Literal["off", "stl", "3mf", "dae", "zae"]
 

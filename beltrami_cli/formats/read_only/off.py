@@ -10,19 +10,15 @@ References
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import full_scale
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 from beltrami_cli.formats.tokens import require_short_lines
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
 
 HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
 _COMMENT = re.compile(rb"#[^\r\n]*")

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.surface.grouping import distinct_corners
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
 
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
 _MEANS = (

@@ -13,21 +13,17 @@ from __future__ import annotations
 import posixpath
 import re
 from array import array
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.read_only.polygons import ColouredPolygons
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.formats.access import Access
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
 

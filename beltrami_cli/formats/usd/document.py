@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 import posixpath
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
-from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, NamedImage, Naming, Written
+from beltrami_cli.formats.document import (
+    Bytes,
+    Changes,
+    Document,
+    Fingerprint,
+    NamedImage,
+    Naming,
+    NewImages,
+    Written,
+)
 from beltrami_cli.formats.image.picture import format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
 from beltrami_cli.formats.textured_mesh import common_suffix, new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
-from beltrami_cli.surface.records import MeshContents
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
-    from beltrami_cli.formats.document import NewImages
-    from beltrami_cli.surface.records import ImageFile, Slot, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, MeshContents, Slot, TexturedMesh, TexturedSurface
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",

@@ -9,23 +9,19 @@ from __future__ import annotations
 
 import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, Vt
 
+from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, opened
 from beltrami_cli.formats.usd.shading import files_of
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Uint8s
-
-    Change = tuple[Array, Array]  # the values of an attribute before and after
+Change = tuple[Array, Array]  # the values of an attribute before and after
 
 Arrays = dict[str, "NDArray[Any]"]
 _MADE = "made"  # name of a layer that is written, without its suffix

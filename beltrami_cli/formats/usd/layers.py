@@ -15,15 +15,18 @@ import re
 import struct
 import tempfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
+from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
 from beltrami_cli.formats.model_folder import (
     ModelFolder,
@@ -32,12 +35,6 @@ from beltrami_cli.formats.model_folder import (
     has_token,
     is_outside,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from beltrami_cli.arrays import Array
-    from beltrami_cli.formats.document import Bytes
 
 LAYERS = (".usd", ".usda", ".usdc")
 """Suffixes of files that usd-core reads."""

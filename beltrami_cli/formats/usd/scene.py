@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
+from beltrami_cli.arrays import Array, Float64s, Int64s
 from beltrami_cli.formats.usd.shading import INPUTS, placed, read_material
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Float64s, Int64s
 
 _SMOOTH = ("vertex", "varying")
 _OPEN: list[Any] = []  # layers, which are read anew where nobody holds them

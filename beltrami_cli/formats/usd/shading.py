@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import posixpath
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pxr import UsdShade
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float64s
+from beltrami_cli.arrays import Float64s
 
 # The inputs of a UsdPreviewSurface by slot; those of the last are one image's green and blue.
 INPUTS = {

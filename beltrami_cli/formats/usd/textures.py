@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import posixpath
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
+from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, remedy_for
+from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.polygons import triangulate_corners
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.formats.document import NewImages
-    from beltrami_cli.formats.usd.layers import Layers
 
 _ALL: tuple[records.Slot, ...] = get_args(records.Slot)
 

@@ -10,11 +10,12 @@ References
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Int32s, Int64s
 from beltrami_cli.formats.colours import left_out, linear_colours
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, plain_name
@@ -23,12 +24,7 @@ from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import distinct_corners
 from beltrami_cli.surface.large_arrays import blocks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.arrays import Array, Int32s, Int64s
-    from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
 
 _BLOCK = 1 << 16  # rows written at a time
 _UNFIT = re.compile(r"\W", re.ASCII)

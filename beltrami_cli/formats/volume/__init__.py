@@ -5,15 +5,11 @@ NumPy archives and NRRD files hold level sets sampled on a grid, and colours for
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.archives import NpzArchive
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from beltrami_cli.surface.level_set import GridColours, NearColours, Volume
+from beltrami_cli.surface.level_set import GridColours, NearColours, Volume
 
 _NRRD = b"NRRD000"
 _OPENVDB = b" BDV\0\0\0\0"

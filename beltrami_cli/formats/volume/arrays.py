@@ -20,17 +20,14 @@ from __future__ import annotations
 
 import importlib
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive
 from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float64s
-
 
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")

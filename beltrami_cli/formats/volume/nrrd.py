@@ -15,20 +15,17 @@ import io
 import math
 import warnings
 import zlib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.volume.arrays import checked_lattice, require_package
 from beltrami_cli.surface.level_set import GridColours, Lattice, Volume
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from beltrami_cli.arrays import Array, Float64s
 
 _CHANNELS = 4
 _VALUE_AND_COLOURS = (2, 4, 5)  # a value with grey, with red, green and blue, and with opacity besides

@@ -7,18 +7,21 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import read_source
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.registry import kind_of
-from beltrami_cli.jobs.compare.figures import Verdict, check_limits, check_moves, figures
+from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
@@ -26,18 +29,9 @@ from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.recolour import document_from
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings
+from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings, SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float64s, Uint8s
-    from beltrami_cli.flow.parameters import Weights
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.compare.figures import ComparedColours
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.records import Slot
 
 _UNLIMITED = Limits()
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError
-from beltrami_cli.samples.selection import select
-from beltrami_cli.samples.settings import DEFAULTS, SLOTS
+from beltrami_cli.formats.document import Document
+from beltrami_cli.samples.selection import Selection, select
+from beltrami_cli.samples.settings import DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.samples.voxels import LevelSetDocument
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float64s, Int32s
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.samples.selection import Selection
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
-
-    Pair = tuple[Document, Document]
+Pair = tuple[Document, Document]
 
 EVERYTHING = dataclasses.replace(DEFAULTS, textures=dataclasses.replace(DEFAULTS.textures, slots=()))
 """Settings of a comparison of all that is coloured: where no slots are named, all are compared."""

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.embedding import to_space
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.flow.parameters import Space, Weights
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import ImageDocument, Picture, read_image
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
     SeamJumps,
@@ -23,6 +29,7 @@ from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.painted_samples import choose_channels
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.selection import coloured_vertices
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import with_surface
@@ -31,19 +38,7 @@ from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.flow.parameters import Space, Weights
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import ImageDocument, Picture
-    from beltrami_cli.samples.settings import SmoothSettings
-    from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
 
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4

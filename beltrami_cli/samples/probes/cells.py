@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.records import SampledKernel
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import Picture
 from beltrami_cli.samples.probes.probe import Location, Probe, WindowView
 from beltrami_cli.surface.atlas import EMPTY
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Array, Int64s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.records import SampledKernel
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.surface.records import PaintedVertices, Texture
+from beltrami_cli.surface.records import PaintedVertices, Texture
 
 # Cells around the window that are shown at least.
 _LEAST_SURROUNDINGS = 4

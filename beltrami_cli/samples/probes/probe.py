@@ -6,21 +6,19 @@ import dataclasses
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.embedding import from_space
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-    from beltrami_cli.flow.mesh_manifold import MeshManifold
-    from beltrami_cli.flow.parameters import Space
-    from beltrami_cli.flow.records import SampledKernel
-    from beltrami_cli.surface.grouping import VertexSampling
-    from beltrami_cli.surface.records import PaintedVertices
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.parameters import Space
+from beltrami_cli.flow.records import SampledKernel
+from beltrami_cli.surface.grouping import VertexSampling
+from beltrami_cli.surface.records import PaintedVertices
 
 _PIXEL = "px"
 _COLOURS = ("red", "green", "blue", "grey")

@@ -7,17 +7,13 @@ import hashlib
 import html
 import json
 import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from string import Template
-from typing import TYPE_CHECKING
 
+from beltrami_cli.arrays import Uint8s
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from beltrami_cli.arrays import Uint8s
 
 PAGES = (".html", ".htm")
 """Extensions of pages."""
