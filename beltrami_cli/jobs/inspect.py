@@ -60,7 +60,8 @@ def inspect_file(
     if selection.slots and not selection.vertices:
         facts |= _describe_under_textures(document, selection.slots[0], settings, access)
     notices, textures = [*document.notices, *selection.notices], list[dict[str, object]]()
-    with checked_memory(document, selection.slots, settings.textures, access, None, _Looking(settings)):
+    in_groups = settings.fits_parts
+    with checked_memory(document, selection.slots, settings.textures, access, None, in_groups=in_groups):
         many = _too_many_together(document, selection, settings, access)
         for slot, groups in many.items():
             textures.append(_describe_one_by_one(groups, slot, settings))
@@ -68,7 +69,7 @@ def inspect_file(
             notices.append(f"{slot}: noise and parameters are {which}.")
         rest = tuple(slot for slot in selection.slots if slot not in many)
         chosen = dataclasses.replace(selection, slots=rest)
-        for samples in samples_of(document, chosen, settings, access, in_groups=settings.fits_parts):
+        for samples in samples_of(document, chosen, settings, access, in_groups=in_groups):
             if samples.part == "textures":
                 textures.append(samples.describe())
             else:
@@ -94,15 +95,6 @@ def inspect_file(
     # Of images they are known once there is enough memory to decode them.
     file = {"name": document.name, "format": document.format, **document.facts()}
     return {"file": file, **facts, "notices": notices}
-
-
-class _Looking:
-    """What may be done where textures do not fit into memory, see `DiskUse`."""
-
-    works_on_disk = True
-
-    def __init__(self, settings: SmoothSettings) -> None:
-        self.works_in_groups = settings.fits_parts
 
 
 def _too_many_together(

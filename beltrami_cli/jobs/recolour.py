@@ -40,8 +40,8 @@ class Painter(Protocol):
 
     changes: bool  # whether it changes any colour; if not, the output is the input
     colours_only: bool  # whether channels of images that are no colours stay, unless they are named
-    works_on_disk: bool
-    works_in_groups: bool  # see `DiskUse`
+    works_on_disk: bool  # whether textures that do not fit into memory can be painted, all together in files
+    works_in_groups: bool  # or by some at a time
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
         """Raise what cannot be painted, before anything is computed."""
@@ -76,7 +76,8 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
             job.check(document)
         naming, beside = _plan_sidecars(document, selection, settings, kind, (source, target), output, access)
     place = None if output is None else target
-    with checked_memory(document, selection.slots, settings.textures, access, place, painter):
+    use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
+    with checked_memory(document, selection.slots, settings.textures, access, place, **use):
         with watch.stage("smooth"):
             painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
         with watch.stage("write"):
@@ -96,7 +97,8 @@ def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Pa
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
     painter.check(document, selection, OutputFormat(document.format, is_own=True))
-    with checked_memory(document, selection.slots, settings.textures, job.access, None, painter):
+    use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
+    with checked_memory(document, selection.slots, settings.textures, job.access, None, **use):
         return with_painted(document, _paint(document, selection, settings, painter, job, None))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
@@ -23,16 +22,6 @@ _FILES = 2
 # Bytes per texel of all textures that smoothing needs besides the images, at most: with large arrays in memory, and in
 # files.
 TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 195, 8
-
-
-class DiskUse(Protocol):
-    """How a painter can do with textures that do not fit into memory."""
-
-    works_on_disk: bool
-    """Whether it can, all together in files."""
-
-    works_in_groups: bool
-    """Whether it can, by some at a time."""
 
 
 def require_memory(images: Iterable[tuple[str, bytes]], access: Access) -> None:
@@ -58,28 +47,27 @@ def require_memory_for_textures(
 
 @contextlib.contextmanager
 def checked_memory(
-    document: Document,
-    slots: Sequence[Slot],
-    wanted: TextureSettings,
-    access: Access,
-    target: str | None,
-    painter: DiskUse,
-) -> Iterator[None]:
-    """Paint the chosen textures of a document in temporary files where memory is too small for them."""
-    if not painter.works_on_disk:
+    document: Document, slots: Sequence[Slot], wanted: TextureSettings, access: Access, target: str | None,
+    *, on_disk: bool = True, in_groups: bool,
+) -> Iterator[None]:  # fmt: skip
+    """Paint the chosen textures of a document in temporary files, if that can be, where memory is too small for them.
+
+    `in_groups`: they can be painted by some at a time.
+    """
+    if not on_disk:
         require_memory_for_textures(document, slots, wanted, access)
         yield
         return
     # The files have no name, and lie beside `target`, or in the folder for temporary files.
-    on_disk = False
+    is_too_much = False
     memory = memory_beside(document, access)
     if memory is not None:
         for slot in slots:
             textures = _chosen(document, slot, wanted)
             sizes = list(_measured((texture.name, texture.data) for texture in textures))
             left = memory - held_by_files(textures)
-            on_disk |= _is_too_much(sizes, left, in_groups=painter.works_in_groups)
-    if not on_disk:
+            is_too_much |= _is_too_much(sizes, left, in_groups=in_groups)
+    if not is_too_much:
         yield
         return
     import tempfile

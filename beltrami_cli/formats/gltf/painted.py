@@ -129,7 +129,6 @@ class _Gathering:
         self._faces: dict[Hashable, Int32s] = {}
         self._rows = 0
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
-        self._instanced: set[int] = set()
 
     def take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
         """Take one primitive: its rows if they are new, and its triangles."""

@@ -5,21 +5,17 @@ The layout of markers and tables is that of ITU-T T.81, annex B.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
+from beltrami_cli.formats.image.metadata import jpeg_segments
 
-_START, _TABLES, _SCAN, _ADOBE = b"\xff\xd8", 0xDB, 0xDA, 0xEE
+_START, _TABLES, _ADOBE = b"\xff\xd8", 0xDB, 0xEE
 
 # Frames of 8-bit samples that are coded by Huffman's code: baseline, extended and progressive ones.
 _FRAMES = 0xC0, 0xC1, 0xC2
-
-# Markers without a length.
-_ALONE = {0x01, *range(0xD0, 0xD8)}
 
 # Components that are red, green and blue, and not luma and chroma.
 _RGB = [*b"RGB"]
@@ -39,43 +35,27 @@ class JpegTables:
 
 def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
     """Read the tables of a grey or YCbCr picture; None of any other, or if they are damaged."""
+    if data[: len(_START)] != _START:
+        return None
     tables: dict[int, Float64s] = {}
     frame, transform = b"", 1
     try:
-        for marker, body in _segments(data):
+        for marker, segment in jpeg_segments(data):
+            body = segment[4:]
             if marker == _TABLES:
                 tables |= _tables(body)
             elif marker in _FRAMES:
-                frame = body
-            elif marker == _ADOBE and body.startswith(b"Adobe"):
+                frame = bytes(body)
+            elif marker == _ADOBE and body[:5] == b"Adobe":
                 transform = body[11]
         found = _of_frame(frame, tables, transform)
-    except (IndexError, KeyError, ValueError, struct.error):
+    except (IndexError, KeyError, ValueError):
         return None
     # Decoders let steps of 0 pass, of which nothing can be a multiple.
     return None if found is None or found.steps.min() < 1 or min(found.span) < 1 else found
 
 
-def _segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes]]:
-    """Go through the segments before the first scan."""
-    at = len(_START)
-    if data[:at] != _START:
-        return
-    while True:
-        if data[at] != 0xFF:
-            raise ValueError("no marker")
-        marker = data[at + 1]
-        if marker == _SCAN:
-            return
-        if marker == 0xFF or marker in _ALONE:
-            at += 1 if marker == 0xFF else 2
-            continue
-        (length,) = struct.unpack_from(">H", data, at + 2)
-        yield marker, bytes(data[at + 4 : at + 2 + length])
-        at += 2 + length
-
-
-def _tables(body: bytes) -> dict[int, Float64s]:
+def _tables(body: bytes | memoryview) -> dict[int, Float64s]:
     """Return the tables of a segment by their numbers, each of shape (8, 8)."""
     found, at = {}, 0
     while at < len(body):

@@ -87,12 +87,12 @@ def is_lossless_webp(data: bytes) -> bool:
 
 def is_cmyk_jpeg(data: bytes) -> bool:
     """Whether a JPEG file has four components."""
-    return any(marker in _FRAMES and segment[9:10] == b"\x04" for marker, segment in _jpeg_segments(data))
+    return any(marker in _FRAMES and segment[9:10] == b"\x04" for marker, segment in jpeg_segments(data))
 
 
 def is_progressive_jpeg(data: bytes) -> bool:
     """Whether a JPEG file is made of scans that become finer."""
-    return any(marker in _PROGRESSIVE for marker, _ in _jpeg_segments(data))
+    return any(marker in _PROGRESSIVE for marker, _ in jpeg_segments(data))
 
 
 def png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
@@ -103,6 +103,22 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
         if end > len(data):
             return
         yield data[at + 4 : at + 8], view[at:end]
+        at = end
+
+
+def jpeg_segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview]]:
+    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
+    at, view = 2, memoryview(data)
+    while at + 4 <= len(view) and view[at] == 0xFF:
+        marker = view[at + 1]
+        if marker == 0xFF:  # a fill byte
+            at += 1
+            continue
+        if marker == _START_OF_SCAN:
+            yield marker, view[at:]
+            return
+        end = at + 2 if marker in _PLAIN_MARKERS else at + 2 + int.from_bytes(view[at + 2 : at + 4])
+        yield marker, bytes(view[at:end])
         at = end
 
 
@@ -131,31 +147,15 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
     return b"".join([PNG_START, *header, *before, *palette, *of_entries, *body, *behind, *end])
 
 
-def _jpeg_segments(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker == 0xFF:  # a fill byte
-            at += 1
-            continue
-        if marker == _START_OF_SCAN:
-            yield marker, data[at:]
-            return
-        end = at + 2 if marker in _PLAIN_MARKERS else at + 2 + int.from_bytes(data[at + 2 : at + 4])
-        yield marker, data[at:end]
-        at = end
-
-
 def _is_jpeg_metadata(marker: int) -> bool:
     return marker == _COMMENT or (0xE0 <= marker <= 0xEF and marker != _ADOBE)
 
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
     # Adobe's segment says how these very samples are coded; MPF gives places of further images in the file.
-    found = [segment for marker, segment in _jpeg_segments(source) if _is_jpeg_metadata(marker)]
+    found = [segment for marker, segment in jpeg_segments(source) if _is_jpeg_metadata(marker)]
     metadata = [segment for segment in found if segment[4:8] != b"MPF\0"]
-    pixels = [segment for marker, segment in _jpeg_segments(encoded) if not _is_jpeg_metadata(marker)]
+    pixels = [segment for marker, segment in jpeg_segments(encoded) if not _is_jpeg_metadata(marker)]
     return encoded[:2] + b"".join([*metadata, *pixels])
 
 
