@@ -13,7 +13,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 
@@ -25,14 +25,16 @@ from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Job, Stopwatch
-from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
-from beltrami_cli.samples.samples import Repainted, Samples
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
+
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.output import Output
+    from beltrami_cli.samples.samples import Repainted, Samples
 
 
 class Painter(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.registry import sidecar_names, write_textured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Stopwatch
-from beltrami_cli.jobs.new_texture import NewTexture
 from beltrami_cli.jobs.recolour import naming_of, open_input, recolour
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, make_report, smooth_samples
@@ -23,6 +22,9 @@ from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
+
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.new_texture import NewTexture
 
 
 def smooth_file(

@@ -6,7 +6,7 @@ import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -34,7 +34,6 @@ from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
@@ -52,6 +51,9 @@ from beltrami_cli.samples.samples import (
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
+
+if TYPE_CHECKING:
+    from beltrami_cli.samples.probes.probe import Probe
 
 Pixels = Int64s
 

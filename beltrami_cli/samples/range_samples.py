@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,11 +16,13 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
-from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import Repainted, describe_kernel, options_of_meshes
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import PaintedVertices
+
+if TYPE_CHECKING:
+    from beltrami_cli.samples.probes.probe import Probe
 
 
 class RangeSamples(PaintedSamples):

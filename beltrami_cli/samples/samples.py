@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,6 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import (
     COLOUR_SLOTS,
@@ -36,8 +35,11 @@ from beltrami_cli.samples.settings import (
     TextureSettings,
 )
 from beltrami_cli.surface.atlas import Indices, store_integers
-from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
+
+if TYPE_CHECKING:
+    from beltrami_cli.samples.probes.probe import Probe
+    from beltrami_cli.surface.baking import Cells
 
 Progress = Callable[[int, int], None]
 

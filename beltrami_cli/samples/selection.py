@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,13 @@ from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.samples.painted_samples import PaintedSamples
-from beltrami_cli.samples.samples import Samples
 from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texture_groups import TextureGroup
 from beltrami_cli.surface.records import Slot, check_scale
+
+if TYPE_CHECKING:
+    from beltrami_cli.samples.painted_samples import PaintedSamples
+    from beltrami_cli.samples.samples import Samples
+    from beltrami_cli.samples.texture_groups import TextureGroup
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
-from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
@@ -34,6 +33,9 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
+
+if TYPE_CHECKING:
+    from beltrami_cli.samples.probes.probe import Probe
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
 _UNSEEN = (
