@@ -18,10 +18,10 @@ from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job, Progress, limited_memory
 from beltrami_cli.jobs.output import FileSet
+from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.noise import NoiseReport
-    from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
     from beltrami_cli.jobs.smoothing import SmoothReport
     from beltrami_cli.samples.settings import SmoothSettings
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,21 +14,18 @@ from click.core import ParameterSource
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, overwrite_at, values_for
+from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.formats.access import is_file
-from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.jobs.output import Overwrite
+from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Executor
-    from beltrami_cli.cli.console import Messages
-    from beltrami_cli.jobs.output import Overwrite
-    from beltrami_cli.jobs.settings import BakeSettings
 
     Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]
 

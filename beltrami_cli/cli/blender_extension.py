@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
-
-if TYPE_CHECKING:
-    from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages
 
 EPILOG = """\b
 Examples:

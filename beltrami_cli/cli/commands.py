@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import inspect
 import os
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
     from beltrami_cli.jobs.output import Overwrite
 
 _PREFIX = "BELTRAMI"

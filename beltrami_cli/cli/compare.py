@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,14 +13,11 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
 from beltrami_cli.cli.console import Messages, printable
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from beltrami_cli.flow.parameters import Weights
     from beltrami_cli.jobs.compare.figures import Verdict
     from beltrami_cli.jobs.compare.files import Comparison
 

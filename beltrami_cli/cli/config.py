@@ -12,9 +12,10 @@ import copy
 import json
 import os
 import stat
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -31,9 +32,6 @@ from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.options import ParameterOption
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.data_text import CONFIGURATION, parse_toml, read_bounded, text_in
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
 
 
 @dataclass(frozen=True)

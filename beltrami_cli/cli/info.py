@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,11 +15,7 @@ from beltrami_cli.cli.compare import show_table
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, printable
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.jobs.job import tracked
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings
 
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 

@@ -8,12 +8,12 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.smooth import besides, show_levelled, written
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.cli.console import Messages
-    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.level import LevelFileReport
 
 EPILOG = """\b

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import traceback
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -17,8 +18,6 @@ from beltrami_cli.cli.console import Interruption, Listener, ReaderGoneError, pr
 from beltrami_cli.errors import BeltramiError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from beltrami_cli.cli.config import Configuration
 
 # Each is a module, which is imported only when its command is asked for. The summaries fit a line of 80 columns.

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -27,9 +27,6 @@ from beltrami_cli.samples.settings import (
     TextureSettings,
 )
 from beltrami_cli.view.settings import RenderSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _ENVIRONMENT = (
     "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. What counts is, first "

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import wraps
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
@@ -21,10 +22,7 @@ from beltrami_cli.jobs.job import Job, default_memory, limited_memory, parse_siz
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
-
-    Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 Record = TypeVar("Record")
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.console import Messages
 from beltrami_cli.errors import UsageError
 from beltrami_cli.view.settings import VIEWS, RenderSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from beltrami_cli.cli.console import Messages
 
 EPILOG = """\b
 Examples:

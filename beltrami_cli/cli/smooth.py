@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -12,20 +13,16 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
-from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, choice_in_words, counted
+from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, counted
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.jobs.job import show_size
+from beltrami_cli.jobs.job import Job, show_size
+from beltrami_cli.jobs.output import Output
+from beltrami_cli.samples.reports import ImageReport, LevelReport, SlotReport, VertexReport
+from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from beltrami_cli.cli.console import Messages
-    from beltrami_cli.jobs.job import Job
     from beltrami_cli.jobs.level import LevelFileReport
-    from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.reports import ImageReport, LevelReport, SlotReport, VertexReport
-    from beltrami_cli.samples.settings import SmoothSettings
     from beltrami_cli.view.render import Preview
 
     Done = VertexReport | ImageReport | SlotReport

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import click
 
@@ -16,9 +17,6 @@ from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 EPILOG = """\b
 Examples:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.console import Messages
 from beltrami_cli.jobs.job import Job
-
-if TYPE_CHECKING:
-    from beltrami_cli.cli.console import Messages
-    from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Manifold
-from beltrami_cli.flow.partitions import TooNarrowError
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.partitions import Joined, Partition, Runner, TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
-from beltrami_cli.flow.records import Averaged, Step
-from beltrami_cli.flow.tuning.choice import is_noisy, tune
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.partitions import Joined, Partition, Runner
-    from beltrami_cli.flow.records import SampledKernel
-    from beltrami_cli.flow.tuning.choice import Choice
+from beltrami_cli.flow.records import Averaged, SampledKernel, Step
+from beltrami_cli.flow.tuning.choice import Choice, is_noisy, tune
 
 # Levels of dark, middle and bright colours.
 _LEVELS = {"dark": 0.1, "middle": 0.5, "bright": 0.9}

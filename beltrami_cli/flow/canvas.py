@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import Mixing
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.records import Mixing
-    from beltrami_cli.surface.atlas import Atlas, Indices
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Indices, refresh_halo
 
 # Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to
 # seven times as fine as the one beyond the seam.

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.canvas import canvas_margin, collaborate_on_canvas
-from beltrami_cli.flow.domain import CoarseLevel
+from beltrami_cli.flow.domain import CoarseLevel, Stack
+from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.noise.haar_noise import mixed_signs
+from beltrami_cli.flow.records import Mixing
 from beltrami_cli.flow.regularisation import gaussian_taps
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, refresh_halo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.domain import Stack
-    from beltrami_cli.flow.grid_kernels import GridKernels
-    from beltrami_cli.flow.records import Mixing
 
 # Of random means; any is as good.
 _SEED = 21

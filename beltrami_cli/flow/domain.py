@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.records import Mixing
+from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.records import Mixing
 
-    Stack = Float32s
+Stack = Float32s
 
 
 class Domain(ABC):

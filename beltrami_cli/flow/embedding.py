@@ -13,22 +13,17 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.parameters import SMOOTHNESS
+from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+from beltrami_cli.flow.parameters import SMOOTHNESS, KernelParameters, Space
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
-    from beltrami_cli.flow.parameters import KernelParameters, Space
-    from beltrami_cli.surface.records import Encoding
+from beltrami_cli.surface.records import Encoding
 
 # Noise that is reckoned with at least where colours are to be smoothed strongly: a step of an 8-bit file.
 _LEAST_STRONG = 1 / 255

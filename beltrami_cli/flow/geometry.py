@@ -17,21 +17,17 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.flow.embedding import choose_beta
 from beltrami_cli.flow.noise.mesh import residuals
 from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int32s
-
-    Average = Callable[[Float32s], Float32s]
+Average = Callable[[Float32s], Float32s]
 
 
 @dataclass(frozen=True)

@@ -6,26 +6,20 @@ Large canvases are averaged in place, row block by row block, so that little mem
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from copy import copy
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, mean_spacing, without_references
 from beltrami_cli.flow.manifold import Manifold
-from beltrami_cli.flow.records import Averaged, SampledKernel, at_step, kernel_values
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import Averaged, SampledKernel, Step, at_step, kernel_values
 from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, refresh_halo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from typing import Self
-
-    from beltrami_cli.arrays import Array, Float32s, Int64s
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.records import Step
-    from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, refresh_halo
 
 # Cells of a row block, some 90 bytes each; more where many threads share them.
 ROW_BLOCK_CELLS = 1 << 18

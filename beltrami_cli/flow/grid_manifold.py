@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.canvas import (
     collaborate_on_canvas,
     colours_at,
@@ -15,35 +17,25 @@ from beltrami_cli.flow.canvas import (
     halo_beyond,
     painted,
 )
-from beltrami_cli.flow.cell_squares import squares_for
-from beltrami_cli.flow.clipping import find_clipped_on_canvas
+from beltrami_cli.flow.cell_squares import Squares, squares_for
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped_on_canvas
+from beltrami_cli.flow.domain import Stack
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_kernels import GridKernels
-from beltrami_cli.flow.grid_partitions import cut_grid
+from beltrami_cli.flow.grid_partitions import GridPartition, cut_grid
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
-from beltrami_cli.flow.records import KernelWork, NewColours
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import KernelWork, Mixing, NewColours, Step
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo, without_halo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.cell_squares import Squares
-    from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.domain import Stack
-    from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.grid_partitions import GridPartition
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.records import Mixing, Step
-    from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo, without_halo
 
 # Rows of a canvas that are processed together, where each needs memory.
 _ROWS = 64

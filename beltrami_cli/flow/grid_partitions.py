@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.partitions import Advance
-from beltrami_cli.surface.atlas import EMPTY, OWNED
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.grid_kernels import GridKernels
-    from beltrami_cli.flow.records import Step
-    from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.flow.records import Step
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas
 
 
 @dataclass(frozen=True)

@@ -9,33 +9,26 @@ https://doi.org/10.1109/TIP.2007.894253
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.flow.domain import Domain
-from beltrami_cli.flow.embedding import beta_of, choose_guide_beta, join_channels, noise_of
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.flow.domain import CoarseLevel, Domain, Stack
+from beltrami_cli.flow.embedding import Guide, beta_of, choose_guide_beta, join_channels, noise_of
+from beltrami_cli.flow.geometry import MovingPositions
+from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
-from beltrami_cli.flow.noise.stabilising import COLOURS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Float32s, Float64s, Int64s
-    from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.domain import CoarseLevel, Stack
-    from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.geometry import MovingPositions
-    from beltrami_cli.flow.noise.by_scale import FoundNoise
-    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.partitions import Partition
-    from beltrami_cli.flow.records import Averaged, KernelWork, Mixing, NewColours, SampledKernel, Step
-    from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
-    from beltrami_cli.flow.search_range import Rule, SearchRange
+from beltrami_cli.flow.noise.stabilising import COLOURS, VarianceStabiliser
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.partitions import Partition
+from beltrami_cli.flow.records import Averaged, KernelWork, Mixing, NewColours, SampledKernel, Step
+from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
+from beltrami_cli.flow.search_range import Rule, SearchRange
 
 
 class Manifold(Domain):

@@ -5,26 +5,21 @@ The samples are kept in a cache-friendly order.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from copy import copy
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold
+from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
 from beltrami_cli.flow.manifold import Manifold
-from beltrami_cli.flow.records import Averaged, SampledKernel, at_step, kernel_values
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import Averaged, SampledKernel, Step, at_step, kernel_values
 from beltrami_cli.flow.regularisation import MeshGaussian
+from beltrami_cli.flow.vertex_graph import Graph
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from typing import Self
-
-    from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold
-    from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.records import Step
-    from beltrami_cli.flow.vertex_graph import Graph
-    from beltrami_cli.surface.records import SampledSurface
+from beltrami_cli.surface.records import SampledSurface
 
 
 class MeshKernels(Manifold):

@@ -3,41 +3,33 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.flow.clipping import find_clipped
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
+from beltrami_cli.flow.domain import Stack
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters, MovingPositions
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
-from beltrami_cli.flow.mesh_partitions import cut_mesh, first_reach
+from beltrami_cli.flow.mesh_partitions import MeshPartition, cut_mesh, first_reach
 from beltrami_cli.flow.noise.by_place import relative_to_mean
 from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
 from beltrami_cli.flow.noise.mesh import estimate_sigma, find_mesh_noise, find_relative
-from beltrami_cli.flow.records import MeshWork, NewColours, without_hubs
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import MeshWork, Mixing, NewColours, Step, without_hubs
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
 from beltrami_cli.flow.tuning.sure import wanted_probes
-from beltrami_cli.flow.vertex_clusters import clusters_for
+from beltrami_cli.flow.vertex_clusters import Clusters, clusters_for
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.domain import Stack
-    from beltrami_cli.flow.embedding import Guide
-    from beltrami_cli.flow.mesh_partitions import MeshPartition
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.records import Mixing, Step
-    from beltrami_cli.flow.vertex_clusters import Clusters
-    from beltrami_cli.surface.records import SampledSurface
+from beltrami_cli.surface.records import SampledSurface
 
 # Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
 _COARSE = np.float32(256)

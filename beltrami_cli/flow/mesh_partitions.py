@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Int32s
+from beltrami_cli.flow.mesh_kernels import MeshKernels
 from beltrami_cli.flow.partitions import Advance
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float32s, Int32s
-    from beltrami_cli.flow.mesh_kernels import MeshKernels
-    from beltrami_cli.flow.records import Step
+from beltrami_cli.flow.records import Step
 
 # Sixteen samples make a group of the solver along segments, and groups are formed within blocks of this many
 # consecutive samples. The members of a group change the rounding of its averages, so partitions own whole blocks.

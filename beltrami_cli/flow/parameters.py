@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import check, described, parameter
-from beltrami_cli.flow.noise.given import file_of_noise, given_noise
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from beltrami_cli.flow.noise.given import GivenNoise
+from beltrami_cli.flow.noise.given import GivenNoise, file_of_noise, given_noise
 
 Weights = Literal["uniform", "area"]
 Units = Literal["spacing", "world"]

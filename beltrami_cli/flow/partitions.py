@@ -7,15 +7,13 @@ on many machines.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Float32s, Int64s
+from beltrami_cli.arrays import Float32s, Int64s
 
 
 class TooNarrowError(Exception):

@@ -24,24 +24,19 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.clipping import normal_tables
+from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
+from beltrami_cli.flow.domain import CoarseLevel, Domain
+from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise.by_level import OPPONENTS
 from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s
-    from beltrami_cli.flow.clipping import ClippedChannels
-    from beltrami_cli.flow.domain import CoarseLevel, Domain
-    from beltrami_cli.flow.manifold import Manifold
 
 # Differences of channels count half when patches are compared, since they hold little detail and as much noise.
 _COMPARED = np.array([1, 0.5, 0.5])

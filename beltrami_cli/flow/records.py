@@ -10,18 +10,14 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.parameters import KernelParameters
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.surface.atlas import Indices
 
 LOG = logging.getLogger(__name__)
 """Says how much work is ahead, before it starts."""

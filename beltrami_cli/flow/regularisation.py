@@ -6,18 +6,13 @@ beta is divided by it, so that noise adds the same to distances with and without
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.surface.atlas import EMPTY, STEPS, ends_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.surface.atlas import EMPTY, STEPS, Atlas, ends_of
 
 _ROWS = 256  # of a grid that are processed together
 

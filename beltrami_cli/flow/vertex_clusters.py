@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.flow.domain import CoarseLevel
+from beltrami_cli._native import SurfacePatches
+from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.domain import CoarseLevel, Stack
 from beltrami_cli.flow.noise.haar_noise import root_of
+from beltrami_cli.flow.records import Mixing
 from beltrami_cli.flow.tuning.mesh_trial import random_signs
-from beltrami_cli.flow.vertex_graph import levels_of
-
-if TYPE_CHECKING:
-    from beltrami_cli._native import SurfacePatches
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.domain import Stack
-    from beltrami_cli.flow.records import Mixing
-    from beltrami_cli.flow.vertex_graph import Graph, Level
+from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 
 # Fewer clusters hold no patches that could be compared.
 _FEWEST = 500

@@ -12,20 +12,15 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.regularisation import MeshGaussian
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about alike. On a triangle
 # lattice a pass adds so many squared spacings to the variance.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,8 +17,6 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from beltrami_cli.formats.document import Document, Written
     from beltrami_cli.surface.records import MeshContents, TexturedMesh
 

@@ -12,17 +12,16 @@ import dataclasses
 import filecmp
 import os
 import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from beltrami_cli.formats.access import Access
     from beltrami_cli.formats.document import Bytes, Written
 
 # "own": only files that this program wrote, as far as that can be seen in them.

@@ -25,6 +25,7 @@ from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Job, Stopwatch
+from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
 from beltrami_cli.samples.settings import SmoothSettings
@@ -33,7 +34,6 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.output import Output
     from beltrami_cli.samples.samples import Repainted, Samples
 
 

@@ -22,14 +22,13 @@ import stat
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from beltrami_cli.formats.document import Bytes
 
 _LONGEST = 160  # bytes of NAME; a file's whole name has at most 255

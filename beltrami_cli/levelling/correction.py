@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.levelling.fit import fit_exposures
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.levelling.fit import Exposures, fit_exposures
 from beltrami_cli.levelling.hues import continue_hues, mixed_cells
 from beltrami_cli.levelling.steps import (
     ChartPlaces,
+    Steps,
     limits_of,
     steps_over_edges,
     steps_over_seams,
     weighted_median,
 )
-from beltrami_cli.levelling.verdict import judge
+from beltrami_cli.levelling.verdict import Verdict, judge
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import refresh_halo
+from beltrami_cli.surface.atlas import Atlas, Indices, refresh_halo
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.levelling.fit import Exposures
-    from beltrami_cli.levelling.steps import Steps
-    from beltrami_cli.levelling.verdict import Verdict
-    from beltrami_cli.surface.atlas import Atlas, Indices
-
-    Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
+Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 
 # Seams with a mean weight below this are painted, with a step above the other have one at all.
 _PAINTED, _STEP = 0.3, 2 / 255

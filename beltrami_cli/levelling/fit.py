@@ -25,16 +25,12 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.levelling.steps import with_noise
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float64s, Int64s
-    from beltrami_cli.levelling.steps import Steps
-    from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.arrays import Bools, Float64s, Int64s
+from beltrami_cli.levelling.steps import Steps, with_noise
+from beltrami_cli.surface.atlas import Indices
 
 GAIN, OFFSET, TILTS = 0, 1, slice(2, 4)
 

@@ -6,18 +6,13 @@ which may be of another exposure. Brightness is stored for each texel, and stays
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, ROWS, within
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.surface.atlas import OWNED, ROWS, Atlas, within
 
 _MIXED = 2  # texels from a border
 # Places around a cell at which colours are looked at, and of how many of these they must not be mixed.

@@ -8,15 +8,12 @@ joins two parts of a surface is foretold from its other stretches, if the same p
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.levelling.fit import SHORT, fit_exposures, known_steps, may_be_exposure
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float64s, Int64s
-    from beltrami_cli.levelling.steps import Steps
+from beltrami_cli.levelling.steps import Steps
 
 # Expected deviations of gains, offsets, and tilts if any: strong and faint. Of more terms less can be known, so that
 # with tilts all are drawn to 0 more strongly.

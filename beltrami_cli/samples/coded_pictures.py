@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.coded_picture import CodedPicture
+from beltrami_cli.flow.noise.given import GivenNoise
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import texels_by_texture
+from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Array, Float32s, Float64s
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.noise.by_scale import FoundNoise
-    from beltrami_cli.flow.noise.coded_picture import CodedPicture
-    from beltrami_cli.flow.noise.given import GivenNoise
-    from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.formats.image.jpeg_tables import JpegTables
-    from beltrami_cli.surface.atlas import Atlas
 
     Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
 

@@ -35,11 +35,11 @@ from beltrami_cli.samples.settings import (
     TextureSettings,
 )
 from beltrami_cli.surface.atlas import Indices, store_integers
+from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.probes.probe import Probe
-    from beltrami_cli.surface.baking import Cells
 
 Progress = Callable[[int, int], None]
 

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
+from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, VertexReport
 from beltrami_cli.samples.samples import Repainted, describe_kernel
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
@@ -29,9 +29,6 @@ from beltrami_cli.surface.geometry import bounds
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import PaintedVertices, SampledSurface
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.probes.probe import Probe
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.
 _PROBED_KERNELS = 1000

@@ -6,14 +6,16 @@ are decoded with that known shows on a pilot, with noise added, coded and decode
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise
 from beltrami_cli.flow.noise.coded_picture import (
     SIDE,
+    CodedPicture,
     coded,
     coefficients_of,
     correction,
@@ -22,12 +24,6 @@ from beltrami_cli.flow.noise.coded_picture import (
 )
 from beltrami_cli.flow.noise.grid_scales import MOST_CELLS, all_filled, corners_of
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-    from beltrami_cli.flow.noise.coded_picture import CodedPicture
 
 # The order of a coefficient is that of its row plus that of its column.
 _ORDERS = np.add.outer(np.arange(SIDE), np.arange(SIDE)).reshape(-1)

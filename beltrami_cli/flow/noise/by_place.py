@@ -9,17 +9,13 @@ have all tiles of a block.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_for
 from beltrami_cli.flow.noise.grid_scales import corners_of, sums_of_tiles
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float32s, Float64s
 
 # Cells a side of a tile, tiles a side of a block, and tiles that a block needs.
 _TILE, _BLOCK, _FEWEST_TILES = 8, 4, 6

@@ -8,19 +8,14 @@ channels: these show whether noise is shared, and bound what is taken for noise 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.flow.noise.by_level import OPPONENTS, fit_by_level, stabiliser_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from beltrami_cli.arrays import Float64s
-    from beltrami_cli.flow.noise.by_level import Neighbourhoods
-    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+from beltrami_cli.arrays import Float64s
+from beltrami_cli.flow.noise.by_level import OPPONENTS, Neighbourhoods, fit_by_level, stabiliser_of
+from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 # Scales that are measured; in the last, and in coarser ones, noise is as strong.
 SCALES = 4

@@ -23,14 +23,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Bools, Float64s
 from beltrami_cli.flow.clipping import sigma_of_clipped, variance_of_clipped
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Bools, Float64s
 
 # Patches with at most this share of their samples at a limit lose little of their noise there, and how much is known.
 # If there are this many of them (as a share, and in number), no others are used.

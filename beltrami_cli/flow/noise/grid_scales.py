@@ -15,20 +15,16 @@ References
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_for
 from beltrami_cli.flow.noise.by_scale import FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from beltrami_cli.arrays import Bools, Float32s, Float64s
 
 # Squares per side of a tile, scale by scale: there are few of the coarse ones.
 _TILES = (4, 4, 2, 2)

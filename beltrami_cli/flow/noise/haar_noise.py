@@ -14,17 +14,13 @@ References
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.vertex_graph import Level
 from beltrami_cli.surface import large_arrays
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.vertex_graph import Level
 
 # Rows that are worked on at a time, where each needs memory.
 _ROWS = 64

@@ -8,25 +8,19 @@ more than 131,072 samples, evenly spread blocks of consecutive samples are used.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, mixing_for, stabiliser_of
 from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
 from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
-from beltrami_cli.flow.vertex_graph import Graph, levels_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-    from beltrami_cli.flow.vertex_graph import Level
-
+from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 
 # Samples per block, and blocks, that suffice for an estimate.
 _BLOCK, _BLOCKS = 4096, 32

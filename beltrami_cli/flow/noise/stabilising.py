@@ -13,12 +13,10 @@ References
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Float32s, Float64s
 
 # Colours of red, green and blue share the curve; other channels are no levels.
 COLOURS = 3

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
-from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS
+from beltrami_cli.flow.manifold import Manifold, SampleTrial
+from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS, KernelParameters
 from beltrami_cli.flow.records import LOG, Step
-from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from beltrami_cli.arrays import Float64s
-    from beltrami_cli.flow.manifold import Manifold, SampleTrial
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.flow.search_range import Rule, SearchRange
-    from beltrami_cli.flow.tuning.sure import State
+from beltrami_cli.flow.search_range import Rule, SearchRange
+from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
 
 # Improvements by less than this share of the noise's variance are due to chance: some 0.1 dB of a good result.
 _WORTH_MOVING = 5e-4

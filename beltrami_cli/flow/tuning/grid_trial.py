@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, refresh_halo
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
-    from beltrami_cli.surface.atlas import Atlas, Indices
+from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Indices, refresh_halo
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
 # iterations are tried, each twice. Fewer cells than the least are too uncertain; these take about a second.

@@ -18,16 +18,14 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
+from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.records import Step
-
-if TYPE_CHECKING:
-    from beltrami_cli.arrays import Float32s, Float64s
-    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
 # paths change, so a smaller one sees a derivative that varies from sample to sample, and a larger one changes the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -11,8 +12,6 @@ from beltrami_cli.formats.gltf.json_text import parsed, revised
 from beltrami_cli.formats.gltf.json_tree import Entry, Tree
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from beltrami_cli.formats.document import Bytes
 
 GltfForm = Literal["glb", "gltf"]
