@@ -218,7 +218,16 @@ class NormalTables:
 
     def mean_beyond(self, a: Float32s) -> Float32s:
         """Interpolate E[z | z > a]."""
-        return _interpolated(a, np.linspace(-self.furthest, self.furthest, len(self.beyond)), self.beyond)
+        return self._at(a, self.beyond)
+
+    def lost_to_limits(self, colours: Float32s, sigma: float) -> Float32s:
+        """Return by how much colours are larger than the mean of what noise leaves of them between 0 and 1."""
+        low, high = (self._at(gap / np.float32(sigma), self.lost) for gap in (colours, 1 - colours))
+        return (high - low) * np.float32(sigma)
+
+    def _at(self, a: Float32s, table: Float32s | Float64s) -> Float32s:
+        places = np.linspace(-self.furthest, self.furthest, len(table))
+        return _interpolated(a, places, table.astype(np.float64))
 
 
 @cache

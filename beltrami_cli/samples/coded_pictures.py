@@ -88,7 +88,7 @@ def _decode(
     atlas: Atlas, pictures: Sequence[CodedPicture], rows: Float32s, sigma: float
 ) -> tuple[FoundNoise, Float64s]:
     """Replace a pilot's colours of the owned cells by decoded ones; return their noise, and sigma of that stored."""
-    from beltrami_cli.flow.noise.before_jpeg import noise_after
+    from beltrami_cli.flow.noise.after_jpeg import noise_after
     from beltrami_cli.flow.noise.coded_picture import decode
 
     rasters = []

@@ -10,7 +10,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import truncnorm
 
-from beltrami_cli.flow.noise.before_jpeg import PILOT_ERROR, is_changed, noise_after, noise_before_jpeg
+from beltrami_cli.flow.noise.after_jpeg import PILOT_ERROR, noise_after
+from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
 from beltrami_cli.flow.noise.coded_picture import CodedPicture, _mean_within, coefficients_of, decode
 from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
 from cli.commands import beltrami
@@ -62,6 +63,26 @@ def test_pictures_of_a_model_are_read_together(tmp_path):
 def test_grey_pictures_are_read_too(tmp_path):
     grey = np.ascontiguousarray(stored(np.repeat(CLEAN[..., :1], 3, axis=2), 10)[..., :1])
     assert 255 * noise_before_jpeg([picture(grey, 80, "4:4:4", tmp_path)]) == pytest.approx(10, rel=0.12)
+
+
+@pytest.mark.parametrize("quality", [75, 92])
+def test_noise_is_read_where_most_of_a_picture_is_near_a_limit(quality, tmp_path):
+    # JPEG leaves no pixel at the limit in white blocks of which it takes all noise: these tell nothing of it.
+    pale = np.where(np.arange(256)[:, None, None] < 192, 0.99, CLEAN)
+    dark = CLEAN * [0.6, 0.6, 0.02]  # a channel that is cut off, but hardly counts
+    for image in (pale, dark):
+        found = noise_before_jpeg([picture(stored(image, 10), quality, "4:2:0", tmp_path)])
+        assert found is not None
+        assert 255 * found == pytest.approx(10, rel=0.12)
+
+
+def test_noise_is_read_where_few_places_are_without_texture(tmp_path):
+    texture = gaussian_filter(np.random.default_rng(5).standard_normal(CLEAN.shape[:2]), 1.5)
+    textured = np.arange(256)[:, None] < 208
+    image = CLEAN + np.where(textured, 0.1 * texture / texture.std(), 0)[..., None]
+    found = noise_before_jpeg([picture(stored(image, 10), 75, "4:2:0", tmp_path)])
+    assert found is not None
+    assert 255 * found == pytest.approx(10, rel=0.12)
 
 
 @pytest.mark.parametrize("quality", [60, 75, 85, 92])
@@ -125,6 +146,19 @@ def test_decoding_with_the_noise_known_comes_closer_to_the_truth(quality, subsam
     decode(own, result, 10 / 255)
     # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
     assert psnr(result) > psnr(own.pixels / 255) + 1.5
+
+
+@pytest.mark.parametrize("limit", [0.0, 1.0])
+def test_decoding_keeps_colours_near_limits_where_the_pilot_has_them(limit, tmp_path):
+    # Noise can only make white darker: its stored mean is 0.4 standard deviations below.
+    flat = np.full((64, 64, 3), abs(limit - 0.004), np.float32)
+    own = picture(stored(flat, 20), 92, "4:4:4", tmp_path)
+    result = flat.copy()
+    decode(own, result, 20 / 255)
+    # Noise that was cut off is weaker than its sigma, so that coefficients count too much: by a third at most.
+    lost = abs(own.pixels.mean() / 255 - flat.mean())
+    assert 255 * lost > 5
+    assert abs(result.mean(axis=(0, 1)) - flat[0, 0]).max() < lost / 3
 
 
 def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):

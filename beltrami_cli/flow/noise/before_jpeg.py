@@ -1,7 +1,6 @@
 """White noise that was in pictures before JPEG coded them.
 
-In even blocks the share of DCT coefficients that are not 0 tells how strong it was. What is left of it when pictures
-are decoded with that known shows on a pilot, with noise added, coded and decoded alike.
+In even blocks the share of DCT coefficients that are not 0 tells how strong it was.
 """
 
 from __future__ import annotations
@@ -12,28 +11,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise
 from beltrami_cli.flow.noise.coded_picture import (
     SIDE,
     CodedPicture,
-    coded,
     coefficients_of,
-    correction,
     in_blocks,
     means_over,
+    shares_of_channels,
 )
-from beltrami_cli.flow.noise.grid_scales import MOST_CELLS, all_filled, corners_of
-from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
+from beltrami_cli.flow.noise.grid_scales import MOST_CELLS, corners_of
 
 # The order of a coefficient is that of its row plus that of its column.
 _ORDERS = np.add.outer(np.arange(SIDE), np.arange(SIDE)).reshape(-1)
 
-# Blocks in which the first order has the least energy are even: this share, but not fewer than so many.
-_EVEN, _FEWEST = 0.25, 40
+# Blocks in which the first orders have the least energy are even: this share, but not fewer than so many, and of luma
+# the more even half while the scatter, see below, exceeds that of noise by this factor.
+_FIRST, _EVEN, _FEWEST, _EVEN_SCATTER = 2, 0.25, 40, 1.3
+
+# Noise of channels is cut off in blocks of which a quarter has a mean within this many standard deviations of a limit,
+# and those in which more than this share of a plane's noise is lost so are left out. That no pixel is cut off does not
+# do: of a bright block, JPEG leaves none at the limit if it took all noise, so that those would count alone.
+_NEAR_LIMIT, _MOST_LOST = 1.25, 0.3
+
+# Standard deviation of noise, full scale 255, for which blocks are chosen at first, and how often they are chosen anew.
+_FIRST_SIGMA, _ROUNDS = 20.0, 4
 
 # Orders of coefficients that are counted together: of luma, where texture hides the lower ones, and the low ones, which
 # are all that coarse steps, and decoders that interpolate it, show of chroma.
-_OF_LUMA, _LOW = (range(5, 8), range(8, 15)), range(2, 5)
+_OF_LUMA, _LOW = (range(5, 8), range(8, 15)), range(3, 5)
 
 # With this many that are not 0 a count tells something; where twice as many are expected, none tells it, too.
 _TELLING = 8
@@ -57,18 +62,6 @@ _LOUDER, _MANY, _BLOCKS_OF_PLACE = 1.7, 0.1, 16
 # Noise that is worth it; and steps of luma, relative to its noise, that do, unless chroma is coarser.
 _LEAST_SIGMA, _COARSE = 2.0 / 255, 1.5
 
-# Noise is shared by neighbours if its standard deviation grows by this factor to the third scale.
-_GROWS = 1.6
-
-# By how much more JPEG took of pictures than it takes once more: 1 to 3.5 on samples, most where hues meet.
-_LOST = 3.0
-
-# Decoding leaves more noise than it does with a pilot that is the truth. The standard deviation is larger by 1.2 to 1.5
-# on photographs with noise of 10 of 255; by this factor, painted pictures gain 1 to 2 dB, and photographs lose 0.1.
-PILOT_ERROR = 1.2
-
-_SEED = 80
-
 
 def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
     """Estimate sigma of white noise that pictures had before JPEG, full scale 1.
@@ -76,9 +69,7 @@ def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
     None if there is little beside texture, or if it was not white, or not the same in all channels, at all levels and
     places.
     """
-    counted = _Counted()
-    for picture, some in zip(pictures, _some_bands(pictures), strict=True):
-        counted.add(picture, some)
+    counted = _counted(pictures)
     luma = counted.luma
     telling = [own for own in luma if own.observed >= _TELLING]
     if not telling or not _Counts.joined(telling).is_noise:
@@ -99,6 +90,22 @@ def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
     if counted.differs(sigma):
         return None
     return sigma / 255
+
+
+def _counted(pictures: Sequence[CodedPicture]) -> _Counted:
+    """Count coefficients of blocks in which the noise that they show is not cut off."""
+    chosen = [
+        (picture, [_band_of(picture, rows) for rows in some])
+        for picture, some in zip(pictures, some_bands(pictures), strict=True)
+    ]
+    sigma = _FIRST_SIGMA
+    for _ in range(_ROUNDS):
+        counted = _Counted()
+        for picture, bands in chosen:
+            counted.add(picture, bands, sigma)
+        joined = _Counts.joined(counted.luma)
+        sigma = joined.sigma if joined.observed >= _TELLING else sigma / 2
+    return counted
 
 
 def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
@@ -152,7 +159,12 @@ class _Counts:
     @property
     def is_noise(self) -> bool:
         """Whether their numbers differ from block to block as those of noise do."""
-        return self._variance <= _MOST_SCATTER * self._even
+        return self.scatter <= _MOST_SCATTER
+
+    @property
+    def scatter(self) -> float:
+        """The variance of their number in a block, relative to that of independent ones."""
+        return self._variance / self._even if self._even else 0.0
 
     @property
     def sigma(self) -> float:
@@ -172,23 +184,27 @@ class _Counted:
         self.low, self.chroma = _Counts(), _Counts()  # low orders of luma and of chroma
         self.places: list[_Counts] = []  # the first of the orders of luma in each part of the pictures
 
-    def add(self, picture: CodedPicture, some: Sequence[slice]) -> None:
-        """Add bands of rows of a picture."""
-        parts = [_band_of(picture, rows) for rows in some]
+    def add(self, picture: CodedPicture, bands: Sequence[_Band], sigma: float) -> None:
+        """Add bands of rows of a picture; `sigma`: of noise of pixels, which may be cut off."""
         for plane, (table, unit) in enumerate(zip(picture.tables, picture.sigma_of_planes(1.0), strict=True)):
-            blocks, steps = np.concatenate([part.planes[plane] for part in parts]), table.reshape(-1)
+            whole = np.concatenate([band.within(plane, sigma) for band in bands])
+            blocks = np.concatenate([band.planes[plane] for band in bands])[whole]
+            steps = table.reshape(-1)
             if len(blocks) < _FEWEST:
                 continue
             even = _most_even(blocks)
             multiples = np.rint(even / steps)
-            (self.chroma if plane else self.low).add(multiples, steps / unit, _LOW)
             if plane:
+                self.chroma.add(multiples, steps / unit, _LOW)
                 continue
+            count = _free_of_texture(multiples)
+            even, multiples = even[:count], multiples[:count]
+            self.low.add(multiples, steps / unit, _LOW)
             bright = even[:, 0] > np.median(even[:, 0])
             for number, orders in enumerate(_OF_LUMA):
                 for level in (0, 1):
                     self.luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
-            places = np.concatenate([part.places for part in parts])
+            places = np.concatenate([band.places for band in bands])[whole]
             for place in np.unique(places):
                 own = _Counts()
                 own.add(np.rint(_most_even(blocks[places == place]) / steps), steps / unit, _OF_LUMA[0])
@@ -205,13 +221,25 @@ class _Counted:
 
 
 def _most_even(blocks: Float32s) -> Float32s:
-    """Return the coefficients of the blocks, shape (B, 64), in which the first order has the least energy."""
-    energy = np.square(blocks[:, _ORDERS == 1]).sum(axis=1)
+    """Return the coefficients of the blocks, shape (B, 64), in which the first orders have the least energy."""
+    energy = np.square(blocks[:, (_ORDERS > 0) & (_ORDERS <= _FIRST)]).sum(axis=1)
     count = max(_FEWEST, int(_EVEN * len(blocks)))
     return blocks[np.argsort(energy, kind="stable")[:count]]
 
 
-def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
+def _free_of_texture(multiples: Float64s) -> int:
+    """Return how many blocks differ by no more than noise does; the most even ones come first."""
+    count = len(multiples)
+    while count > _FEWEST:
+        own = _Counts()
+        own.add(multiples[:count], np.ones(SIDE**2), _OF_LUMA[0])
+        if own.scatter <= _EVEN_SCATTER:
+            break
+        count = max(_FEWEST, count // 2)
+    return count
+
+
+def some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
     """Choose bands of rows of each picture, evenly spread, with enough pixels together to estimate noise from."""
     share, chosen = MOST_CELLS / max(1, sum(each.used.size for each in pictures)), []
     for picture in pictures:
@@ -223,72 +251,33 @@ def _some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
 
 @dataclass(frozen=True)
 class _Band:
-    """Blocks of some rows of a picture, where nothing is cut off or beyond borders."""
+    """Blocks of some rows of a picture that do not reach beyond borders."""
 
     planes: list[Float32s]  # coefficients of each plane, shape (B, 64)
+    gaps: list[
+        Float32s
+    ]  # the same of channels: the least from the mean of a quarter to a limit, shape (B, channels)
     places: Int64s  # in which blocks of luma are, shape (B,)
+
+    def within(self, plane: int, sigma: float) -> Bools:
+        """Return which blocks of a plane keep most of their noise."""
+        gaps = self.gaps[plane]
+        shares = shares_of_channels(gaps.shape[1])[plane].astype(np.float32)
+        return np.asarray(((gaps < _NEAR_LIMIT * sigma) * shares).sum(axis=1) <= _MOST_LOST)
 
 
 def _band_of(picture: CodedPicture, rows: slice) -> _Band:
-    pixels = picture.pixels[rows]
-    inside = picture.used[rows] & ((pixels > 0) & (pixels < 255)).all(axis=2)
-    planes, places = [], np.zeros(0, np.int64)
+    pixels, used = picture.pixels[rows], picture.used[rows].astype(np.float32)
+    planes, gaps, places = [], [], np.zeros(0, np.int64)
     for number, plane in enumerate(picture.planes(pixels)):
-        fits = means_over(inside.astype(np.float32), picture.span) == 1 if number else inside
-        whole = in_blocks(fits).all(axis=(2, 3))
+        span = picture.span if number else (1, 1)
+        whole = in_blocks(means_over(used, span) == 1).all(axis=(2, 3))
         planes.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))
+        quarter = span[0] * SIDE // 2, span[1] * SIDE // 2
+        means = np.stack([means_over(channel, quarter) for channel in np.moveaxis(pixels, 2, 0)])
+        least = corners_of(np.minimum(means, 255 - means)).min(axis=0)
+        gaps.append(least[:, whole].T)
         if not number:
             down = rows.start // (SIDE * _BLOCKS_OF_PLACE)
             places = down * picture.used.shape[1] + np.nonzero(whole)[1] // _BLOCKS_OF_PLACE
-    return _Band(planes, places)
-
-
-def noise_after(
-    pictures: Sequence[CodedPicture], pilots: Sequence[Float32s], sigma: float
-) -> tuple[FoundNoise, Float64s]:
-    """Find what `decode` leaves of noise, and sigma by channel before it: on the pilots, noise added and coded."""
-    random = np.random.default_rng(_SEED)
-    channels = pictures[0].pixels.shape[2]
-    before, after, lost = (_Covariances(channels) for _ in range(3))
-    for number, (picture, some) in enumerate(zip(pictures, _some_bands(pictures), strict=True)):
-        for rows in some:
-            truth = 255 * pilots[number][rows]
-            noisy = truth + np.float32(255 * sigma) * random.standard_normal(truth.shape, np.float32)
-            stored = coded(picture, np.rint(np.clip(noisy, 0, 255)))
-            lost.add(coded(picture, truth) - truth, picture.used[rows])
-            before.add(stored - truth, picture.used[rows])
-            after.add(stored + correction(picture, stored, truth, sigma) - truth, picture.used[rows])
-    covariances, read = PILOT_ERROR**2 * after.mean(), sigma_of_covariances(before.mean())
-    # What JPEG takes of a picture that went through it already, it took of the picture before.
-    doubt = _LOST * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
-    own = sigma_of_covariances(covariances)
-    fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
-    if np.all(coarse < _GROWS**2 * np.maximum(fine, 1e-12)):
-        return FoundNoise(doubt=doubt, sigma=own), read
-    return FoundNoise(None, covariances, doubt, own), read
-
-
-class _Covariances:
-    """Covariances of Haar details of noise, as `haar_noise` has them."""
-
-    def __init__(self, channels: int) -> None:
-        self._sums, self._counted = np.zeros((SCALES, channels, channels)), np.zeros(SCALES)
-
-    def add(self, noise: Float32s, used: Bools) -> None:
-        """Add the details of noise, shape (R, C, N), full scale 255, in squares of used cells."""
-        means, filled = np.moveaxis(noise / np.float32(255), 2, 0), used
-        for scale in range(SCALES):
-            corners = corners_of(means)
-            means = corners.mean(axis=0)
-            filled = all_filled(filled)
-            details = (corners - means)[:, :, filled].astype(np.float64)
-            self._sums[scale] += 4**scale * np.einsum("aik,ajk->ij", details, details) / 3
-            self._counted[scale] += np.count_nonzero(filled)
-
-    def mean(self) -> Float64s:
-        """Return them, shape (L, N, N); coarse ones of which there were none are as the next finer ones."""
-        means: Float64s = self._sums / np.maximum(self._counted, 1)[:, None, None]
-        for scale in range(1, SCALES):
-            if not self._counted[scale]:
-                means[scale] = means[scale - 1]
-        return means
+    return _Band(planes, gaps, places)

@@ -6,7 +6,8 @@ noise before, and a pilot x, a coefficient that was rounded to k steps d was on 
 
     E[z | (k - 1/2) d < z < (k + 1/2) d],    z normal around x,
 
-which is what noise that was cut off is replaced by, too [1]_.
+which is what noise that was cut off is replaced by, too [1]_. Where colours are near a limit, noise was cut off before
+the picture was coded, so that x lies further from it than what was coded did on average.
 
 References
 ----------
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
+from beltrami_cli.flow.clipping import normal_tables
 from beltrami_cli.surface import large_arrays
 
 # Luma and the two kinds of chroma of red, green and blue (JFIF).
@@ -97,14 +99,15 @@ def correction(picture: CodedPicture, stored: Float32s, pilot: Float32s, sigma: 
     """Return what `decode` adds to stored pixels; both of full scale 255."""
     planes = []
     of_planes = picture.tables, picture.sigma_of_planes(255 * sigma)
+    darker = normal_tables().lost_to_limits(pilot / np.float32(255), sigma) * np.float32(255)
     for own, near, steps, noise in zip(
-        picture.planes(stored), picture.planes(pilot), *of_planes, strict=True
+        picture.planes(stored), picture.planes(pilot - darker), *of_planes, strict=True
     ):
         changes, expected = coefficients_of(own), coefficients_of(near)
         for row, mean in zip(changes, expected, strict=True):  # one by one, as this takes many arrays
             row[:] = _mean_within(mean, noise, np.rint(row / steps) * steps, steps / 2) - row
         planes.append(_from_coefficients(changes))
-    return picture.pixels_of(planes, stored.shape)
+    return picture.pixels_of(planes, stored.shape) + darker
 
 
 def _mean_within(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
@@ -130,6 +133,13 @@ def coded(picture: CodedPicture, pixels: Float32s) -> Float32s:
         plane[: len(rounded), : rounded.shape[1]] = rounded
     planes[0] += 128
     return picture.pixels_of(planes, pixels.shape)
+
+
+def shares_of_channels(channels: int) -> Float64s:
+    """Return which share of the variance of white noise in a plane is each channel's, shape (planes, channels)."""
+    if channels == 1:
+        return np.ones((1, 1))
+    return np.asarray(np.square(_YCC) / np.square(_YCC).sum(axis=1, keepdims=True))
 
 
 def means_over(plane: Float32s, span: tuple[int, int]) -> Float32s:
