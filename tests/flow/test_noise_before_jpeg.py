@@ -200,6 +200,18 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(subsampling, least
     assert np.sqrt(np.mean(np.square(read))) == pytest.approx(true, rel=0.3)
 
 
+def test_patches_do_not_take_ringing_that_repeats_itself_for_detail(tmp_path):
+    down, across = np.mgrid[:192, :192]
+    stripes = np.where(((across + 2 * down) // 32 % 3 == 0)[..., None], [0.8, 0.2, 0.2], [0.2, 0.6, 0.3])
+    decoded(jpeg_file(stored(stripes, 10), 80, "4:4:4"), tmp_path / "in.jpg")
+    results = {}
+    for patches in ("on", "off"):
+        out = tmp_path / f"{patches}.png"
+        assert beltrami("smooth", tmp_path / "in.jpg", out, "--patches", patches).returncode == 0
+        results[patches] = psnr(decoded(out.read_bytes(), out) / 255, stripes)
+    assert results["on"] > results["off"]
+
+
 def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tmp_path):
     data = jpeg_file(stored(CLEAN, 10), 80, "4:4:4")
     (tmp_path / "in.png").write_bytes(encode(decoded(data, tmp_path / "in.jpg"), "png"))
