@@ -284,14 +284,12 @@ def _weigh(
     overall = min(1.0, max(0.0, slope / square)) ** expected.power if square > 0 else 0.0
     # The variance of w is sigma^2 over the sum of squares; a mean by a Gaussian stands for this many samples.
     prior = np.float32(variance / (4 * np.pi * surface.width**2) / expected.variance)
-    results = surface.planes(2)
-    for (own,), (means,), (terms,) in zip(
-        *(in_blocks(0, planes) for planes in (results, surface.spread(sums), sums)), strict=True
-    ):
-        own[0] = np.clip((means[0] + prior * overall) / (means[1] + prior), 0, 1)
+    means = surface.spread(sums)
+    for own, terms in in_blocks(0, means, sums):
+        own[0] = np.clip((own[0] + prior * overall) / (own[1] + prior), 0, 1)
         own[1] = own[0] * (2 * terms[0] - own[0] * terms[1])
-    share, gain = surface.total(results)
-    return results[:1], float(share), float(gain)
+    share, gain = surface.total(means)
+    return means[:1], float(share), float(gain)
 
 
 def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
