@@ -172,8 +172,22 @@ def test_decoding_keeps_every_coefficient_in_its_interval(tmp_path):
         assert np.all(abs(coefficients_of(after) - middle) <= steps / 2 + 0.01)
 
 
-def test_the_noise_that_decoding_leaves_is_foretold(tmp_path):
-    own = picture(stored(CLEAN, 10), 80, "4:4:4", tmp_path)
+@pytest.mark.parametrize("subsampling", ["4:2:0", "4:2:2"])
+def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path):
+    own = picture(stored(CLEAN, 10), 98, subsampling, tmp_path)
+    bands = [own.stored_planes(rows) for rows in own.bands]
+    whole = own.decoded_planes(own.pixels)
+    for number, (plane, steps) in enumerate(zip(whole, own.tables, strict=True)):
+        # Four samples beyond a band of rows are seen, by 0.17 less each, of at most 128.
+        np.testing.assert_allclose(np.concatenate([band[number] for band in bands]), plane, atol=0.1)
+        found = coefficients_of(plane) / steps
+        # Rounding of pixels to 8 bit, in steps of 1 and 2; of what is no multiple of steps it would be 0.29.
+        assert np.sqrt(np.mean((found - np.rint(found)) ** 2)) < 0.22
+
+
+@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
+def test_the_noise_that_decoding_leaves_is_foretold(subsampling, tmp_path):
+    own = picture(stored(CLEAN, 10), 80, subsampling, tmp_path)
     result = CLEAN.astype(np.float32)
     decode(own, result, 10 / 255)
     left, before = noise_after([own], [CLEAN.astype(np.float32)], 10 / 255)

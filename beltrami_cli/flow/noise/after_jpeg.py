@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.noise.before_jpeg import some_bands
 from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise
-from beltrami_cli.flow.noise.coded_picture import CodedPicture, coded, correction
+from beltrami_cli.flow.noise.coded_picture import CodedPicture, coded, expected
 from beltrami_cli.flow.noise.grid_scales import all_filled, corners_of
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 
@@ -43,7 +43,8 @@ def noise_after(
             stored = coded(picture, np.rint(np.clip(noisy, 0, 255)))
             lost.add(coded(picture, truth) - truth, picture.used[rows])
             before.add(stored - truth, picture.used[rows])
-            after.add(stored + correction(picture, stored, truth, sigma) - truth, picture.used[rows])
+            decoded = expected(picture, stored, picture.decoded_planes(stored), truth, sigma)
+            after.add(decoded - truth, picture.used[rows])
     covariances, read = PILOT_ERROR**2 * after.mean(), sigma_of_covariances(before.mean())
     # What JPEG takes of a picture that went through it already, it took of the picture before.
     doubt = _LOST * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))

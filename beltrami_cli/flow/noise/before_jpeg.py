@@ -269,7 +269,7 @@ class _Band:
 def _band_of(picture: CodedPicture, rows: slice) -> _Band:
     pixels, used = picture.pixels[rows], picture.used[rows].astype(np.float32)
     planes, gaps, places = [], [], np.zeros(0, np.int64)
-    for number, plane in enumerate(picture.planes(pixels)):
+    for number, plane in enumerate(picture.stored_planes(rows)):
         span = picture.span if number else (1, 1)
         whole = in_blocks(means_over(used, span) == 1).all(axis=(2, 3))
         planes.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))

@@ -36,6 +36,12 @@ SIDE = 8
 # Rows that are worked on at a time, which hold whole blocks of chroma: as many as have no more pixels than this.
 _BANDS, _PIXELS = (128, 64, 32, 16), 1 << 18
 
+# Rows around them by which interpolated chroma is known: each sample has 0.17 of the influence of the one before.
+_AROUND = 8
+
+# Of a pixel's chroma, where samples of it are two pixels apart: the share of the nearest sample, and of the next one.
+_NEAREST, _NEXT = 0.75, 0.25
+
 
 @dataclass(frozen=True)
 class CodedPicture:
@@ -69,11 +75,26 @@ class CodedPicture:
         chroma: list[Float32s] = [means_over(plane, self.span) for plane in mixed[1:]]
         return [mixed[0], *chroma]
 
+    def decoded_planes(self, pixels: Array) -> list[Float32s]:
+        """Return the luma and chroma that some rows of pixels were decoded from."""
+        luma, *chroma = self.planes(pixels)
+        return [luma, *(_not_interpolated(plane, self.span) for plane in chroma)]
+
+    def stored_planes(self, rows: slice) -> list[Float32s]:
+        """Return the same of the picture itself, by the rows around, too."""
+        first = max(0, rows.start - _AROUND)
+        planes = self.decoded_planes(self.pixels[first : rows.stop + _AROUND])
+        spans = [1, self.span[0], self.span[0]]
+        return [
+            plane[(rows.start - first) // span :][: (rows.stop - rows.start) // span]
+            for plane, span in zip(planes, spans, strict=False)
+        ]
+
     def pixels_of(self, planes: Sequence[Float32s], shape: tuple[int, ...]) -> Float32s:
         """Return the pixels (R, C, 1 or 3) that differences of planes make; 0 where these do not reach."""
         whole = np.zeros((len(planes), *shape[:2]), np.float32)
         for plane, own, span in zip(planes, whole, [(1, 1), self.span, self.span], strict=False):
-            large = plane.repeat(span[0], axis=0).repeat(span[1], axis=1)
+            large = _interpolated(plane, span)
             own[: len(large), : large.shape[1]] = large[: len(own), : own.shape[1]]
         if len(planes) == 1:
             return np.asarray(whole[0][..., None])
@@ -88,26 +109,35 @@ class CodedPicture:
 
 
 def decode(picture: CodedPicture, pilot: Float32s, sigma: float) -> None:
-    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, in place, by what coefficients were before on average."""
+    """Replace a pilot, shape (H, W, 1 or 3), full scale 1, in place, by what pixels were before on average."""
     for rows in picture.bands:
         stored = picture.pixels[rows].astype(np.float32)
-        changed = stored + correction(picture, stored, 255 * pilot[rows], sigma)
-        pilot[rows] = changed / np.float32(255)
+        decoded = expected(picture, stored, picture.stored_planes(rows), 255 * pilot[rows], sigma)
+        pilot[rows] = decoded / np.float32(255)
 
 
-def correction(picture: CodedPicture, stored: Float32s, pilot: Float32s, sigma: float) -> Float32s:
-    """Return what `decode` adds to stored pixels; both of full scale 255."""
-    planes = []
+def expected(
+    picture: CodedPicture, stored: Float32s, planes: Sequence[Float32s], pilot: Float32s, sigma: float
+) -> Float32s:
+    """Return what stored pixels were before on average, by the planes that they were decoded from and a pilot.
+
+    All are of full scale 255.
+    """
     of_planes = picture.tables, picture.sigma_of_planes(255 * sigma)
     darker = normal_tables().lost_to_limits(pilot / np.float32(255), sigma) * np.float32(255)
-    for own, near, steps, noise in zip(
-        picture.planes(stored), picture.planes(pilot - darker), *of_planes, strict=True
-    ):
-        changes, expected = coefficients_of(own), coefficients_of(near)
-        for row, mean in zip(changes, expected, strict=True):  # one by one, as this takes many arrays
-            row[:] = _mean_within(mean, noise, np.rint(row / steps) * steps, steps / 2) - row
-        planes.append(_from_coefficients(changes))
-    return picture.pixels_of(planes, stored.shape) + darker
+    differences = []
+    for own, near, steps, noise in zip(planes, picture.planes(pilot - darker), *of_planes, strict=True):
+        changes, means = coefficients_of(near), coefficients_of(own)
+        for mean, row in zip(changes, means, strict=True):  # one by one, as this takes many arrays
+            mean[:] = _mean_within(mean, noise, np.rint(row / steps) * steps, steps / 2) - mean
+        differences.append(_from_coefficients(changes))
+    # What chroma loses to its resolution is known from the pilot alone. Beyond whole blocks nothing is known.
+    whole = tuple(
+        slice(0, size - size % (SIDE * span)) for size, span in zip(stored.shape, picture.span, strict=False)
+    )
+    found = stored + darker
+    found[whole] = (pilot + picture.pixels_of(differences, stored.shape))[whole]
+    return found
 
 
 def _mean_within(mean: Float32s, sigma: float, middle: Float64s, reach: Float64s) -> Float32s:
@@ -140,6 +170,36 @@ def shares_of_channels(channels: int) -> Float64s:
     if channels == 1:
         return np.ones((1, 1))
     return np.asarray(np.square(_YCC) / np.square(_YCC).sum(axis=1, keepdims=True))
+
+
+def _interpolated(plane: Float32s, span: tuple[int, int]) -> Float32s:
+    """Return a plane with as many samples as pixels: between samples two pixels apart, decoders interpolate."""
+    for axis, times in enumerate(span):
+        if times != 2:
+            plane = plane.repeat(times, axis=axis)
+            continue
+        samples = np.moveaxis(plane, axis, 0)
+        around = np.concatenate([samples[:1], samples, samples[-1:]])
+        pixels = np.empty((2 * len(samples), *samples.shape[1:]), np.float32)
+        pixels[::2] = _NEAREST * samples + _NEXT * around[:-2]
+        pixels[1::2] = _NEAREST * samples + _NEXT * around[2:]
+        plane = np.moveaxis(pixels, 0, axis)
+    return plane
+
+
+def _not_interpolated(means: Float32s, span: tuple[int, int]) -> Float32s:
+    """Return the samples of which pixels that were interpolated have these means over spans."""
+    from scipy.linalg import solve_banded
+
+    for axis, times in enumerate(span):
+        if times == 2 and means.shape[axis] > 1:
+            rows = np.moveaxis(means, axis, 0)
+            bands = np.full((3, len(rows)), _NEXT / 2)
+            bands[1] = _NEAREST
+            bands[1, [0, -1]] += _NEXT / 2
+            samples = solve_banded((1, 1), bands, rows.reshape(len(rows), -1)).reshape(rows.shape)
+            means = np.moveaxis(samples.astype(np.float32), 0, axis)
+    return means
 
 
 def means_over(plane: Float32s, span: tuple[int, int]) -> Float32s:
