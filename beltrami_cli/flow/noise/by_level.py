@@ -68,6 +68,7 @@ class Neighbourhoods:
     level: Float64s  # mean level, shape (M,)
     values: int  # details in each
     cut_off: float = 0.0  # share of colours at a limit, in these and in others that were left out
+    most: Float64s | float = np.inf  # standard deviation of noise at most, by component, shape (K,)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ channels: these show whether noise is shared, and bound what is taken for noise 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -38,6 +39,9 @@ _PLAIN_GROWTH = 2.0
 # Growth of the mean of channels from single cells to the second scale, beyond which even flat places are texture;
 # and change of white noise in their differences at most, as it is measured, where few colours are cut off.
 _NOWHERE_FLAT, _WHITE, _FEW_CUT_OFF = 1.4, 1.25, 0.05
+
+# Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
+_MOST_HUED = 2.0
 
 # Growth to the last scale, below which noise has reached its full size.
 _LEVEL, _ALIKE = 1.5, 2.0
@@ -95,6 +99,8 @@ def noise_of_scales(
     found = fit_by_level(scales)
     if found is None:
         return FoundNoise()
+    at_most = np.array([np.broadcast_to(own.most, len(mixing)) for own in scales[: len(found.sigma)]])
+    found = dataclasses.replace(found, sigma=np.minimum(found.sigma, at_most))
     stabiliser = stabiliser_of(found) if by_level else None
     doubt = _doubt(found.sigma)
     if not is_shared(found.sigma):
@@ -136,6 +142,8 @@ def is_shared(sigma: Float64s) -> bool:
     if len(sigma) < 3 or np.isnan(components[:3]).any():
         return False
     fine, middle, coarse = components[:3].min(axis=1)
+    if max(middle / sigma[1, 0], coarse / sigma[2, 0]) > _MOST_HUED:
+        return False
     coarsest = components[3].min() if len(sigma) > 3 and not np.isnan(components[3]).any() else None
     most = _MOST_GROWTH if sigma.shape[1] == 3 else _MOST_ALONE
     # Texture keeps growing in all components; noise that does not may be small.

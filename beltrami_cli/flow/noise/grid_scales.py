@@ -24,6 +24,7 @@ from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_for
 from beltrami_cli.flow.noise.by_scale import FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
+from beltrami_cli.flow.noise.upper_bound import most_noise
 from beltrami_cli.surface import large_arrays
 
 # Squares per side of a tile, scale by scale: there are few of the coarse ones.
@@ -82,6 +83,10 @@ def measure_by_scale(
         whole = sums_of_tiles(filled, side) == side**2
         if not whole.any():
             break
+        if louder is not None:
+            louder = corners_of(louder[None]).mean(axis=0)[0]
+        loud = 1 if louder is None else louder
+        most = most_noise(4**scale * details / loud, _uncut(filled, cut, side))
         share = np.where(whole, sums_of_tiles(cut, side) / side**2, 1)
         lit = np.count_nonzero(share < _MOST_CUT_OFF) >= _ENOUGH_LIT * np.count_nonzero(share < 1)
         tiles = share < (_MOST_CUT_OFF if lit else _DARK)
@@ -91,7 +96,6 @@ def measure_by_scale(
         )
         remaining = variance_of_clipped(share[tiles])
         if louder is not None:
-            louder = corners_of(louder[None]).mean(axis=0)[0]
             remaining = remaining * sums_of_tiles(louder, side)[tiles] / side**2
         plain = energy.min(axis=0, initial=np.inf) <= _PLAIN
         if scale == 0 and np.count_nonzero(plain) > _MOST_PLAIN * len(plain):
@@ -103,6 +107,7 @@ def measure_by_scale(
                 (level[0] / np.sqrt(len(mixing)) if len(mixing) == 3 else level.mean(axis=0))[~plain],
                 3 * side**2,
                 float(share[whole].mean()),
+                most,
             )
         )
     return scales, mixing
@@ -141,6 +146,14 @@ def all_filled(filled: Bools) -> Bools:
     return np.asarray(both[:, ::2] & both[:, 1::2])
 
 
+def _uncut(filled: Bools, cut: Float32s, side: int) -> Bools:
+    """Return which squares are filled, and have no colour at a limit within their tiles; none beyond whole tiles."""
+    dark = (sums_of_tiles(cut, side) == 0).repeat(side, axis=0).repeat(side, axis=1)
+    uncut = np.zeros_like(filled)
+    uncut[: len(dark), : dark.shape[1]] = dark
+    return filled & uncut
+
+
 def sums_of_tiles(values: Float32s | Bools, side: int) -> Float64s:
     """Sum over tiles; incomplete tiles at the borders are left out."""
     rows, columns = (size // side for size in values.shape)
@@ -169,4 +182,19 @@ def estimate_sigma_on_grid(planes: Float32s, filled: Bools) -> Float64s:
         return np.zeros(len(planes))
     freedom = float(count[enough].mean()) / _HAAR_OVERLAP
     white = WhiteNoise(freedom, _UNEVEN_TILES, _SPREAD_OF_TILES, _TILES_SHARE, _TILES_LEAST)
-    return flat_patch_sigma(Patches(*measures[:, :, enough]), white)
+    return np.minimum(
+        flat_patch_sigma(Patches(*measures[:, :, enough]), white), _most_of_cells(planes, filled)
+    )
+
+
+def _most_of_cells(planes: Float32s, filled: Bools) -> Float64s:
+    """Return sigma of noise of cells at most, by channel."""
+    rows, most = _some_rows(*filled.shape), np.zeros(len(planes))
+    squares = all_filled(filled[rows])
+    for channel in range(len(planes)):
+        plane = planes[channel : channel + 1, rows]
+        at_limit = ((plane <= 0) | (plane >= 1)).astype(np.float32)
+        corners, cut = corners_of(plane), corners_of(at_limit).max(axis=0)[0]
+        details = np.square(corners - corners.mean(axis=0)).sum(axis=0) / 3
+        most[channel] = most_noise(details, _uncut(squares, cut, _TILES[0]))[0]
+    return most
