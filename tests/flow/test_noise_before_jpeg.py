@@ -110,6 +110,23 @@ def test_noise_that_is_louder_in_some_places_is_not_taken_for_the_same_everywher
     assert noise_before_jpeg([picture(pixels, 85, "4:2:0", tmp_path)]) is None
 
 
+@pytest.mark.parametrize("sigma", [10, 25])
+def test_a_part_with_texture_is_told_from_one_with_louder_noise(sigma, tmp_path):
+    """Texture as of wood differs from block to block by no more than noise does, but has less of the finest detail."""
+    clean = painting(512)
+    random = np.random.default_rng(4)
+    grain = gaussian_filter(random.standard_normal((256, 256, 1)), (0.5, 1.2, 0))
+    textured = clean.copy()
+    textured[:256, :256] = 0.5 + 0.1 * grain / grain.std()
+    assert 255 * noise_before_jpeg([picture(stored(textured, 10), 92, "4:4:4", tmp_path)]) == pytest.approx(
+        10, rel=0.12
+    )
+    louder = stored(clean, 10)
+    louder[:256, :256] = stored(clean, sigma)[:256, :256]
+    found = noise_before_jpeg([picture(louder, 92, "4:4:4", tmp_path)])
+    assert found is None if sigma > 10 else 255 * found == pytest.approx(10, rel=0.12)
+
+
 def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
     pictures = [picture(stored(CLEAN, 20), 98, "4:4:4", tmp_path)]
     assert 255 * noise_before_jpeg(pictures) == pytest.approx(20, rel=0.12)

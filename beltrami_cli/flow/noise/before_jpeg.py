@@ -57,7 +57,7 @@ _CERTAIN, _ALIKE_LOW = 100, 1.3
 
 # Noise differs from place to place if it is louder by this factor in more than this share of them; and the rows and
 # columns of blocks of a place.
-_LOUDER, _MANY, _BLOCKS_OF_PLACE = 1.7, 0.1, 16
+_LOUDER, _MANY, _BLOCKS_OF_PLACE = 1.7, 0.2, 16
 
 # Noise that is worth it; and steps of luma, relative to its noise, that do, unless chroma is coarser.
 _LEAST_SIGMA, _COARSE = 2.0 / 255, 1.5
@@ -182,7 +182,7 @@ class _Counted:
     def __init__(self) -> None:
         self.luma = [_Counts() for _ in range(2 * len(_OF_LUMA))]  # by orders, in darker and brighter blocks
         self.low, self.chroma = _Counts(), _Counts()  # low orders of luma and of chroma
-        self.places: list[_Counts] = []  # the first of the orders of luma in each part of the pictures
+        self.places: list[list[_Counts]] = []  # by orders of luma, in each part of the pictures
 
     def add(self, picture: CodedPicture, bands: Sequence[_Band], sigma: float) -> None:
         """Add bands of rows of a picture; `sigma`: of noise of pixels, which may be cut off."""
@@ -206,18 +206,22 @@ class _Counted:
                     self.luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
             places = np.concatenate([band.places for band in bands])[whole]
             for place in np.unique(places):
-                own = _Counts()
-                own.add(np.rint(_most_even(blocks[places == place]) / steps), steps / unit, _OF_LUMA[0])
+                own, there = [_Counts() for _ in _OF_LUMA], _most_even(blocks[places == place])
+                for counts, orders in zip(own, _OF_LUMA, strict=True):
+                    counts.add(np.rint(there / steps), steps / unit, orders)
                 self.places.append(own)
 
     def differs(self, sigma: float) -> bool:
         """Whether noise is stronger than elsewhere in many places."""
-        louder = [
-            own
-            for own in self.places
-            if own.observed >= _TELLING and own.is_noise and own.sigma > _LOUDER * sigma
-        ]
+        louder = [own for own in self.places if _is_louder(*own, _LOUDER * sigma)]
         return len(louder) > _MANY * len(self.places)
+
+
+def _is_louder(first: _Counts, last: _Counts, sigma: float) -> bool:
+    """Whether there is noise above this in both orders of luma; texture, as of wood, has less of the last ones."""
+    if first.observed < _TELLING or not first.is_noise or first.sigma <= sigma:
+        return False
+    return last.sigma > sigma or last.expected(sigma) < 2 * _TELLING
 
 
 def _most_even(blocks: Float32s) -> Float32s:
