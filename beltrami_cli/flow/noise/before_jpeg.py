@@ -213,8 +213,8 @@ class _Counted:
 
     def differs(self, sigma: float) -> bool:
         """Whether noise is stronger than elsewhere in many places."""
-        louder = [own for own in self.places if _is_louder(*own, _LOUDER * sigma)]
-        return len(louder) > _MANY * len(self.places)
+        louder = sum(_is_louder(first, last, _LOUDER * sigma) for first, last in self.places)
+        return louder > _MANY * len(self.places)
 
 
 def _is_louder(first: _Counts, last: _Counts, sigma: float) -> bool:
