@@ -239,9 +239,11 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
 
 
 def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:
-    noise = f"{what}, noise {255 * max(done.noise.values(), default=0):.1f}/255"
+    strongest = 255 * max(done.noise.values(), default=0)
+    noise = f"{what}, noise {strongest:.1f}/255"
     if not done.iterations:
-        messages.say(f"{noise}, {NO_NOISE} (0.5), so the colours are left as they are; {ALL_THE_SAME}")
+        reason = f"{NO_NOISE} (0.5)" if strongest <= 0.5 else "of which smoothing would take nothing"
+        messages.say(f"{noise}, {reason}, so the colours are left as they are; {ALL_THE_SAME}")
         return
     iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
     messages.say(

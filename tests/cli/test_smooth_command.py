@@ -20,6 +20,7 @@ import pytest
 from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.pictures import painted_file
+from formats.image_files import encode
 from oracles import surfaces
 
 NOISY = SAMPLES / "terrain-noisy.ply"
@@ -209,6 +210,14 @@ def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
 
 
 @pytest.mark.slow
+def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothed(tmp_path):
+    (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
+    done = beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, text=True)
+    assert done.returncode == 0
+    assert "noise 15.0/255, of which smoothing would take nothing" in done.stderr
+    assert "Warning" not in done.stderr
+
+
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5, "--fast")
     assert run.returncode == 0

@@ -226,7 +226,7 @@ class Choice:
             return self
         before = 10 ** (-self.psnr / 10)
         error = self.error * before / _IN_DECIBELS
-        after = max(before - gain, error, 1e-12)
+        after = max(before - gain, error if math.isfinite(error) else 0.0, 1e-12)
         better = 10 * float(np.log10(before / after))
         return dataclasses.replace(
             self, psnr=self.psnr + better, gain=self.gain + better, error=_IN_DECIBELS * error / after
