@@ -14,7 +14,7 @@ from click.core import ParameterSource
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, overwrite_at, values_for
-from beltrami_cli.cli.console import Messages
+from beltrami_cli.cli.console import Messages, printable
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.formats.access import is_file
@@ -194,7 +194,6 @@ def _run(
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
     """Print what a run would do, a line for each file, and how many there are."""
     from beltrami_cli.batch.storage import is_url
-    from beltrami_cli.cli.console import printable
 
     is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
     for each in requests:

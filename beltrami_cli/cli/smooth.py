@@ -16,13 +16,13 @@ from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
 from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, counted
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job, show_size
-from beltrami_cli.jobs.output import Output
-from beltrami_cli.samples.reports import ImageReport, LevelReport, SlotReport, VertexReport
 from beltrami_cli.samples.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.level import LevelFileReport
+    from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import SmoothReport
+    from beltrami_cli.samples.reports import ImageReport, LevelReport, SlotReport, VertexReport
     from beltrami_cli.view.render import Preview
 
     Done = VertexReport | ImageReport | SlotReport

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold
+from beltrami_cli._native import SegmentManifold, SurfacePatches, TriangulatedManifold, vertex_order
 from beltrami_cli.arrays import Array, Bools, Float32s, Int32s, Int64s
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.parameters import KernelParameters
@@ -30,8 +30,6 @@ class MeshKernels(Manifold):
     def __init__(
         self, surface: SampledSurface, parameters: KernelParameters, metric_channels: Sequence[int] | None
     ) -> None:
-        from beltrami_cli._native import vertex_order
-
         super().__init__(parameters, metric_channels)
         self.order = vertex_order(surface.positions, surface.all_faces)
         self.size = self.kernels = len(self.order)
@@ -59,8 +57,6 @@ class MeshKernels(Manifold):
     def core(self) -> SegmentManifold | TriangulatedManifold:
         """The manifold of the compiled core, made when it is first needed."""
         if self._core is None:
-            from beltrami_cli._native import SegmentManifold, TriangulatedManifold
-
             solver = SegmentManifold if self.is_along_segments else TriangulatedManifold
             self._core = solver(self.faces, self.size)
         return self._core

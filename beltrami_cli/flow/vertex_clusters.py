@@ -36,8 +36,6 @@ class Clusters(CoarseLevel):
 
     @cached_property
     def _patches(self) -> SurfacePatches:
-        from beltrami_cli._native import SurfacePatches
-
         own = self._graph
         return SurfacePatches(own.positions, own.edges, self._axes, own.priorities, self._threads)
 

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.jobs.output import FileSet, Output
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
+    from beltrami_cli.jobs.output import FileSet, Output
 
 Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 

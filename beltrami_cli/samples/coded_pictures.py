@@ -12,7 +12,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.noise.coded_picture import CodedPicture
+from beltrami_cli.flow.noise.coded_picture import CodedPicture, decode
 from beltrami_cli.flow.noise.given import GivenNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface import large_arrays
@@ -45,12 +45,16 @@ def flow_on_pictures(
     sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:
         return BeltramiFlow(make(None, None), kernel, tick)
-    planes, noise, pilots = None, None, list[Float32s]()
+    planes, noise, before = None, None, None
     for _ in range(_PILOTS if kernel.takes_patches else 1):
-        pilots.append(_smoothed(make(planes, noise), kernel, tick))
-        decoded = np.asarray(np.mean(pilots, axis=0, dtype=np.float32))
-        noise, stored = _decode(atlas, pictures, decoded, sigma)
-        planes = painted(atlas, decoded, kernel.thread_count)
+        rows = _smoothed(make(planes, noise), kernel, tick)
+        if before is not None:
+            for block in large_arrays.blocks(len(rows)):
+                rows[block] = (rows[block] + before[block]) / 2
+        before = large_arrays.copy_of(rows)  # decoding overwrites them
+        noise, stored = _decode(atlas, pictures, rows, sigma)
+        planes = painted(atlas, rows, kernel.thread_count)
+    del before, rows
     flow = BeltramiFlow(make(planes, noise), kernel, tick)
     if not flow.parameters.iterations:  # what is not smoothed stays as it is
         return BeltramiFlow(make(None, None), kernel, tick)
@@ -76,8 +80,6 @@ def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | 
         or any(own.dtype != np.uint8 for own in pixels)
     ):
         return []
-    from beltrami_cli.flow.noise.coded_picture import CodedPicture
-
     used = [large_arrays.zeros(own.shape[:2], bool) for own in pixels]
     for block in large_arrays.blocks(len(atlas.owned_texels)):
         for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
@@ -101,7 +103,6 @@ def _decode(
 ) -> tuple[FoundNoise, Float64s]:
     """Replace a pilot's colours of the owned cells by decoded ones; return their noise, and sigma of that stored."""
     from beltrami_cli.flow.noise.after_jpeg import noise_after
-    from beltrami_cli.flow.noise.coded_picture import decode
 
     rasters = []
     for picture in pictures:

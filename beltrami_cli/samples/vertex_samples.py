@@ -21,11 +21,11 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
-from beltrami_cli.samples.probes.probe import Probe
+from beltrami_cli.samples.probes.probe import Probe, VertexProbe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, VertexReport
 from beltrami_cli.samples.samples import Repainted, describe_kernel
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
-from beltrami_cli.surface.geometry import bounds
+from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
 from beltrami_cli.surface.records import PaintedVertices, SampledSurface
@@ -143,8 +143,6 @@ class VertexSamples(PaintedSamples):
         }
 
     def _describe_mesh(self) -> dict[str, object]:
-        from beltrami_cli.surface.geometry import count_topology
-
         painted, surface, sampling = self.painted, self.surface, self.sampling
         # The position of each place: a hard colour edge is no boundary of the surface.
         positions = np.empty((sampling.places, surface.positions.shape[1]))
@@ -168,8 +166,6 @@ class VertexSamples(PaintedSamples):
         }
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        from beltrami_cli.samples.probes.probe import VertexProbe, WorkingColours
-
         colours = WorkingColours(self.names, self.settings.space)
         flow = self.flow()
         return VertexProbe(flow, colours, self.joined, self.sampling, document.name, whole)

@@ -19,7 +19,8 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Document, Written
-from beltrami_cli.formats.image import ImageDocument
+from beltrami_cli.formats.image import ImageDocument, write_image
+from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
@@ -228,9 +229,6 @@ def _draw_images(parts: Sequence[ComparedColours], target: str) -> tuple[Written
     suffix = Path(target).suffix.lower()
     if suffix == ".ply":
         raise UsageError(f"{target}: the map of images and textures is drawn as .png; end its name so")
-    from beltrami_cli.formats.image import write_image
-    from beltrami_cli.formats.image.picture import new_picture
-
     scale = _scale(parts)
     drawn = [_image_of(part, scale) for part in parts]
     height = max(len(panel) for panel in drawn)
