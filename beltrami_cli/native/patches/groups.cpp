@@ -286,28 +286,6 @@ class Estimate {
 
 }  // namespace
 
-void compare_rows(const float* features, std::size_t length, const float* mask, const std::int32_t* rows, std::size_t count,
-                  float* distances) {
-  constexpr std::size_t width = 16, packs = width / lane_count;
-  const float* own = features + static_cast<std::size_t>(rows[0]) * length;
-  for (std::size_t k = 0; k < count; ++k) {
-    const float* other = features + static_cast<std::size_t>(rows[k]) * length;
-    std::array<Lanes, packs> sums{};
-    for (std::size_t i = 0; i < length; i += width)
-      for (std::size_t v = 0; v < packs; ++v) {
-        const std::size_t at = i + v * lane_count;
-        const Lanes difference = (load(other + at) - load(own + at)) * load(mask + at);
-        sums[v] += difference * difference;
-      }
-    // As many partial sums for any number of lanes.
-    alignas(64) std::array<float, width> partial;
-    for (std::size_t v = 0; v < packs; ++v) store(partial.data() + v * lane_count, sums[v]);
-    for (std::size_t half = width / 2; half > 0; half /= 2)
-      for (std::size_t i = 0; i < half; ++i) partial[i] += partial[i + half];
-    distances[k] = partial[0];
-  }
-}
-
 void estimate_group(Group& group, bool has_pilot) {
   if (group.length == long_row)
     group.size == few ? Estimate<few, long_row>(group).run(has_pilot) : Estimate<many, long_row>(group).run(has_pilot);

@@ -65,7 +65,7 @@ struct alignas(64) Group {
   float shrinkage, least_ratio, strength;   // with a pilot
 
   alignas(64) std::array<float, many> energy;  // of the noise
-  alignas(64) std::array<float, many * long_row> noisy, pilot;
+  alignas(64) std::array<float, many * long_row> noisy, pilot;  // 0 where a row has no value
 
   alignas(64) std::array<float, many> weights;  // of the estimates, 1 / |Theta_k|^2
   alignas(64) std::array<float, many * long_row> estimates;
@@ -73,14 +73,6 @@ struct alignas(64) Group {
   alignas(64) std::array<float, many * long_row> values;  // of which patches are columns
   alignas(64) std::array<float, many * many> theta;
 };
-
-// Writes to `distances` the sums of squared differences between rows of `length` floats, a multiple of 16: the first and
-// those of `rows`. Differences are multiplied by `mask`, 0 or 1.
-using CompareRows = void (*)(const float* features, std::size_t length, const float* mask, const std::int32_t* rows,
-                             std::size_t count, float* distances);
-
-BELTRAMI_DECLARE_VARIANTS(void compare_rows(const float* features, std::size_t length, const float* mask,
-                                            const std::int32_t* rows, std::size_t count, float* distances))
 
 // Estimates the patches of a group from its noisy ones, by the pilot if there is one. All `size` rows are written, of which
 // those from `found` on mean nothing, nor do their weights.

@@ -50,14 +50,15 @@ class SurfacePatches {
   const Nodes& patch(std::size_t vertex) const { return patches_[vertex]; }
 
  private:
-  struct Part;
   class VertexRings;
   class Worker;
 
-  // The vertices whose patches those of some starts are compared with, themselves first.
-  struct Candidates {
+  // Some starts, and the vertices whose patches theirs are compared with.
+  struct Part {
     std::vector<std::int32_t> vertices;
-    std::vector<std::size_t> first;  // of each start, and one beyond the last
+    std::vector<std::int32_t> candidates;  // of all starts, places in `vertices`; of each, itself first
+    std::vector<std::size_t> first;        // of each start, and one beyond the last
+    std::vector<std::size_t> few;          // of each start: how many of them are compared without a pilot
   };
 
   void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
@@ -68,7 +69,7 @@ class SurfacePatches {
   std::vector<std::size_t> first_;         // of each vertex's neighbours
   std::vector<std::int32_t> neighbours_;
   std::vector<Nodes> patches_;
-  std::vector<Candidates> candidates_;  // of the starts of each part
+  std::vector<Part> parts_;
 };
 
 }  // namespace beltrami::patches
