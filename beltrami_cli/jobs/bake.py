@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.formats.document import Document
@@ -22,7 +21,7 @@ from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import choose_format
 from beltrami_cli.samples.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.grouping import distinct_corners, group_equal_rows, group_places
+from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.lookup import look_up, noise_around
 from beltrami_cli.surface.records import Encoding, MeshContents, TexturedSurface
 
@@ -91,11 +90,11 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
     split = (_spread(values, place, textured) > _ALIKE + _SIGMAS * noise).any(axis=1)[place]
-    first, vertex_of = distinct_corners(place, np.where(split, side, -1))
+    vertex_of, first = group_equal_rows(place, np.where(split, side, -1))
     colours = _mean(values, vertex_of, textured, len(first))
     contents = MeshContents(
         positions=surface.positions[corners[first]],
-        corners=vertex_of.astype(np.int32),
+        corners=vertex_of,
         offsets=np.arange(0, len(corners) + 1, 3, dtype=np.int64),
         colours=colours[:, :3],
         encoding=_encoding(pictures),
@@ -141,7 +140,7 @@ def _spread(values: Float64s, place: Int32s, textured: Bools) -> Float64s:
     return np.maximum(np.where(np.isfinite(low), high - low, 0), 0)
 
 
-def _mean(values: Float64s, vertex_of: NDArray[np.intp], textured: Bools, count: int) -> Float32s:
+def _mean(values: Float64s, vertex_of: Int32s, textured: Bools, count: int) -> Float32s:
     """Return the mean over the corners of each vertex; those without texture count only where there are no others."""
     any_textured = np.bincount(vertex_of[textured], minlength=count) > 0
     used = textured | ~any_textured[vertex_of]

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.surface.grouping import group_equal_rows
 
 
 def bounds(positions: Float64s) -> list[list[float]]:
@@ -118,7 +119,7 @@ def _gathered(values: Float64s, faces: Int32s, group_of: Int32s) -> Float64s:
 
 def on_boundary(faces: Int32s, count: int) -> Bools:
     """Return which vertices are ends of an edge that has one triangle only."""
-    edges, uses = _edge_uses(_distinct(_proper(faces), count), count)
+    edges, uses = _edge_uses(_distinct(_proper(faces)), count)
     alone = edges[uses == 1]
     boundary = np.zeros(count, bool)
     boundary[alone // max(1, count)] = True
@@ -133,15 +134,9 @@ def _proper(faces: Int32s) -> Int64s:
     return np.asarray(corners[is_proper], np.int64)
 
 
-def _distinct(corners: Int64s, count: int) -> Int64s:
+def _distinct(corners: Int64s) -> Int64s:
     """Return triangles, each with its vertices in order, once, of those with the same three vertices."""
-    # A triangle is identified by its least edge and the third corner; both fit in 64 bits, one after the other.
-    least = corners[:, 0] * count + corners[:, 1]
-    order = np.lexsort((corners[:, 2], least))
-    corners, least = corners[order], least[order]
-    new = np.ones(len(corners), bool)
-    new[1:] = (least[1:] != least[:-1]) | (corners[1:, 2] != corners[:-1, 2])
-    return corners[new]
+    return corners[group_equal_rows(*corners.T)[1]]
 
 
 def _edge_uses(corners: Int64s, count: int) -> tuple[Int64s, Int64s]:
@@ -166,7 +161,7 @@ class TopologyCounts:
 def count_topology(positions: Float64s, faces: Int32s) -> TopologyCounts:
     """Count the parts of a triangle mesh; duplicate faces count once for the edges."""
     count, proper = len(positions), _proper(faces)
-    distinct = _distinct(proper, count)
+    distinct = _distinct(proper)
     _, uses = _edge_uses(distinct, count)
     flat = np.count_nonzero(triangle_areas(positions, proper.astype(np.int32)) == 0)
     return TopologyCounts(

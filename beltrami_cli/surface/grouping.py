@@ -65,15 +65,6 @@ def group_places(positions: Float64s, space_of: Int32s | None) -> tuple[Int32s, 
     return group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
 
 
-def distinct_corners(*columns: NDArray[np.generic]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Find the distinct rows of a table, numbered by the order of their values: a row of each, and numbers."""
-    order = np.lexsort(columns[::-1])
-    new = _run_starts(columns, order)
-    number_of = np.empty(len(order), np.intp)
-    number_of[order] = np.cumsum(new) - 1
-    return order[new], number_of
-
-
 def _as_words(column: Array) -> NDArray[np.uint64]:
     if column.dtype.kind == "f":
         return (column.astype(np.float64) + 0.0).view(np.uint64)

@@ -27,7 +27,7 @@ from beltrami_cli.formats.image import ImageDocument, Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.colour_values import VIRIDIS, linear_to_srgb
-from beltrami_cli.surface.grouping import distinct_corners, group_places
+from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import data_address
 from beltrami_cli.view.views import disc_radii, light_of, sheet_of, texture_sheet
@@ -135,8 +135,8 @@ class ModelPacker:
         mine = surface.texture_of == number
         corners, uv = surface.faces[mine].reshape(-1), surface.uv[mine].reshape(-1, 2).astype(np.float32)
         charts = np.repeat(chart_of[mine], 3)
-        rows, index = distinct_corners(corners, np.nan_to_num(uv[:, 0]), np.nan_to_num(uv[:, 1]), charts)
-        order, index = _sorted(index.reshape(-1, 3), len(rows))
+        vertex_of, rows = group_equal_rows(corners, *np.nan_to_num(uv).T, charts)
+        order, index = _sorted(vertex_of.reshape(-1, 3), len(rows))
         rows = rows[order]
         part = {
             "kind": "mesh", "index": self._triangles(index), "textures": textures,

@@ -21,7 +21,7 @@ from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, not_converted, plain_name, shown_materials
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.surface.grouping import distinct_corners
+from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import Material, MeshContents, TexturedMesh, VertexColours, Wrap
 
@@ -268,7 +268,7 @@ class _Parts:
             columns += [*uv.T]
         if normals is not None and np.isfinite(normals).all():
             columns += [*normals.T]
-        first, vertex_of = distinct_corners(*columns)
+        vertex_of, first = group_equal_rows(*columns)
         attributes = {"POSITION": arrays.add(self._positions[corners[first]], bounds=True)}
         if np.isfinite(uv).all():
             attributes["TEXCOORD_0"] = arrays.add(uv[first])

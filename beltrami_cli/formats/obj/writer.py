@@ -22,7 +22,7 @@ from beltrami_cli.formats.textured_mesh import (
     with_slots,
 )
 from beltrami_cli.surface.geometry import shortest_type
-from beltrami_cli.surface.grouping import distinct_corners
+from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh
 
@@ -100,7 +100,7 @@ def _distinct(corners: Array) -> tuple[Array, Int64s]:
     """Return the distinct rows of (F, 3, C) numbers, and which of them every corner has, from 1; 0 for NaN."""
     rows = corners.reshape(-1, corners.shape[2])
     given = ~np.isnan(rows).any(axis=1)
-    first, number_of = distinct_corners(*rows[given].T)
+    number_of, first = group_equal_rows(*rows[given].T)
     numbers = np.zeros(len(rows), np.int64)
     numbers[given] = number_of + 1
     return rows[given][first], numbers.reshape(-1, 3)

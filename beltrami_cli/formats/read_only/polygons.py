@@ -8,7 +8,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.surface.grouping import distinct_corners
+from beltrami_cli.surface.grouping import group_equal_rows
 
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
 _MEANS = (
@@ -58,8 +58,8 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
 
 def joined(found: ColouredPolygons) -> ColouredPolygons:
     """Make one vertex of those at the same place, for formats that give every triangle its own."""
-    first, number_of = distinct_corners(*(found.positions + 0.0).T)  # a negative zero is a zero
-    return replace(found, positions=found.positions[first], corners=number_of[found.corners])
+    number_of, first = group_equal_rows(*found.positions.T)
+    return replace(found, positions=found.positions[first], corners=number_of[found.corners].astype(np.int64))
 
 
 def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:

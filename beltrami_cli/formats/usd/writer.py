@@ -22,7 +22,7 @@ from beltrami_cli.formats.textured_mesh import image_names, material_names, not_
 from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import shortest_type
-from beltrami_cli.surface.grouping import distinct_corners
+from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
 
@@ -120,7 +120,7 @@ def _mesh(mesh: TexturedMesh, faces: Int64s, shown: list[bytes]) -> Iterator[byt
     yield from shown
     # A corner without coordinates has no texture, whatever coordinates stand there.
     uv = np.nan_to_num(mesh.uv[faces].reshape(-1, 2)) * [1, -1] + [0, 1]
-    chosen, index_of = distinct_corners(*uv.T)
+    index_of, chosen = group_equal_rows(*uv.T)
     on = 'interpolation = "faceVarying"'
     yield from _array("texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, on)
     yield from _array("int[] primvars:st:indices", index_of[:, None])
