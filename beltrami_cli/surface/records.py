@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 
 Encoding = Literal["srgb", "linear"]
@@ -224,16 +224,25 @@ _LEAST, _MOST = 1e-14, 1e14
 _ENOUGH_FACES = 100_000  # for a median that is off by a per cent or so
 
 
+def require_finite(rows: Array, name: str, what: str, numbers: Int64s | None = None) -> None:
+    """Raise InputError if a row is not finite: `what` and its number, or that of `numbers` if they are given."""
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        number = bad if numbers is None else numbers[bad]
+        raise InputError(name, f"{what} {number} is not finite", "repair the file")
+
+
 def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
     with np.errstate(over="ignore", invalid="ignore"):
-        if len(
-            faces
-        ):  # the longest coordinates of the edges of some, whose squares could overflow here already
+        if len(faces):
+            # The longest coordinates of the edges of some, whose squares could overflow here already.
             corners = positions[faces[:: 1 + len(faces) // _ENOUGH_FACES]]
             steps = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=2)
             steps = steps[np.isfinite(corners).all(axis=(1, 2))]
-        else:  # points count as if they were spread evenly over a surface as wide as they are
+        else:
+            # Points count as if they were spread evenly over a surface as wide as they are.
             there = positions[np.isfinite(positions).all(axis=1)]
             steps = np.ptp(there, axis=0).max(keepdims=True) / np.sqrt(len(there)) if len(there) else there
     steps = steps[steps > 0]

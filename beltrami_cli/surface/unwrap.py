@@ -23,6 +23,7 @@ from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.records import require_finite
 from beltrami_cli.surface.worker_process import working
 
 Progress = Callable[[int, int], None] | None
@@ -51,10 +52,7 @@ def unwrap(
     # `size`: longest side of the texture, in texels; None: from 256 to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
     # several times a second with the tenths of a second that went by and those that are expected.
-    finite = np.isfinite(positions).all(axis=1)
-    if not finite.all():
-        cause = f"the position of vertex {int(np.argmin(finite))} is not finite"
-        raise InputError(name, cause, "repair the file")
+    require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
     whole = _with_area(unit, rows)

@@ -18,6 +18,7 @@ from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.compression import draco_attribute, draco_mesh
 from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.surface.records import require_finite
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 """NumPy types of glTF's componentType."""
@@ -182,10 +183,9 @@ class Accessors:
 
     def finite(self, index: int, what: str) -> Stored:
         """Return the numbers as stored; `what` is the word for an element in the error if one is not finite."""
-        stored = self.stored(index)
-        if stored.dtype.kind == "f" and not np.isfinite(stored).all():
-            row = int(np.nonzero(~np.isfinite(stored).all(axis=1))[0][0])
-            raise self[index].entry.fault("", f"{what} {row} is not finite", "repair the file")
+        stored, entry = self.stored(index), self[index].entry
+        if stored.dtype.kind == "f":
+            require_finite(stored, entry.name, f"{entry.place}: {what}")
         return stored
 
     def identity(self, index: int) -> Hashable:

@@ -21,6 +21,7 @@ from beltrami_cli.formats.colours import full_scale, intensity_scale
 from beltrami_cli.formats.ply.header import Element, Header
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.records import require_finite
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -138,10 +139,7 @@ def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str
     with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
         for column, known in enumerate(names):
             values[:, column] = vertices.scalars(known)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        cause = f"the {what} of vertex {int(np.argmin(finite))} is not finite"
-        raise InputError(name, cause, "repair the file")
+    require_finite(values, name, f"the {what} of vertex")
     return values
 
 

@@ -37,7 +37,7 @@ from beltrami_cli.formats.colours import display_colours, intensity_scale, left_
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.records import MeshContents, require_finite
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")
 _INTENSITY_KEYS = ("intensity", "intensities")
@@ -201,10 +201,7 @@ class NpzPointsDocument(Document):
     @cached_property
     def _numbers(self) -> Float64s:
         numbers = self._stored[self._measured, : self._arrays.channels].astype(np.float64)
-        finite = np.isfinite(numbers).all(axis=1)
-        if not finite.all():
-            row = int(self._measured[int(np.argmin(finite))])
-            raise InputError(self.name, f"the colour of point {row} is not finite", "repair the file")
+        require_finite(numbers, self.name, "the colour of point", self._measured)
         return numbers
 
     @cached_property

@@ -17,7 +17,7 @@ from beltrami_cli.formats.points.table import Columns, PointTable, find_columns,
 from beltrami_cli.formats.tokens import exchange_tokens, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.large_arrays import blocks
-from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.records import MeshContents, require_finite
 
 _WHOLE = b"%.0f"
 _DIGITS = 6  # of full scale at least: as fine as 20 bits
@@ -107,10 +107,7 @@ class TextPointsDocument(Document):
         colours = self._picked(self._columns.colours)
         if not len(colours):
             raise InputError(self.name, "none of its points has a place", "nothing in it can be smoothed")
-        finite = np.isfinite(colours).all(axis=1)
-        if not finite.all():
-            row = int(self._measured[int(np.argmin(finite))])
-            raise InputError(self.name, f"the colour of point {row} is not finite", "repair the file")
+        require_finite(colours, self.name, "the colour of point", self._measured)
         return colours
 
     @cached_property

@@ -9,6 +9,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.records import require_finite
 
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
 _MEANS = (
@@ -47,10 +48,7 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
         raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
     if found.corners.min() < 0 or found.corners.max() >= vertices:
         raise InputError(name, f"a polygon names a vertex that is none of the {vertices}", "export it again")
-    finite = np.isfinite(found.positions).all(axis=1)
-    if not finite.all():
-        cause = f"the position of vertex {int(np.argmin(finite))} is not finite"
-        raise InputError(name, cause, "repair the file")
+    require_finite(found.positions, name, "the position of vertex")
     if not np.isfinite(found.colours).all(axis=1).any():
         cause = "none of its polygons or vertices has a colour"
         raise UnpaintedError(name, cause, "give a file with vertex colours")
