@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 
 import numpy as np
@@ -23,7 +23,7 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MOST_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
-_BLOCK = 1 << 16  # tokens exchanged at a time, which bounds the memory that the pieces take
+_BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the memory that the pieces take
 
 
 def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
@@ -157,6 +157,12 @@ def exchange_tokens(
     return pieces
 
 
+def most_decimals(text: bytes, starts: Int64s, ends: Int64s) -> int:
+    """Return how many characters stand behind the point of a token at most; negative if no token has one."""
+    points = np.append(np.flatnonzero(np.frombuffer(text, np.uint8) == ord(".")), len(text))
+    return int((ends - points[np.searchsorted(points, starts)] - 1).max())
+
+
 def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:
     """Return a text with a placeholder for each of some tokens, as for `exchange_tokens`."""
     pieces = exchange_tokens(text, starts, ends, lambda block: [PLACEHOLDER] * (block.stop - block.start))
@@ -178,6 +184,15 @@ def shifted(places: Int64s, spans: Spans) -> Int64s:
     growth = np.cumsum([0, *(len(new) - (end - start) for (start, end), new in ordered)])
     moved: Int64s = places + growth[np.searchsorted([start for (start, _), _ in ordered], places)]
     return moved
+
+
+def number_lines(style: str, *tables: Array) -> Iterator[bytes]:
+    """Give a line for each row of some tables; "%s" is the shortest token that is read back the same."""
+    kinds = re.findall(r"%[.\d]*([sdf])", style)
+    for block in blocks(len(tables[0]), _BLOCK):
+        columns = zip(kinds, (column for table in tables for column in table[block].T), strict=True)
+        tokens = [(each.astype("U32") if kind == "s" else each).tolist() for kind, each in columns]
+        yield "".join([style % row for row in zip(*tokens, strict=True)]).encode()
 
 
 def zeroed(data: bytes, starts: Int64s, size: int) -> bytes:

@@ -20,7 +20,7 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.tokens import exchange_tokens
+from beltrami_cli.formats.tokens import exchange_tokens, most_decimals
 from beltrami_cli.surface.geometry import unit_vectors
 
 _SIZES = (3, 4, 5, 6, 7, 8)
@@ -161,7 +161,7 @@ def new_colours(
     """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
     values = colours[changed].astype(np.float64) * scale
     decimals = 0
-    found = _most_decimals(data, starts, ends) if len(values) else 0
+    found = most_decimals(data, starts, ends) if len(values) else 0
     if found < 0 and scale != 1:
         values = np.clip(np.rint(values), 0, scale)
     else:
@@ -176,7 +176,7 @@ def new_positions(
     """Spell the coordinates that changed with as many decimals as the old ones, and no less than float32 has."""
     largest = float(np.abs(positions).max(initial=0)) or 1.0
     enough = _DIGITS - 1 - int(np.floor(np.log10(largest)))
-    found = _most_decimals(data, starts, ends) if changed.any() else 0
+    found = most_decimals(data, starts, ends) if changed.any() else 0
     decimals = min(max(found, enough, 0), _MOST_DECIMALS)
     return NewNumbers(starts[changed], ends[changed], positions[changed], decimals)
 
@@ -197,12 +197,6 @@ def renumbered(data: bytes, parts: Sequence[NewNumbers]) -> list[Bytes]:
         return [b"%.*f" % pair for pair in pairs]
 
     return [*exchange_tokens(data, starts[order], ends[order], spell)]
-
-
-def _most_decimals(data: bytes, starts: Int64s, ends: Int64s) -> int:
-    """Return how many characters stand behind the point at most; negative if no token has one."""
-    points = np.append(np.flatnonzero(np.frombuffer(data, np.uint8) == ord(".")), len(data))
-    return int((ends - points[np.searchsorted(points, starts)] - 1).max())
 
 
 _DROPPED = {

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Int32s, Int64s
 from beltrami_cli.formats.colours import display_colours, left_out
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.textured_mesh import (
@@ -21,6 +21,7 @@ from beltrami_cli.formats.textured_mesh import (
     plain_name,
     with_slots,
 )
+from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
@@ -28,6 +29,7 @@ from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedM
 
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _MATERIAL = "painted"
+_COLOURED, _NORMAL = "v %s %s %s %.6f %.6f %.6f\n", "vn %s %s %s\n"
 _SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal", "metallicRoughness")
 # By whether corners have texture coordinates and normals.
 _FACES = {
@@ -45,20 +47,12 @@ def write_obj(contents: MeshContents, stem: str) -> Written:
         notices.append("Colours are rounded to six decimals.")
     if contents.alpha is not None:
         notices.append("Opacity is dropped: vertices of OBJ files hold red, green and blue only.")
-    pieces = [*_vertex_lines(contents.positions, colours)]
+    pieces = [*number_lines(_COLOURED, shortest_type(contents.positions), colours)]
     if contents.normals is not None:
-        pieces += _lines("vn {} {} {}\n", contents.normals)
+        pieces += number_lines(_NORMAL, contents.normals)
     style = "{0}//{0}" if contents.normals is not None else "{0}"
     pieces += _polygon_lines(contents.corners, contents.offsets, style)
     return Written(pieces, notices=(*notices, *left_out(contents)))
-
-
-def _vertex_lines(positions: Float64s, colours: Float32s) -> Iterator[bytes]:
-    short = shortest_type(positions)
-    for block in blocks(len(positions), _BLOCK):
-        tokens = [*_spelled(short[block]), *colours[block].T.tolist()]
-        rows = zip(*tokens, strict=True)
-        yield "".join([f"v {x} {y} {z} {r:.6f} {g:.6f} {b:.6f}\n" for x, y, z, r, g, b in rows]).encode()
 
 
 def _polygon_lines(corners: Int32s, offsets: Int64s, style: str) -> Iterator[bytes]:
@@ -73,19 +67,20 @@ def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh with its materials, with a library and images beside it that are named after `stem`."""
     mesh = with_slots(mesh, _SLOTS)
     names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
-    vertices, notices = _lines("v {} {} {}\n", shortest_type(mesh.positions)), list[str]()
+    positions, notices = shortest_type(mesh.positions), list[str]()
+    vertices = number_lines("v %s %s %s\n", positions)
     if mesh.colours is not None:
         values, notices = display_colours(mesh.colours)
-        vertices = _vertex_lines(mesh.positions, values)
+        vertices = number_lines(_COLOURED, positions, values)
         if mesh.colours.alpha is not None and (mesh.colours.alpha < 1).any():
             notices.append("Opacity of vertices is dropped: they hold red, green and blue only.")
     coordinates, coordinate_of = _distinct(mesh.uv)
     pieces = [f"mtllib {stem}.mtl\n".encode(), *vertices]
-    pieces += _lines("vt {} {}\n", (coordinates * [1, -1] + [0, 1]).astype(np.float32))
+    pieces += number_lines("vt %s %s\n", (coordinates * [1, -1] + [0, 1]).astype(np.float32))
     columns: list[Array] = [mesh.faces + 1, coordinate_of]
     if mesh.normals is not None:
         normals, normal_of = _distinct(mesh.normals)
-        pieces += _lines("vn {} {} {}\n", normals)
+        pieces += number_lines(_NORMAL, normals)
         columns.append(normal_of)
     pieces += _parts(mesh, names, np.stack(columns, axis=2))
     entries = zip(names, mesh.materials, strict=True)
@@ -156,14 +151,3 @@ def _library_entry(name: str, material: Material, images: list[str]) -> str:
 
 def _numbers(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
-
-
-def _lines(style: str, rows: Float32s | Float64s) -> Iterator[bytes]:
-    for block in blocks(len(rows), _BLOCK):
-        yield "".join([style.format(*row) for row in zip(*_spelled(rows[block]), strict=True)]).encode()
-
-
-def _spelled(rows: Float32s | Float64s) -> list[list[str]]:
-    """Return the columns as the shortest tokens that are read back the same."""
-    columns: list[list[str]] = rows.T.astype("U32").tolist()
-    return columns

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
 from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
-from beltrami_cli.formats.tokens import exchange_tokens, without_tokens
+from beltrami_cli.formats.tokens import exchange_tokens, most_decimals, number_lines, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
-from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import MeshContents, require_finite
 
 _WHOLE = b"%.0f"
 _DIGITS = 6  # of full scale at least: as fine as 20 bits
-_BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _BYTE = 255
 _MOST_DIGITS = 9  # of full scale: all that single precision has
 
@@ -152,10 +150,8 @@ def _with_colours(
 
 
 def _number_format(data: bytes, starts: Int64s, ends: Int64s, scale: float) -> bytes:
-    characters = np.frombuffer(data, np.uint8)
-    points = np.append(np.flatnonzero(characters == ord(".")), len(data))
-    decimals = int((ends - points[np.searchsorted(points, starts)] - 1).max())
-    exponents = np.append(np.flatnonzero((characters | 0x20) == ord("e")), len(data))
+    decimals = most_decimals(data, starts, ends)
+    exponents = np.append(np.flatnonzero((np.frombuffer(data, np.uint8) | 0x20) == ord("e")), len(data))
     if (exponents[np.searchsorted(exponents, starts)] < ends).any():
         return b"%%.%dg" % _MOST_DIGITS
     if decimals < 0 and scale > 1:
@@ -186,16 +182,9 @@ def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
         notices.append("Faces are dropped: the file has points only.")
     whole = contents.stored == "uint8" and contents.encoding == "srgb"
     shades = np.rint(np.clip(colours.astype(np.float64), 0, 1) * _BYTE).astype(np.uint8) if whole else colours
-    pieces += _blocks(shortest_type(contents.positions), shades, contents.normals)
+    tables: list[Array] = [shortest_type(contents.positions), shades]
+    style = "%s %s %s " + " ".join(["%d" if whole else "%.6f"] * 3)
+    if contents.normals is not None:
+        tables, style = [*tables, contents.normals], style + " %s %s %s"
+    pieces += number_lines(style + "\n", *tables)
     return Written(pieces, notices=(*notices, *left_out(contents)))
-
-
-def _blocks(
-    positions: Float32s | Float64s, shades: Uint8s | Float32s, normals: Float32s | None
-) -> Iterator[bytes]:
-    style = "%s %s %s " + " ".join(["%d" if shades.dtype == np.uint8 else "%.6f"] * 3)
-    style += "\n" if normals is None else " %s %s %s\n"
-    for block in blocks(len(positions), _BLOCK):
-        columns = [*positions[block].T.astype("U32").tolist(), *shades[block].T.tolist()]
-        columns += [] if normals is None else normals[block].T.astype("U32").tolist()
-        yield "".join([style % row for row in zip(*columns, strict=True)]).encode()
