@@ -86,8 +86,3 @@ def _three_channels(colours: Float32s, notices: list[str], grey: str) -> Float32
         return colours
     notices.append(grey)
     return np.repeat(colours, 3, axis=1)
-
-
-def left_out(contents: MeshContents) -> list[str]:
-    """Return a notice of what a conversion drops, or nothing."""
-    return [f"Not converted: {'; '.join(contents.left_out)}."] if contents.left_out else []

@@ -70,6 +70,12 @@ class Written:
     copies: Mapping[str, str] = field(default_factory=dict)
 
 
+def not_converted(mesh: records.MeshContents | records.TexturedMesh, others: Iterable[str] = ()) -> list[str]:
+    """Return the notice of what a conversion drops, or nothing."""
+    left = dict.fromkeys([*mesh.left_out, *others])
+    return [f"Not converted: {'; '.join(left)}."] if left else []
+
+
 @dataclass(frozen=True)
 class Changes:
     """What is to be new in a document; every entry that equals the present one keeps its stored bytes."""

@@ -297,9 +297,3 @@ def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> Text
     material_of[faces] = len(mesh.materials) + number_of.reshape(-1)
     shown, material_of = shown_materials(materials, material_of)
     return dataclasses.replace(mesh, uv=uv, materials=shown, material_of=material_of)
-
-
-def not_converted(mesh: TexturedMesh, others: Iterable[str] = ()) -> tuple[str, ...]:
-    """Return the notice of what a conversion drops, or nothing."""
-    left = list(dict.fromkeys([*mesh.left_out, *others]))
-    return (f"Not converted: {'; '.join(left)}.",) if left else ()

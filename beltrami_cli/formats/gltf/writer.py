@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import linear_colours
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
-from beltrami_cli.formats.textured_mesh import image_names, not_converted, plain_name, shown_materials
+from beltrami_cli.formats.textured_mesh import image_names, plain_name, shown_materials
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.polygons import triangulate
@@ -112,8 +112,7 @@ def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tr
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
-    if contents.left_out:
-        notices.append(f"glTF output leaves out: {', '.join(contents.left_out)}.")
+    notices += not_converted(contents)
     arrays = Arrays()
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:

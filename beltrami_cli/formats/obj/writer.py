@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Int32s, Int64s
-from beltrami_cli.formats.colours import display_colours, left_out
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.colours import display_colours
+from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.textured_mesh import (
     image_names,
     material_names,
-    not_converted,
     plain_name,
     with_slots,
 )
@@ -52,7 +51,7 @@ def write_obj(contents: MeshContents, stem: str) -> Written:
         pieces += number_lines(_NORMAL, contents.normals)
     style = "{0}//{0}" if contents.normals is not None else "{0}"
     pieces += _polygon_lines(contents.corners, contents.offsets, style)
-    return Written(pieces, notices=(*notices, *left_out(contents)))
+    return Written(pieces, notices=(*notices, *not_converted(contents)))
 
 
 def _polygon_lines(corners: Int32s, offsets: Int64s, style: str) -> Iterator[bytes]:

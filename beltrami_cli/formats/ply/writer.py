@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
-from beltrami_cli.formats.colours import display_colours, left_out
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.colours import display_colours
+from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.ply.elements import store_colours
 from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
-from beltrami_cli.formats.textured_mesh import image_names, not_converted, with_slots
+from beltrami_cli.formats.textured_mesh import image_names, with_slots
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, VertexColours
 
@@ -39,7 +39,7 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
     properties, rows = _vertex_element(columns, blocks)
     announced, polygons = _face_element(contents.corners, contents.offsets)
     header = _header([*properties, *announced]).encode()
-    return Written([header, rows.tobytes(), polygons], notices=(*notices, *left_out(contents)))
+    return Written([header, rows.tobytes(), polygons], notices=(*notices, *not_converted(contents)))
 
 
 def _stored_colours(contents: MeshContents | VertexColours) -> tuple[Array, list[str]]:

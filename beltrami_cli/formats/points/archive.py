@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
-from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
-from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import MeshContents, require_finite
@@ -306,4 +306,4 @@ def write_npz(contents: MeshContents, stem: str) -> Written:
             notices.append("Quads and polygons are cut into triangles.")
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
-    return Written([buffer.getvalue()], notices=(*notices, *left_out(contents)))
+    return Written([buffer.getvalue()], notices=(*notices, *not_converted(contents)))

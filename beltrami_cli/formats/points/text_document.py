@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import display_colours, intensity_scale, left_out, point_colour_scale
-from beltrami_cli.formats.document import Bytes, Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale
+from beltrami_cli.formats.document import (
+    Bytes,
+    Changes,
+    Document,
+    Fingerprint,
+    Naming,
+    Written,
+    not_converted,
+)
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
 from beltrami_cli.formats.tokens import exchange_tokens, most_decimals, number_lines, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
@@ -187,4 +195,4 @@ def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
     if contents.normals is not None:
         tables, style = [*tables, contents.normals], style + " %s %s %s"
     pieces += number_lines(style + "\n", *tables)
-    return Written(pieces, notices=(*notices, *left_out(contents)))
+    return Written(pieces, notices=(*notices, *not_converted(contents)))

@@ -16,9 +16,9 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Array, Int32s, Int64s
-from beltrami_cli.formats.colours import left_out, linear_colours
-from beltrami_cli.formats.document import Written
-from beltrami_cli.formats.textured_mesh import image_names, material_names, not_converted, plain_name
+from beltrami_cli.formats.colours import linear_colours
+from beltrami_cli.formats.document import Written, not_converted
+from beltrami_cli.formats.textured_mesh import image_names, material_names, plain_name
 from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import shortest_type
@@ -40,7 +40,7 @@ _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float
 
 
 def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
-    notices = left_out(contents)
+    notices = not_converted(contents)
     shown = _colours(contents, notices)
     own = [
         *_array("point3f[] points", shortest_type(contents.positions), 3),
