@@ -38,36 +38,34 @@ _MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
 
 def write_glb(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as one binary file; its colours become linear, as glTF demands, and `stem` its name."""
-    notices: list[str] = []
-    return binary_file(*_coloured(contents, stem, notices), notices)
+    return binary_file(*_coloured(contents, stem))
 
 
 def write_gltf(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as JSON text with its numbers in the sidecar ``stem.bin``; otherwise as `write_glb`."""
-    notices: list[str] = []
-    tree, arrays = _coloured(contents, stem, notices)
-    return text_file(tree, arrays, stem, {}, notices)
+    return text_file(*_coloured(contents, stem), stem, {})
 
 
-def binary_file(tree: Tree, arrays: Arrays, notices: list[str]) -> Written:
+def binary_file(tree: Tree, arrays: Arrays) -> Written:
     """Return a file of both chunks."""
     tree["buffers"] = [{"byteLength": len(arrays.binary)}]
     text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
     pieces = glb_pieces([Chunk(JSON_CHUNK, text.encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))])
-    return Written(pieces, notices=tuple(notices))
+    return Written(pieces, notices=tuple(arrays.notices))
 
 
-def text_file(tree: Tree, arrays: Arrays, stem: str, images: dict[str, bytes], notices: list[str]) -> Written:
+def text_file(tree: Tree, arrays: Arrays, stem: str, images: dict[str, bytes]) -> Written:
     """Return JSON text, with the numbers and images in files beside it."""
     tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": quote(f"{stem}.bin")}]
     text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
-    return Written([text.encode()], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(notices))
+    return Written([text.encode()], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(arrays.notices))
 
 
 class Arrays:
-    """Accessors, their views, and the bytes behind them, while they are put together."""
+    """Accessors, their views, and the bytes behind them, while they are put together, with what users are told."""
 
     def __init__(self) -> None:
+        self.notices: list[str] = []
         self.accessors: list[Tree] = []
         self.views: list[Tree] = []
         self.binary = bytearray()
@@ -106,14 +104,15 @@ class Arrays:
         return len(self.views) - 1
 
 
-def _coloured(contents: MeshContents, stem: str, notices: list[str]) -> tuple[Tree, Arrays]:
+def _coloured(contents: MeshContents, stem: str) -> tuple[Tree, Arrays]:
+    arrays = Arrays()
+    notices = arrays.notices
     positions = single_precision(contents.positions, stem, notices)
     colours = stored_colours(contents, notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
     notices += not_converted(contents)
-    arrays = Arrays()
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(unit_normals(contents.normals))
@@ -186,24 +185,22 @@ _BESIDE = (
 
 def write_textured_glb(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh with its textures as one binary file; vertices are split where their corners differ."""
-    notices: list[str] = []
-    tree, arrays = _textured(mesh, stem, notices)
+    tree, arrays = _textured(mesh, stem)
     tree["images"] = []
     for image, name in zip(mesh.images, _names(mesh, stem), strict=True):
         view = arrays.add_bytes(image.file.data)
         tree["images"].append({"bufferView": view, "mimeType": MEDIA[image.file.suffix], "name": name})
-    return binary_file(_without_empty(tree), arrays, notices)
+    return binary_file(_without_empty(tree), arrays)
 
 
 def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh as JSON text, with its numbers and its images in files beside it; else as `write_textured_glb`."""
-    notices: list[str] = []
-    tree, arrays = _textured(mesh, stem, notices)
+    tree, arrays = _textured(mesh, stem)
     files = image_names(mesh, stem)
     named = zip(files, _names(mesh, stem), strict=True)
     tree["images"] = [{"uri": quote(file), "name": name} for file, name in named]
     images = {file: image.file.data for file, image in zip(files, mesh.images, strict=True)}
-    return text_file(_without_empty(tree), arrays, stem, images, notices)
+    return text_file(_without_empty(tree), arrays, stem, images)
 
 
 def _names(mesh: TexturedMesh, stem: str) -> list[str]:
@@ -214,9 +211,9 @@ def _without_empty(tree: Tree) -> Tree:
     return {key: value for key, value in tree.items() if value != []}
 
 
-def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, Arrays]:
+def _textured(mesh: TexturedMesh, stem: str) -> tuple[Tree, Arrays]:
     mesh = _with_bare_materials(mesh)
-    parts = _Parts(mesh, stem, notices)
+    parts = _Parts(mesh, stem)
     meshes: list[Tree] = []
     for number, name in enumerate(mesh.groups):
         faces = np.flatnonzero(mesh.group_numbers == number)
@@ -225,7 +222,7 @@ def _textured(mesh: TexturedMesh, stem: str, notices: list[str]) -> tuple[Tree, 
     textures = _Textures()
     materials = [_material(material, textures, stem) for material in mesh.materials]
     painting = {"materials": materials, "textures": textures.textures, "samplers": textures.samplers}
-    notices += not_converted(mesh)
+    parts.arrays.notices += not_converted(mesh)
     return _model(meshes, painting, parts.arrays), parts.arrays
 
 
@@ -245,11 +242,10 @@ def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
 class _Parts:
     """The primitives of a mesh, and the arrays behind them."""
 
-    def __init__(self, mesh: TexturedMesh, stem: str, notices: list[str]) -> None:
-        self.arrays = Arrays()
-        self._mesh, self._notices = mesh, notices
-        self._positions = single_precision(mesh.positions, stem, notices)
-        self._colours = None if mesh.colours is None else stored_colours(mesh.colours, notices)
+    def __init__(self, mesh: TexturedMesh, stem: str) -> None:
+        self._mesh, self.arrays = mesh, Arrays()
+        self._positions = single_precision(mesh.positions, stem, self.arrays.notices)
+        self._colours = None if mesh.colours is None else stored_colours(mesh.colours, self.arrays.notices)
 
     def primitives(self, faces: Int64s) -> list[Tree]:
         """Return a primitive for each material of some triangles."""
@@ -260,21 +256,18 @@ class _Parts:
     def _primitive(self, faces: Int64s, material: int) -> Tree:
         mesh, arrays = self._mesh, self.arrays
         corners = mesh.faces[faces].ravel()
-        uv = mesh.uv[faces].reshape(-1, 2).astype("<f4")
-        normals = None if mesh.normals is None else mesh.normals[faces].reshape(-1, 3)
-        columns: list[Array] = [corners]
-        if np.isfinite(uv).all():
-            columns += [*uv.T]
-        if normals is not None and np.isfinite(normals).all():
-            columns += [*normals.T]
-        vertex_of, first = group_equal_rows(*columns)
+        tables: dict[str, Array] = {"TEXCOORD_0": mesh.uv[faces].reshape(-1, 2).astype("<f4")}
+        if mesh.normals is not None:
+            tables["NORMAL"] = mesh.normals[faces].reshape(-1, 3)
+            if 0 < np.count_nonzero(np.isfinite(tables["NORMAL"])) < tables["NORMAL"].size:
+                self._note("Not converted: normals of parts that have them at some corners only.")
+        tables = {name: table for name, table in tables.items() if np.isfinite(table).all()}
+        vertex_of, first = group_equal_rows(
+            corners, *(column for table in tables.values() for column in table.T)
+        )
         attributes = {"POSITION": arrays.add(self._positions[corners[first]], bounds=True)}
-        if np.isfinite(uv).all():
-            attributes["TEXCOORD_0"] = arrays.add(uv[first])
-        if normals is not None and np.isfinite(normals).all():
-            attributes["NORMAL"] = arrays.add(unit_normals(normals[first]))
-        elif normals is not None and np.isfinite(normals).any():
-            self._note("Not converted: normals of parts that have them at some corners only.")
+        for name, table in tables.items():
+            attributes[name] = arrays.add(unit_normals(table[first]) if name == "NORMAL" else table[first])
         if self._colours is not None:
             beside = "baseColor" in mesh.materials[material].maps
             attributes[OWN_COLOURS if beside else "COLOR_0"] = arrays.add(self._colours[corners[first]])
@@ -284,8 +277,8 @@ class _Parts:
         return {"attributes": attributes, "indices": indices, "material": material}
 
     def _note(self, notice: str) -> None:
-        if notice not in self._notices:
-            self._notices.append(notice)
+        if notice not in self.arrays.notices:
+            self.arrays.notices.append(notice)
 
 
 class _Textures:
