@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.model_folder import NewNames, tile_name
+from beltrami_cli.formats.model_folder import NewNames, remedy_for, tile_name
 from beltrami_cli.surface.records import (
     AlphaMode,
     ImageFile,
@@ -50,8 +51,10 @@ class SlotImages:
 
     # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
 
-    def __init__(self) -> None:
+    def __init__(self, slot: Slot) -> None:
+        self._slot = slot
         self._shown: dict[str, _Shown] = {}
+        self._missing: dict[str, list[str]] = {}  # materials by the reason why they show no image
         self.sets: list[dict[Tile, int]] = []
 
     def __len__(self) -> int:
@@ -73,6 +76,12 @@ class SlotImages:
             shown.materials.append(material)
         return shown.number
 
+    def miss(self, reason: str, material: str) -> None:
+        """Note why a material shows no image; the reason names that."""
+        materials = self._missing.setdefault(reason, [])
+        if material not in materials:
+            materials.append(material)
+
     def show_set(self, tiles: dict[Tile, int]) -> int:
         """Return the number of a set of tiles."""
         if tiles not in self.sets:
@@ -86,9 +95,25 @@ class SlotImages:
             for key, each in self._shown.items()
         )
 
-    def mixed(self) -> list[tuple[str, str]]:
-        """Return the keys and names of images that are repeated in several ways."""
-        return [(key, each.name) for key, each in self._shown.items() if len(set(each.wraps)) > 1]
+    def notices(self) -> list[str]:
+        """Return a sentence for each image that cannot be shown, and each that is repeated in several ways."""
+        left = [
+            f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
+            for reason, materials in self._missing.items()
+        ]
+        mixed = [each.name for each in self._shown.values() if len(set(each.wraps)) > 1]
+        several = "is used with several wrap modes; the first is followed."
+        return left + [f"The {self._slot} image {name!r} {several}" for name in mixed]
+
+    def refusal(self, name: str, *, is_bare: bool) -> InputError:
+        """Return the error that nothing shows an image, `is_bare` for lack of texture coordinates."""
+        if self._missing:
+            reason = next(iter(self._missing))
+            return InputError(name, f"its {self._slot} texture cannot be read: {reason}", remedy_for(reason))
+        if is_bare:
+            cause = f"it has a {self._slot} texture, but no texture coordinates for it"
+            return InputError(name, cause, "export it with them")
+        return InputError(name, f"it has no {self._slot} texture")
 
 
 class MeshImages:

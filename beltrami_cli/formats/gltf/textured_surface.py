@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.formats.gltf.textures import Images, TextureUse, looks, texture_uses
-from beltrami_cli.formats.model_folder import UnfitReferenceError, remedy_for
+from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.textured_mesh import SlotImages
 from beltrami_cli.surface.records import Slot, TexturedSurface
 
@@ -24,62 +23,23 @@ def gather_textured(
     root: Entry, accessors: Accessors, places: Sequence[geometry.Placement], images: Images, slot: Slot
 ) -> tuple[TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
-    shown = _SlotImages(images, slot)
-    gathering = _Gathering(accessors, shown, texture_uses(root, slot))
+    gathering = _Gathering(accessors, images, slot, texture_uses(root, slot))
     for mesh, placement in zip(root.entries("meshes"), places, strict=True):
         for primitive in mesh.entries("primitives"):
             gathering.take(primitive, placement)
-    if not len(shown):
-        bare = f"a {slot} texture, but no texture coordinates for it" if gathering.counts["bare"] else ""
-        unread = f"its {slot} texture cannot be read: {next(iter(shown.missing), '')}"
-        cause = unread if shown.missing else f"it has {bare or f'no {slot} texture'}"
-        raise InputError(root.name, cause, remedy_for(cause))
+    if not len(gathering.shown):
+        raise gathering.shown.refusal(root.name, is_bare=gathering.counts["bare"] > 0)
     sentences = {
         "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
         "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
     }
     counted = [sentence.format(n) for key, sentence in sentences.items() if (n := gathering.counts[key])]
-    return gathering.surface(), shown.notices() + counted
+    return gathering.surface(), gathering.shown.notices() + counted
 
 
 def image_key(image: int) -> str:
     """Return the key of an image's texture, under which a new image is handed back."""
     return f"image {image}"
-
-
-class _SlotImages(SlotImages):
-    """The images that are shown in one slot, collected while triangles are."""
-
-    def __init__(self, images: Images, slot: Slot) -> None:
-        super().__init__()
-        self.images, self._slot = images, slot
-        self.missing: dict[str, list[str]] = {}
-
-    def image(self, use: TextureUse) -> str | None:
-        """Return the key of the image of a texture; None, and the reason is kept, if it cannot be shown."""
-        place = self.images.textures[use.texture].place
-        try:
-            image = self.images.canonical(self.images.shown(use.texture))
-            if image_key(image) not in self:
-                place = self.images.entries[image].place
-                self.take(image_key(image), self.images.name(image), self.images.data(image))
-        except UnfitReferenceError as error:
-            materials = self.missing.setdefault(f"{place}: {error}", [])
-            if use.material not in materials:
-                materials.append(use.material)
-            return None
-        return image_key(image)
-
-    def notices(self) -> list[str]:
-        left = [
-            f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
-            for reason, materials in self.missing.items()
-        ]
-        mixed = [
-            f"The {self._slot} image {name!r} is used with several wrap modes; the first is followed."
-            for _, name in self.mixed()
-        ]
-        return left + mixed
 
 
 @dataclass
@@ -104,9 +64,10 @@ class _Gathering:
     """Parts while primitives are being taken one by one."""
 
     def __init__(
-        self, accessors: Accessors, shown: _SlotImages, materials: Sequence[Sequence[TextureUse]]
+        self, accessors: Accessors, images: Images, slot: Slot, materials: Sequence[Sequence[TextureUse]]
     ) -> None:
-        self.accessors, self.shown, self.materials = accessors, shown, materials
+        self.accessors, self.images, self.materials = accessors, images, materials
+        self.shown = SlotImages(slot)
         self.parts: dict[Hashable, _Part] = {}
         self.counts = dict.fromkeys(("instanced", "bare"), 0)
         self._seen: set[Hashable] = set()
@@ -137,7 +98,7 @@ class _Gathering:
                 part.add(faces, np.zeros((len(faces), 3, 2)), -1)
             else:
                 uv = self._coordinates(primitive, use, count)[faces]
-                wrap = self.shown.images.wrap(use.texture)
+                wrap = self.images.wrap(use.texture)
                 part.add(faces, uv, self.shown.show(image, use.material, wrap, alpha_hides=use.alpha_hides))
 
     def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
@@ -153,13 +114,22 @@ class _Gathering:
         return repeated
 
     def _image(self, primitive: Entry, use: TextureUse | None) -> str | None:
-        """Return the key of the image that a texture shows on a primitive, if it can."""
+        """Return the key of the image that a texture shows on a primitive; None if it shows none."""
         if use is None:
             return None
         if use.coordinates not in primitive.entry("attributes"):
             self.counts["bare"] += 1
             return None
-        return self.shown.image(use)
+        place = self.images.textures[use.texture].place
+        try:
+            image = self.images.canonical(self.images.shown(use.texture))
+            if image_key(image) not in self.shown:
+                place = self.images.entries[image].place
+                self.shown.take(image_key(image), self.images.name(image), self.images.data(image))
+        except UnfitReferenceError as error:
+            self.shown.miss(f"{place}: {error}", use.material)
+            return None
+        return image_key(image)
 
     def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""

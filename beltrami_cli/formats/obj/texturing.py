@@ -14,7 +14,6 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.model_folder import remedy_for
 from beltrami_cli.formats.obj.materials import Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
@@ -77,14 +76,14 @@ def gather_textured(
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])
     if (texture_of == -1).all():
-        raise InputError(name, *palette.excuse())
+        raise palette.shown.refusal(name, is_bare=len(palette.shown) > 0)
     uv = np.append(coordinates.values, [[0.0, 0.0]], axis=0)[coordinates.corners[cut]]
     with np.errstate(over="ignore", invalid="ignore"):
         uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
     uv[:, :, 1] = 1 - uv[:, :, 1]
     if not np.isfinite(uv[texture_of != -1]).all():
         raise InputError(name, "the options of a texture map move texture coordinates to infinity")
-    notices = palette.notices()
+    notices = palette.shown.notices()
     lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] != -1)))
     if lost:
         notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
@@ -99,15 +98,14 @@ class _Palette:
     """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
 
     def __init__(self, materials: Materials, slot: records.Slot, count: int) -> None:
-        self._materials, self.slot = materials, slot
-        self.shown = textured_mesh.SlotImages()
-        self._missing: dict[str, list[str]] = {}
+        self._materials, self._slot = materials, slot
+        self.shown = textured_mesh.SlotImages(slot)
         self.texture_of = np.full(count + 1, -1, np.int64)
         self.scale, self.offset = np.ones((count + 1, 2)), np.zeros((count + 1, 2))
 
     def take(self, number: int, material: str) -> None:
         """Take up what a material has in the slot."""
-        painting = self._materials.painting(material, self.slot)
+        painting = self._materials.painting(material, self._slot)
         if painting is None:
             return
         found, path = painting
@@ -115,7 +113,7 @@ class _Palette:
         files = [] if path is None else self._materials.folder.files(path)
         files = [file for file in files if self._loaded(file, in_tiles=is_tiled)]
         if not files:
-            self._missing.setdefault(found.name, []).append(material)
+            self.shown.miss(f"'{found.name}' {self._materials.reason(found.name)}", material)
             return
         tiles = self._materials.folder.tiles.get(path or "")
         wrap: records.Wrap = "clamp" if found.clamped or tiles else "repeat"
@@ -137,25 +135,6 @@ class _Palette:
             )
             self.shown.take(path, path.rpartition("/")[2], content)
         return True
-
-    def excuse(self) -> tuple[str, str]:
-        """Return why no texture of the slot can be shown, and what can be done about it."""
-        if len(self.shown):
-            return f"it has a {self.slot} texture, but no texture coordinates for it", "export it with them"
-        if self._missing:
-            name = next(iter(self._missing))
-            reason = self._materials.reason(name)
-            return f"its {self.slot} texture '{name}' {reason}", remedy_for(reason)
-        return f"it has no {self.slot} texture", ""
-
-    def notices(self) -> list[str]:
-        found = [
-            f"The {self.slot} texture of {', '.join(map(repr, materials))} is left as it is: '{name}' "
-            f"{self._materials.reason(name)}."
-            for name, materials in self._missing.items()
-        ]
-        mixed = [path for path, _ in self.shown.mixed()]
-        return found + [f"'{path}' is used with several wrap modes; the first is followed." for path in mixed]
 
 
 _SLOTS: tuple[records.Slot, ...] = ("baseColor", "emissive", "normal")

@@ -102,9 +102,8 @@ class UsdDocument(Document):
         return self._textures.slots()
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
-        known = len(self._textures.notices)
-        surface = self._textures.surface(slot)
-        self.notices += self._textures.notices[known:]
+        surface, notices = self._textures.surface(slot)
+        self.notices += notices
         return surface
 
     def references(self) -> Sequence[str]:

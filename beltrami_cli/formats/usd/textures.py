@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.document import NewImages
-from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError, remedy_for
+from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.colour_values import linear_to_srgb
@@ -28,7 +28,6 @@ class Textures:
 
     def __init__(self, layers: Layers, words: dict[str, Any], arrays: dict[str, Array], name: str) -> None:
         self._layers, self._words, self._arrays, self._name = layers, words, arrays, name
-        self.notices: list[str] = []
         self._path_of: list[str | None] = []
         self._reasons: dict[int, str] = {}
         for number, use in enumerate(words["uses"]):
@@ -97,31 +96,29 @@ class Textures:
         replaced_files = {file for path in gone for file in self._layers.folder.files(path)}
         return [file for file in self.files() if file not in replaced_files]
 
-    def surface(self, slot: records.Slot) -> records.TexturedSurface:
-        """Return all triangles and the images of a slot."""
+    def surface(self, slot: records.Slot) -> tuple[records.TexturedSurface, list[str]]:
+        """Return all triangles and the images of a slot, and notices."""
         positions, cut, polygon = self._triangles
-        shown = textured_mesh.SlotImages()
+        shown = textured_mesh.SlotImages(slot)
         texture_of_use = np.full(len(self._path_of) + 1, -1)
         for number in dict.fromkeys(self._uses(slot)):
             use, path = self._words["uses"][number], self._path_of[number]
             if path is not None:
                 texture_of_use[number] = self._take(shown, path, use)
             else:
-                left = f"The {slot} texture of '{use['material']}' is left as it is"
-                self.notices.append(f"{left}: {self._reasons[number]}.")
+                shown.miss(self._reasons[number], use["material"])
         texture_of = texture_of_use[self._arrays[f"use {slot}"][polygon]]
         uv = self._arrays[f"uv {slot}"][cut]
         texture_of[~np.isfinite(uv).all(axis=(1, 2))] = -1
         if (texture_of == -1).all():
-            reasons = [self._reasons[number] for number in self._uses(slot) if number in self._reasons]
-            cause = f"its {slot} texture {reasons[0]}" if reasons else ""
-            absent = f"it has no {slot} texture that is shown"
-            raise InputError(self._name, cause or absent, remedy_for(cause))
+            raise shown.refusal(self._name, is_bare=len(shown) > 0)
         uv = np.where((texture_of == -1)[:, None, None], 0.0, uv)
         uv[..., 1] = 1 - uv[..., 1]
         faces = self._arrays["corners"][cut].astype(np.int32)
         surface = records.TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
-        return tiling.on_tiles(surface, shown.sets, self._name) if shown.sets else surface
+        if shown.sets:
+            surface = tiling.on_tiles(surface, shown.sets, self._name)
+        return surface, shown.notices()
 
     def _take(self, shown: textured_mesh.SlotImages, path: str, use: dict[str, Any]) -> int:
         """Take what a material shows; return the number of its texture, or of its set."""
