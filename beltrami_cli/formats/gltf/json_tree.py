@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from beltrami_cli.errors import InputError
 
 Tree = dict[str, Any]
+T = TypeVar("T")
 
 _EACH = "*"  # stands for all members of an object that are not named
 _OBJECTS = {_EACH: dict[str, Any]()}
@@ -41,7 +42,7 @@ _SHAPE = {
     "textures": [{"source": int, **_EXTENDED}],
     "extensions": {"EXT_lights_image_based": {"lights": [{}]}, **_OBJECTS},
 }
-_NAMES = {dict: "an object", list: "an array", int: "an integer", str: "a string"}
+_NAMES = {dict: "an object", list: "an array", int: "an integer", str: "a string", bool: "true or false"}
 
 
 @dataclass(frozen=True)
@@ -103,17 +104,11 @@ class Entry:
 
     def flag(self, key: str) -> bool:
         """Return a boolean member; false if it is missing."""
-        value = self.value.get(key, False)
-        if not isinstance(value, bool):
-            raise self.fault(key, f"is {spelled(value)} instead of true or false")
-        return value
+        return self._of_kind(key, False)
 
     def text(self, key: str) -> str | None:
         """Return a string member, or None if it is missing."""
-        value = self.value.get(key)
-        if value is not None and not isinstance(value, str):
-            raise self.fault(key, f"is {spelled(value)} instead of a string")
-        return value
+        return None if self.value.get(key) is None else self._of_kind(key, "")
 
     def texts(self, key: str) -> list[str]:
         """Return an array of strings; empty if it is missing."""
@@ -124,10 +119,7 @@ class Entry:
 
     def entry(self, key: str) -> Entry:
         """Return an object member; an empty one if it is missing."""
-        value = self.value.get(key, {})
-        if not isinstance(value, dict):
-            raise self.fault(key, f"is {spelled(value)} instead of an object")
-        return Entry(self.name, self.at(key), value)
+        return Entry(self.name, self.at(key), self._of_kind(key, Tree()))
 
     def entries(self, key: str) -> list[Entry]:
         """Return an array of objects; empty if it is missing."""
@@ -139,9 +131,13 @@ class Entry:
         return found
 
     def _array(self, key: str) -> list[Any]:
-        value = self.value.get(key, [])
-        if not isinstance(value, list):
-            raise self.fault(key, f"is {spelled(value)} instead of an array")
+        return self._of_kind(key, list[Any]())
+
+    def _of_kind(self, key: str, default: T) -> T:
+        """Return a member of the kind of its default."""
+        value = self.value.get(key, default)
+        if not isinstance(value, type(default)):
+            raise self.fault(key, f"is {spelled(value)} instead of {_NAMES[type(default)]}")
         return value
 
 
