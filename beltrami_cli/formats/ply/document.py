@@ -104,33 +104,33 @@ class PlyDocument(Document):
         return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
-        has_normals = self._kinds.keys() >= {*elements.NORMAL}
-        used = {*elements.POSITION, *self._paint.names, self._paint.alpha}
-        used |= {*elements.NORMAL} if has_normals else set()
+        left_out = _left_out(self._header, self._converted)
         return dataclasses.replace(
             self._mesh,
             positions=self._positions,
             alpha=self._alpha(),
-            normals=self._normals() if has_normals else None,
-            left_out=_left_out(self._header, used),
+            normals=self._normals(),
+            left_out=left_out,
         )
 
     def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         shown = None
-        used: set[str | None] = {*elements.POSITION, *texturing.find_coordinates(self._tables)}
         if self.has_vertex_colours():
             values = self._colours.values if colours is None else colours
-            used |= {*self._paint.names, self._paint.alpha}
             shown = VertexColours(values, "srgb", str(np.dtype(self._paint.type)), self._alpha())
-        has_normals = self._kinds.keys() >= {*elements.NORMAL}
-        used |= set(elements.NORMAL) if has_normals else set()
+        used = self._converted | {*texturing.find_coordinates(self._tables)}
         dropped = _left_out(self._header, used, texturing.COORDINATE_LISTS)
         others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or others]
         left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
-        normals = self._normals() if has_normals else None
         surface, source = self.textured("baseColor"), Path(self.name).stem
-        return texturing.mesh_of_surface(surface, normals, shown, source, tuple(left_out))
+        return texturing.mesh_of_surface(surface, self._normals(), shown, source, tuple(left_out))
+
+    @property
+    def _converted(self) -> set[str]:
+        """The properties of vertices that every conversion takes over."""
+        colours = {*self._paint.names, self._paint.alpha} if self.has_vertex_colours() else set[str]()
+        return {*elements.POSITION, *colours, *(elements.NORMAL if self._has_normals else ())}
 
     def facts(self) -> dict[str, object]:
         return {
@@ -210,15 +210,19 @@ class PlyDocument(Document):
             scale = self._colours.scale
         return np.clip(alpha / scale, 0, 1).astype(np.float32)
 
-    def _normals(self) -> Float32s:
+    @property
+    def _has_normals(self) -> bool:
+        return self._kinds.keys() >= {*elements.NORMAL}
+
+    def _normals(self) -> Float32s | None:
+        if not self._has_normals:
+            return None
         largest = np.finfo(np.float32).max
         normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal", self.name)
         return np.clip(normals, -largest, largest).astype(np.float32)
 
 
-def _left_out(
-    header: Header, used: Collection[str | None], of_faces: Collection[str] = ()
-) -> tuple[str, ...]:
+def _left_out(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
     """Return what is in a file but some properties of the vertices, and the vertices and others of faces."""
     dropped = []
     for element in header.elements:

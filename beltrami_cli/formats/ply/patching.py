@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s
-from beltrami_cli.errors import InputError
 from beltrami_cli.formats import tokens
 from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, NewImages, Written
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
@@ -141,15 +141,9 @@ def take_apart(
         parts[f"element {name}"] = body[first:last]
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
     found = {} if colours is None else {"vertex colours": colours}
-    return Fingerprint(parts, found, _paintings(images, folder))
-
-
-def _paintings(images: Sequence[TextureComment], folder: ModelFolder) -> dict[str, NamedImage]:
-    found = {}
-    for number, image in enumerate(images):
-        if image.path is not None:
-            try:
-                found[f"texture {number}"] = NamedImage(image.name, folder.read(image.path))
-            except OSError as error:
-                raise InputError(image.name, f"cannot be read ({error.strerror})") from error
-    return found
+    paintings = {
+        f"texture {number}": NamedImage(image.name, partial(folder.content, image.path))
+        for number, image in enumerate(images)
+        if image.path is not None
+    }
+    return Fingerprint(parts, found, paintings)
