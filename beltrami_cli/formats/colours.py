@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import MeshContents, VertexColours
@@ -59,6 +60,14 @@ def _integer_scale(values: Float64s) -> float | None:
     if largest <= 1 or values.min() < 0 or (values % 1 != 0).any():
         return None
     return next((scale for scale in _INTEGER_SCALES if largest <= scale), None)
+
+
+def quantised(values: Float32s, kind: DTypeLike) -> Array:
+    """Return colours of full scale 1 in a type, integers clipped to [0, 1] and rounded once, to the nearest."""
+    stored = np.dtype(kind)
+    if stored.kind == "f":
+        return values.astype(stored)
+    return np.rint(np.clip(values.astype(np.float64), 0, 1) * np.iinfo(stored).max).astype(stored)
 
 
 def display_colours(contents: MeshContents | VertexColours) -> tuple[Float32s, list[str]]:

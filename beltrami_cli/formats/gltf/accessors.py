@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.formats.document import Bytes
@@ -237,13 +236,6 @@ def fractions(stored: Stored) -> Float32s:
     if stored.dtype.kind == "f":
         return stored.astype(np.float32)
     return (stored / np.float64(np.iinfo(stored.dtype).max)).astype(np.float32)
-
-
-def quantised(values: NDArray[np.floating[Any]], component: np.dtype[Any]) -> Stored:
-    """Return colours in a component type: integers clipped to [0, 1] and rounded once, to the nearest."""
-    if component.kind == "f":
-        return values.astype(component)
-    return np.rint(np.clip(values.astype(np.float64), 0, 1) * np.iinfo(component).max).astype(component)
 
 
 def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:

@@ -13,8 +13,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.errors import UnpaintedError
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf import geometry
-from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions, quantised
+from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.columns import Column, exchange
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.json_tree import Entry

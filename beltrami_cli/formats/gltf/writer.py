@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import linear_colours
+from beltrami_cli.formats.colours import linear_colours, quantised
 from beltrami_cli.formats.document import Written, not_converted
-from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements, quantised
+from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.json_tree import Tree
@@ -163,7 +163,7 @@ def stored_colours(contents: MeshContents | VertexColours, notices: list[str]) -
         notices.append("Colours outside [0, 1] are clipped, since glTF does not allow them.")
     if contents.alpha is not None:
         colours = np.concatenate([colours, np.clip(contents.alpha, 0, 1)[:, None]], axis=1)
-    return quantised(colours, np.dtype(_STORED_AS.get((contents.encoding, contents.stored), "<f4")))
+    return quantised(colours, _STORED_AS.get((contents.encoding, contents.stored), "<f4"))
 
 
 def unit_normals(normals: Float32s) -> Stored:

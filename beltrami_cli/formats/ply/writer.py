@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
-from beltrami_cli.formats.colours import display_colours
+from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.document import Written, not_converted
-from beltrami_cli.formats.ply.elements import store_colours
 from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
 from beltrami_cli.formats.textured_mesh import image_names, with_slots
@@ -51,8 +50,7 @@ def _stored_colours(contents: MeshContents | VertexColours) -> tuple[Array, list
         notices.append("Linear 8-bit colours are written as 16-bit sRGB, so that dark steps stay apart.")
     if contents.alpha is not None:
         colours = np.column_stack([colours, contents.alpha])
-    scale = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
-    return store_colours(colours, scale, kind), notices
+    return quantised(colours, kind), notices
 
 
 def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:

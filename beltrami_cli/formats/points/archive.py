@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
-from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale
+from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale, quantised
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
@@ -292,11 +292,8 @@ def write_npz(contents: MeshContents, stem: str) -> Written:
     colours, notices = display_colours(contents)
     if contents.alpha is not None:
         colours = np.column_stack([colours, contents.alpha])
-    if contents.stored in ("uint8", "uint16") and contents.encoding == "srgb":
-        scale = np.iinfo(contents.stored).max
-        stored = np.rint(np.clip(colours.astype(np.float64), 0, 1) * scale).astype(contents.stored)
-    else:
-        stored = colours.astype(np.float32)
+    keeps = contents.stored in ("uint8", "uint16") and contents.encoding == "srgb"
+    stored = quantised(colours, contents.stored if keeps else np.float32)
     arrays: dict[str, Any] = {"positions": shortest_type(contents.positions), "colours": stored}
     if contents.normals is not None:
         arrays["normals"] = contents.normals

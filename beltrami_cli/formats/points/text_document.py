@@ -11,16 +11,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale
-from beltrami_cli.formats.document import (
-    Bytes,
-    Changes,
-    Document,
-    Fingerprint,
-    Naming,
-    Written,
-    not_converted,
-)
+from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale, quantised
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
 from beltrami_cli.formats.tokens import exchange_tokens, most_decimals, number_lines, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
@@ -28,7 +20,6 @@ from beltrami_cli.surface.records import MeshContents, require_finite
 
 _WHOLE = b"%.0f"
 _DIGITS = 6  # of full scale at least: as fine as 20 bits
-_BYTE = 255
 _MOST_DIGITS = 9  # of full scale: all that single precision has
 
 
@@ -138,7 +129,7 @@ class TextPointsDocument(Document):
 
 def _with_colours(
     data: bytes, starts: Int64s, ends: Int64s, before: Float32s, after: Float32s, scale: float
-) -> Sequence[Bytes]:
+) -> Sequence[bytes | memoryview]:
     """Exchange the colours, each of shape (P, C), that changed, and keep every other byte.
 
     Where all old numbers are integers the new ones are; else they have as many decimals as the old ones have at most,
@@ -189,7 +180,7 @@ def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
     if len(contents.offsets) > 1:
         notices.append("Faces are dropped: the file has points only.")
     whole = contents.stored == "uint8" and contents.encoding == "srgb"
-    shades = np.rint(np.clip(colours.astype(np.float64), 0, 1) * _BYTE).astype(np.uint8) if whole else colours
+    shades = quantised(colours, np.uint8 if whole else np.float32)
     tables: list[Array] = [shortest_type(contents.positions), shades]
     style = "%s %s %s " + " ".join(["%d" if whole else "%.6f"] * 3)
     if contents.normals is not None:
