@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +22,7 @@ from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import require_finite
-from beltrami_cli.surface.worker_process import working
+from beltrami_cli.surface.worker_process import Message, working
 
 Progress = Callable[[int, int], None] | None
 
@@ -63,8 +61,8 @@ def unwrap(
     scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
     triangles = place_of[rows[whole]].astype(np.uint32)
     sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
-    job = {"positions": scaled, "faces": triangles, "sizes": sizes, "texels": texels}
-    corners, inner, charts = ask_worker(job, padding, progress)
+    job = {"sizes": sizes, "texels": texels, "padding": padding}
+    corners, inner, charts = ask_worker((job, {"positions": scaled, "faces": triangles}), progress)
     size = inner + 2 * padding
     if not np.isfinite(corners).all():
         raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
@@ -137,19 +135,16 @@ def expected_seconds(faces: int) -> float:
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
-def ask_worker(arrays: dict[str, Any], padding: int, progress: Progress) -> tuple[Float64s, int, int]:
+def ask_worker(mesh: Message, progress: Progress) -> tuple[Float64s, int, int]:
     """Have a mesh unwrapped; return corners in texels, shape (F, 3, 2), the side without margin, and charts."""
-    expected = expected_seconds(len(arrays["faces"]))
+    expected = expected_seconds(len(mesh[1]["faces"]))
     patience = max(LEAST_PATIENCE, _PATIENCE * expected)
-    with tempfile.TemporaryFile() as job:
-        np.savez(job, numbers=[padding, int(patience) + 10], **arrays)
-        job.seek(0)
-        with working(WORKER, job) as worker:
-            _wait(worker.process, patience, expected, progress)
-            if (cause := worker.failure()) is not None:
-                raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
-            with np.load(worker.answer, allow_pickle=False) as made:
-                return made["corners"], int(made["size"]), int(made["charts"])
+    with working(WORKER, mesh, int(patience) + 10) as worker:
+        _wait(worker.process, patience, expected, progress)
+        if (cause := worker.failure()) is not None:
+            raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
+        (size, charts), arrays = worker.answer()
+        return arrays["corners"], size, charts
 
 
 def _wait(worker: subprocess.Popen[bytes], patience: float, expected: float, progress: Progress) -> None:

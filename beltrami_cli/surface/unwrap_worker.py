@@ -1,4 +1,4 @@
-"""The process that runs xatlas: a mesh comes in by standard input, texture coordinates go out by standard output.
+"""The process that runs xatlas: asked with a mesh, it answers with texture coordinates.
 
 xatlas reports nothing while it works, cannot be interrupted, and hangs on some meshes, so it gets a process that can be
 ended. `beltrami_cli.surface.unwrap` starts it.
@@ -6,8 +6,6 @@ ended. `beltrami_cli.surface.unwrap` starts it.
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -15,27 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.surface.worker_process import Message, serve
 
 _COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
 _ENOUGH = 0.92  # of the side of the texture that charts should fill
 _TRIES = 8
 
 
-def main() -> None:
-    """Read a mesh from standard input (a file), write its texture coordinates to standard output."""
-    # What a library prints must not come between the numbers.
-    out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    with np.load(sys.stdin.buffer, allow_pickle=False) as job:
-        positions, faces = job["positions"], job["faces"]
-        sizes, texels = job["sizes"].tolist(), float(job["texels"])
-        padding, seconds = job["numbers"].tolist()
-    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
-        signal.alarm(seconds)
-    corners, size, charts = unwrapped(positions, faces, sizes, texels, padding)
-    with out:
-        np.savez(out, corners=corners, size=size, charts=charts)
+def _answer(job: dict[str, Any], mesh: dict[str, Array]) -> Message:
+    sizes, texels, padding = job["sizes"], job["texels"], job["padding"]
+    corners, size, charts = unwrapped(mesh["positions"], mesh["faces"], sizes, texels, padding)
+    return (size, charts), {"corners": corners}
 
 
 def unwrapped(
@@ -101,4 +90,4 @@ def _packed(atlas: Any) -> tuple[Float64s, NDArray[np.uint32]]:
 
 
 if __name__ == "__main__":
-    main()
+    serve(_answer, int(sys.argv[1]))

@@ -1,14 +1,27 @@
-"""A module of this package in a process of its own, which can be ended whatever the libraries that it uses do."""
+"""A module of this package in a process of its own, which can be ended whatever the libraries that it uses do.
+
+It is asked on its standard input, and answers on its standard output, both of which are files.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import IO
+from tempfile import TemporaryFile
+from typing import IO, Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Array
+
+Message = tuple[Any, dict[str, Array]]
+"""Words, as JSON has them, and arrays by name."""
 
 
 @dataclass(frozen=True)
@@ -16,35 +29,64 @@ class Worker:
     """A process at work."""
 
     process: subprocess.Popen[bytes]  # to wait for
-    answer: IO[bytes]  # what it wrote to its standard output, to be read once it has ended
-    said: IO[bytes]  # the same of its standard error
+    _written: IO[bytes]  # to its standard output
+    _said: IO[bytes]  # on its standard error
 
     def failure(self) -> str | None:
-        """Return in a line why it failed, or None; it must have ended. Its answer can be read then."""
-        self.said.seek(0)
-        self.answer.seek(0)
+        """Return in a line why it failed, or None; it must have ended."""
+        self._said.seek(0)
         if not self.process.returncode:
             return None
-        lines = self.said.read().decode(errors="replace").strip().splitlines()
+        lines = self._said.read().decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else f"it ended with code {self.process.returncode}"
+
+    def answer(self) -> Message:
+        """Return its answer; it must have ended without failure."""
+        self._written.seek(0)
+        return _receive(self._written)
 
 
 @contextmanager
-def working(module: str, job: IO[bytes], arguments: Sequence[str] = ()) -> Iterator[Worker]:
-    """Run a module with the file `job` as its standard input, and end it at last."""
+def working(module: str, question: Message, *arguments: int) -> Iterator[Worker]:
+    """Run a module that calls `serve`, with some arguments, and end it at last."""
     # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
-    with tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as said:
+    with TemporaryFile() as job, TemporaryFile() as written, TemporaryFile() as said:
+        _send(job, question)
+        job.seek(0)
         # Without -P a file in the folder where the user happens to be could stand in for a module. In a
         # session of its own the process does not see Ctrl-C, which is for this one.
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module, *arguments],
+            [sys.executable, "-P", "-m", module, *map(str, arguments)],
             stdin=job,
-            stdout=answer,
+            stdout=written,
             stderr=said,
             start_new_session=True,
         )
         try:
-            yield Worker(process, answer, said)
+            yield Worker(process, written, said)
         finally:
             process.kill()
             process.wait()
+
+
+def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> None:
+    """Answer the question of the process that waits, within some seconds."""
+    if hasattr(signal, "alarm"):  # so that it ends even where the process that waits for it was killed
+        signal.alarm(seconds)
+    # What a library prints must not come between the numbers.
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    answered = answer(*_receive(sys.stdin.buffer))
+    with out:
+        _send(out, answered)
+
+
+def _send(file: IO[bytes], message: Message) -> None:
+    everything: dict[str, Any] = {"words": np.array(json.dumps(message[0])), **message[1]}
+    np.savez(file, **everything)
+
+
+def _receive(file: IO[bytes]) -> Message:
+    with np.load(file, allow_pickle=False) as made:
+        arrays = {name: made[name] for name in made.files if name != "words"}
+        return json.loads(str(made["words"])), arrays

@@ -27,7 +27,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, require_ratio
 from beltrami_cli.formats.archives import Archive
 from beltrami_cli.formats.document import Bytes
-from beltrami_cli.formats.foreign_library import ForeignLibrary, serve
+from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 from beltrami_cli.formats.model_folder import (
     ModelFolder,
     UnfitReferenceError,
@@ -35,6 +35,7 @@ from beltrami_cli.formats.model_folder import (
     has_token,
     is_outside,
 )
+from beltrami_cli.surface.worker_process import Message
 
 LAYERS = (".usd", ".usda", ".usdc")
 """Suffixes of files that usd-core reads."""
@@ -130,8 +131,6 @@ _MOST_LAYERS = 2000
 _CRATE = b"PXR-USDC"
 _UNFIT = re.compile(r"[^\w .()+-]")
 
-Answer = tuple[Any, "dict[str, Array]"]
-
 
 @dataclass
 class Layers:
@@ -158,7 +157,7 @@ class Layers:
         root = _UNFIT.sub("_", Path(name).stem).strip(". ") + suffix
         return cls(name, access, None, beside, root, {root: data})
 
-    def scene(self, *, text: bool = False) -> Answer:
+    def scene(self, *, text: bool = False) -> Message:
         """Read the scene, with all layers that it needs; `text`: with the text of the root layer for fingerprints."""
         while True:
             words, arrays = self.ask({"task": "read", "text": text}, {})
@@ -219,7 +218,7 @@ class Layers:
         """Return the content of a file that was located; InputError if it cannot be read."""
         return self.folder.content(file) if self.package is None else self.package.read(file)
 
-    def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
+    def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Message:
         """Let usd-core carry out an order on the layers."""
         with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
             for name, data in self.contents.items():
@@ -244,7 +243,7 @@ class UsdError(Exception):
     """What usd-core says of a layer."""
 
 
-def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Answer:
+def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
     from pxr import Tf
 
     from beltrami_cli.formats.usd import editing
@@ -265,4 +264,4 @@ def _said(error: str, folder: str) -> str:
 
 
 if __name__ == "__main__":
-    serve(_carry_out, "USD", "usd-core")
+    serve_files(_carry_out, "USD", "usd-core")
