@@ -29,13 +29,9 @@ _BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the m
 def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
     """Return starts and ends, shape (T,), of the runs of bytes between ASCII white space."""
     solid = np.frombuffer(text.translate(_SOLID), np.bool_)
-    if not solid.size:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
-    edges = np.flatnonzero(solid[1:] != solid[:-1]) + 1  # starts and ends of tokens, alternating
-    if solid[0]:
-        edges = np.insert(edges, 0, 0)
-    if solid[-1]:
-        edges = np.append(edges, len(text))
+    edges = np.flatnonzero(
+        np.diff(solid, prepend=False, append=False)
+    )  # starts and ends of tokens, alternating
     return edges[::2], edges[1::2]
 
 

@@ -14,7 +14,7 @@ from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
 from beltrami_cli.formats.gltf.container import Container
-from beltrami_cli.formats.gltf.json_tree import Entry, Tree, objects
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree, objects, objects_within
 
 
 def is_data(uri: str) -> bool:
@@ -247,12 +247,5 @@ def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int
 
 def named_views(value: object) -> Iterator[int]:
     """Give every member called "bufferView", in images and in extensions that we do not know."""
-    if isinstance(value, dict):
-        index = value.get("bufferView")
-        if isinstance(index, int):
-            yield index
-        for child in value.values():
-            yield from named_views(child)
-    elif isinstance(value, list):
-        for child in value:
-            yield from named_views(child)
+    named = (each.get("bufferView") for each in objects_within(value))
+    return (index for index in named if isinstance(index, int))

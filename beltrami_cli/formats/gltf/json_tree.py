@@ -173,6 +173,18 @@ def require_structure(root: Entry) -> None:
                     stack.append((f"{place}.{key}" if place else key, child, inner))
 
 
+def objects_within(value: object) -> Iterator[Tree]:
+    """Give all objects in a value, that itself and those in its members among them."""
+    stack = [value]
+    while stack:
+        value = stack.pop()
+        if isinstance(value, list):
+            stack += value
+        elif isinstance(value, dict):
+            stack += value.values()
+            yield value
+
+
 def objects(values: object) -> list[Tree]:
     """Return the objects among the values of what should be an array of objects."""
     return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []

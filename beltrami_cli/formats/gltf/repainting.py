@@ -15,7 +15,7 @@ from typing import Any
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.edit import Edit, ImageStorage
-from beltrami_cli.formats.gltf.json_tree import Tree, objects
+from beltrami_cli.formats.gltf.json_tree import Tree, objects, objects_within
 from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
@@ -124,15 +124,9 @@ def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
                 for key in path:
                     holder = holder.get(key) if isinstance(holder, dict) else None
                 slots[id(holder)] = slot
-    stack: list[Any] = [value for key, value in tree.items() if key not in _WITHOUT_TEXTURES]
-    while stack:
-        value = stack.pop()
-        if isinstance(value, list):
-            stack += value
-        elif isinstance(value, dict):
-            stack += value.values()
-            if isinstance(value.get("index"), int):
-                yield value, slots.get(id(value))
+    for each in objects_within([value for key, value in tree.items() if key not in _WITHOUT_TEXTURES]):
+        if isinstance(each.get("index"), int):
+            yield each, slots.get(id(each))
 
 
 def _copy(tree: Tree, texture: int, uses: list[tuple[Tree, ImageFile | None]], file: ImageFile) -> int:

@@ -40,8 +40,7 @@ class Statements(Lines):
         """Return the K tokens behind the keywords of N statements, and the N + 1 offsets of each statement's."""
         firsts = self.heads[chosen] + 1
         sizes = self.stops[chosen] - firsts
-        offsets = np.zeros(len(chosen) + 1, np.int64)
-        np.cumsum(sizes, out=offsets[1:])
+        offsets = np.append(0, np.cumsum(sizes))
         return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
 
     def finite_numbers(self, tokens: Int64s) -> Float64s:

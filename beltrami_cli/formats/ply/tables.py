@@ -152,8 +152,7 @@ class Table:
         """Return the items of a list property, rows one after the other, and its N + 1 offsets therein."""
         known = next(known for known in self._lists if known.name == name)
         lengths = self.counts[:, self._lists.index(known)]
-        offsets = np.zeros(len(lengths) + 1, np.int64)
-        np.cumsum(lengths, out=offsets[1:])
+        offsets = np.append(0, np.cumsum(lengths))
         if offsets[-1] == 0:
             return np.empty(0, known.type), offsets
         size = self.body.size(known.type)
