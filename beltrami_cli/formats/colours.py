@@ -62,6 +62,12 @@ def _integer_scale(values: Float64s) -> float | None:
     return next((scale for scale in _INTEGER_SCALES if largest <= scale), None)
 
 
+def opacity(alpha: Array, scale: float) -> Float32s:
+    """Return opacity in [0, 1]; beside colours of 0..255 it may still be of 0..1."""
+    values: Float64s = np.nan_to_num(alpha.astype(np.float64)) / (scale if alpha.max(initial=0) > 1 else 1)
+    return np.clip(values, 0, 1).astype(np.float32)
+
+
 def quantised(values: Float32s, kind: DTypeLike) -> Array:
     """Return colours of full scale 1 in a type, integers clipped to [0, 1] and rounded once, to the nearest."""
     stored = np.dtype(kind)

@@ -185,7 +185,7 @@ class ImageStorage:
 def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
     """Put images into one buffer: first where the old ones were as far as they fit, the others at the end."""
     views, data = edit.tree["bufferViews"], edit.open(buffer)
-    blobs = _without_overlaps(edit, buffer, blobs)
+    blobs = [blob if _may_overwrite(edit, buffer, blob) else replace(blob, view=None) for blob in blobs]
     own = {blob.view for blob in blobs if blob.view is not None}
     others = [span for view, span in _spans(edit, buffer) if view not in own]
     end = _end(data, edit.tree["buffers"][buffer]["byteLength"], [_span(views[v]) for v in own], others)
@@ -194,17 +194,16 @@ def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
         if blob.view is None or _span(views[blob.view])[0] >= end or not _fitted(edit, buffer, blob, end):
             moving.append(blob)
     del data[end:]
+    edit.tree["buffers"][buffer]["byteLength"] = len(data)
     for blob in moving:
-        data += bytes(-len(data) % 4)
-        place = {"buffer": buffer, "byteOffset": len(data), "byteLength": len(blob.data)}
+        start = edit.append(buffer, blob.data)
+        place = {"buffer": buffer, "byteOffset": start, "byteLength": len(blob.data)}
         if blob.view is None:
             index = edit.add_view(place)
             for image in blob.images:
                 edit.tree["images"][image]["bufferView"] = index
         else:
             views[blob.view] |= place
-        data += blob.data
-    edit.tree["buffers"][buffer]["byteLength"] = len(data)
 
 
 def _span(view: Tree) -> tuple[int, int]:
@@ -226,17 +225,11 @@ def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
     return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
 
 
-def _without_overlaps(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> list[_Blob]:
-    """Return the images, without the views of those whose bytes belong to something else as well."""
-    spans, views = _spans(edit, buffer), edit.tree["bufferViews"]
-    found = []
-    for blob in blobs:
-        if blob.view is not None:
-            start, end = _span(views[blob.view])
-            if any(view != blob.view and a < end and start < b for view, (a, b) in spans):
-                blob = replace(blob, view=None)
-        found.append(blob)
-    return found
+def _may_overwrite(edit: Edit, buffer: int, blob: _Blob) -> bool:
+    """Return whether the bytes of the view that an image has are those of nothing else."""
+    if blob.view is None:
+        return False
+    return _unshared(edit, (blob.view, None), buffer, *_span(edit.tree["bufferViews"][blob.view]))
 
 
 def _end(

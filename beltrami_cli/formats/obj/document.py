@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.colours import full_scale
+from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.document import (
     Bytes,
     Changes,
@@ -151,11 +151,7 @@ class ObjDocument(Document):
 
     def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha
-        if alpha is None:
-            return None
-        if alpha.max() > 1:  # Beside colours of 0..255 opacity may still be of 0..1.
-            alpha = alpha / self._scale
-        return np.clip(alpha, 0, 1).astype(np.float32)
+        return None if alpha is None else opacity(alpha, self._scale)
 
     def fingerprint(self) -> Fingerprint:
         colours = self._colours if self.has_vertex_colours() else None

@@ -33,7 +33,13 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
-from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale, quantised
+from beltrami_cli.formats.colours import (
+    display_colours,
+    intensity_scale,
+    opacity,
+    point_colour_scale,
+    quantised,
+)
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.polygons import triangulate
@@ -219,11 +225,7 @@ class NpzPointsDocument(Document):
         return (self._numbers / self._scale).astype(np.float32)
 
     def _alpha(self) -> Float32s | None:
-        if not self._arrays.has_alpha:
-            return None
-        alpha = self._stored[self._measured, -1].astype(np.float64)
-        scale = self._scale if alpha.max(initial=0) > 1 else 1.0
-        return np.asarray(np.clip(np.nan_to_num(alpha) / scale, 0, 1), np.float32)
+        return opacity(self._stored[self._measured, -1], self._scale) if self._arrays.has_alpha else None
 
     def _table(self, key: str) -> Array:
         return self._archive.read(key).reshape(self._arrays.count, -1)

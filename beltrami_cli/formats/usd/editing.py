@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
+from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, opened
 from beltrami_cli.formats.usd.shading import files_of
 
@@ -225,22 +226,18 @@ def _in_binary(data: bytes, colours: Sequence[Change]) -> bytes | None:
 def _in_text(data: bytes, colours: Sequence[Change], names: Sequence[tuple[str, str]]) -> bytes | None:
     """Exchange the vectors that changed, and names between @."""
     found = [(match.span(1), [*_VECTOR.finditer(match[1])]) for match in _COLOURS.finditer(data)]
-    spans: list[tuple[int, int, bytes]] = []
+    spans: Spans = {}
     for before, after in colours:
         fits = next((k for k, (_, each) in enumerate(found) if len(each) == len(before) == len(after)), None)
         if fits is None:
             return None
         (start, _), vectors = found.pop(fits)
         changed = np.flatnonzero((before != after).any(axis=1)).tolist()
-        spans += [(start + vectors[k].start(), start + vectors[k].end(), _spelled(after[k])) for k in changed]
+        spans |= {(start + vectors[k].start(), start + vectors[k].end()): _spelled(after[k]) for k in changed}
     for old, new in names:
         pattern = re.compile(rb"(?<==)(\s*)@" + re.escape(old.encode()) + rb"@")
-        spans += [(match.end(1), match.end(), b"@" + new.encode() + b"@") for match in pattern.finditer(data)]
-    pieces, at = [], 0
-    for start, end, new_text in sorted(spans):
-        pieces += [data[at:start], new_text]
-        at = end
-    return b"".join([*pieces, data[at:]])
+        spans |= {(match.end(1), match.end()): b"@%s@" % new.encode() for match in pattern.finditer(data)}
+    return exchange_spans(data, spans)
 
 
 def _spelled(colour: Array) -> bytes:

@@ -226,6 +226,12 @@ class _Polygons:
         """All corners of the mesh."""
         return len(self.all_vertices)
 
+    def spread(self, values: Float64s, kind: str, points: int) -> Float64s | None:
+        """Return values at the corners, from those of a kind of interpolation; None if they do not fit."""
+        if kind == "faceVarying" and len(values) == self.all_corners:
+            return values[self.corner]
+        return values[self.vertex] if kind in _SMOOTH and len(values) == points else None
+
 
 def _values(attribute: Any) -> Float64s:
     """Return the values of an attribute at the first time; none if it has none."""
@@ -243,14 +249,7 @@ def _flat(primvar: Any) -> Float64s | None:
 def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> Float64s | None:
     """Return the values of a primvar at the corners of polygons; None if it has none that fit."""
     values = _flat(primvar)
-    if values is None:
-        return None
-    kind = str(primvar.GetInterpolation())
-    if kind == "faceVarying" and len(values) == polygons.all_corners:
-        return values[polygons.corner]
-    if kind in _SMOOTH and len(values) == points:
-        return values[polygons.vertex]
-    return None
+    return None if values is None else polygons.spread(values, str(primvar.GetInterpolation()), points)
 
 
 def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons, points: int) -> Float64s | None:
@@ -269,12 +268,9 @@ def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: Float64s) -> F
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
     normals = _on_corners(primvar, polygons, points)
     if normals is None:
-        values, kind = mesh.GetNormalsAttr().Get(), str(mesh.GetNormalsInterpolation())
+        values = mesh.GetNormalsAttr().Get()
         plain = np.array(values if values is not None else [], np.float64).reshape(-1, 3)
-        if kind == "faceVarying" and len(plain) == polygons.all_corners:
-            normals = plain[polygons.corner]
-        elif kind in _SMOOTH and len(plain) == points:
-            normals = plain[polygons.vertex]
+        normals = polygons.spread(plain, str(mesh.GetNormalsInterpolation()), points)
     if normals is None or normals.shape[1:] != (3,) or np.linalg.det(matrix[:3, :3]) == 0:
         return np.full((len(polygons.vertex), 3), np.nan)
     turned = normals @ np.linalg.inv(matrix[:3, :3]).T
