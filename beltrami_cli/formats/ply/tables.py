@@ -88,8 +88,8 @@ class Table:
     body: Body
     element: Element
     start: int  # unit of the first row
+    # (N, L): lengths of the L lists of every row; a broadcast view if all rows are alike, one row if L is 0.
     counts: Int64s
-    """Lengths of the L lists of every row, (N, L); a broadcast view if all rows are alike, one row if L is 0."""
 
     @cached_property
     def _lists(self) -> list[Property]:

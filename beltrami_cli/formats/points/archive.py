@@ -64,11 +64,9 @@ class _Arrays:
     normals: str | None
     faces: str | None
     shape: tuple[int, ...]
-    channels: int
-    """Of the colours, without opacity."""
+    channels: int  # of the colours, without opacity
     has_alpha: bool
-    rest: tuple[str, ...]
-    """The other arrays that have something for each point."""
+    rest: tuple[str, ...]  # the other arrays that have something for each point
 
     @property
     def is_intensity(self) -> bool:

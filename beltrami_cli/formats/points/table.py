@@ -137,8 +137,7 @@ class Columns:
     position: tuple[int, ...]
     colours: tuple[int, ...]
     normal: tuple[int, ...]
-    others: dict[str, int]
-    """The rest that has a name."""
+    others: dict[str, int]  # the rest that has a name
     notice: str
 
     @property

@@ -22,23 +22,12 @@ _BARE = "{} of {} vertices have no colour, and are white."
 class ColouredPolygons:
     """What a reader finds: V vertices, and polygons with K corners in all; colours are display values."""
 
-    positions: Float64s
-    """Shape (V, 3)."""
-
-    corners: Int64s
-    """Vertices of all polygons, one polygon after the other, shape (K,)."""
-
-    sizes: Int64s
-    """How many corners each polygon has."""
-
-    colours: Float32s
-    """Of every corner, shape (K, 3), or (K, 4) with opacity; full scale 1, NaN where there is none."""
-
-    stored: str
-    """The type of colours in the file, as in `PaintedVertices`."""
-
-    left_out: tuple[str, ...] = ()
-    """What else the file holds."""
+    positions: Float64s  # (V, 3)
+    corners: Int64s  # (K,): vertices of all polygons, one polygon after the other
+    sizes: Int64s  # how many corners each polygon has
+    colours: Float32s  # (K, 3) of every corner, or (K, 4) with opacity; full scale 1, NaN where there is none
+    stored: str  # the type of colours in the file, as in `PaintedVertices`
+    left_out: tuple[str, ...] = ()  # what else the file holds
 
 
 def check_polygons(found: ColouredPolygons, name: str) -> None:
