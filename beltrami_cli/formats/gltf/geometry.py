@@ -159,6 +159,16 @@ def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int
     return accessors.decoded_attribute(packed, name, index)
 
 
+def fitting_accessor(primitive: Entry, name: str, accessors: Accessors, shape: str, count: int) -> int:
+    """Return the accessor of an attribute, which must have so many elements of a shape, and no large integers."""
+    index = attribute_accessor(primitive, name, accessors)
+    accessor = accessors[index]
+    if (accessor.shape, accessor.count) != (shape, count) or accessor.component.name == "uint32":
+        cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {count} {shape}"
+        raise primitive.entry("attributes").fault(name, cause)
+    return index
+
+
 def position_accessor(primitive: Entry, accessors: Accessors) -> int:
     """Return the accessor of positions, whose bytes are there."""
     index = attribute_accessor(primitive, "POSITION", accessors)

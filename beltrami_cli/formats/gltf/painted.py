@@ -157,7 +157,9 @@ class _Gathering:
             raise attributes.fault("COLOR_0", cause)
         key, place = self.accessors.identity(colour), self.accessors.identity(position)
         if key not in self._block_of:
-            normal = self._normal(primitive, count)
+            normal = None
+            if "NORMAL" in attributes:
+                normal = geometry.fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
             block = Block(position, colour, placement, self._rows, count, normal)
             self._block_of[key] = block
             self.blocks.append(block)
@@ -183,16 +185,6 @@ class _Gathering:
             cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
             raise primitive.entry("attributes").fault("COLOR_0", cause)
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
-        return index
-
-    def _normal(self, primitive: Entry, count: int) -> int | None:
-        attributes = primitive.entry("attributes")
-        if "NORMAL" not in attributes:
-            return None
-        index = geometry.attribute_accessor(primitive, "NORMAL", self.accessors)
-        accessor = self.accessors[index]
-        if accessor.shape != "VEC3" or accessor.count != count:
-            raise attributes.fault("NORMAL", f"is {accessor.count} {accessor.shape}, not {count} normals")
         return index
 
     def surface(self) -> Surface:

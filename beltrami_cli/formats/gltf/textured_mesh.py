@@ -144,7 +144,7 @@ class _Reading:
         self._note_others(attributes, use)
         positions = geometry.in_world(self._accessors.values(index), placement, self._accessors, index)
         uv = self._coordinates(primitive, use, count)
-        given = self._values(primitive, "NORMAL", 3, count)
+        given = self._values(primitive, "NORMAL", "VEC3", count)
         normals = np.full((count, 3), np.nan) if given is None else geometry.turned(given, placement.matrix)
         colours = self._own_colours(primitive, number, count)
         self.parts.append(_Part(positions, faces, uv[faces], normals[faces], colours, material, group))
@@ -157,20 +157,15 @@ class _Reading:
             elif name not in _KNOWN and name != coordinates and not name.startswith(("JOINTS_", "WEIGHTS_")):
                 self._left_out.append(f"attribute {name}")
 
-    def _values(self, primitive: Entry, name: str, width: int, count: int) -> Float64s | None:
-        """Return an attribute of the vertices, shape (count, width), None if there is none."""
-        attributes = primitive.entry("attributes")
-        if name not in attributes:
+    def _values(self, primitive: Entry, name: str, shape: str, count: int) -> Float64s | None:
+        """Return an attribute of the vertices, None if there is none."""
+        if name not in primitive.entry("attributes"):
             return None
-        index = geometry.attribute_accessor(primitive, name, self._accessors)
-        accessor = self._accessors[index]
-        if (accessor.width, accessor.count) != (width, count):
-            cause = f"is {accessor.count} {accessor.shape}, which do not fit {count} vertices"
-            raise attributes.fault(name, cause)
+        index = geometry.fitting_accessor(primitive, name, self._accessors, shape, count)
         return self._accessors.values(index)
 
     def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> Float64s:
-        uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, 2, count)
+        uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, "VEC2", count)
         if uv is None:
             return np.full((count, 2), np.nan)
         return usable_coordinates(uv if use is None else use.placed(uv))

@@ -133,12 +133,7 @@ class _Gathering:
 
     def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
-        index = geometry.attribute_accessor(primitive, use.coordinates, self.accessors)
-        accessor = self.accessors[index]
-        if accessor.shape != "VEC2" or accessor.component.name == "uint32" or accessor.count != count:
-            cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}"
-            attributes = primitive.entry("attributes")
-            raise attributes.fault(use.coordinates, f"{cause}, not {count} texture coordinates")
+        index = geometry.fitting_accessor(primitive, use.coordinates, self.accessors, "VEC2", count)
         uv = use.placed(self._values(index))
         if not np.isfinite(uv).all():
             raise use.info.fault("extensions", "its transform moves texture coordinates to infinity")
