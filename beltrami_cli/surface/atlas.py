@@ -241,10 +241,7 @@ def at_seam(values: Sequence[Array]) -> Float64s:
     """Extrapolate the values of three cells on a line, the nearest first, to the seam; of one, take it."""
     if len(values) == 1:
         return values[0].astype(np.float64)
-    total = np.zeros(values[0].shape)
-    for weight, each in zip(_EXTRAPOLATION, values, strict=True):
-        total += weight * each
-    return total
+    return np.asarray(sum(weight * each for weight, each in zip(_EXTRAPOLATION, values, strict=True)))
 
 
 def lines_over_seams(atlas: Atlas, reach: int) -> list[list[Int64s]]:

@@ -49,7 +49,8 @@ def cover(
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = _cross(one, two)
     faces = np.flatnonzero(area) if chosen is None else chosen[area[chosen] != 0]
-    low, high = _rows(corners[faces], reach, size[1])
+    y = corners[faces][:, :, 1]
+    low, high = _between(y.min(axis=1), y.max(axis=1), reach, size[1])
     counts = np.maximum(high - low + 1, 0)
     for block in _blocks(counts):
         rows, owner = _expanded(low[block], counts[block])
@@ -145,11 +146,11 @@ def _cross(a: Float64s, b: Float64s) -> Float64s:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _rows(corners: Float64s, reach: float, height: int) -> tuple[Int64s, Int64s]:
-    y = corners[:, :, 1]
-    low = np.ceil(np.clip(y.min(axis=1, initial=np.inf) - reach - _EDGE, -1, height))
-    high = np.floor(np.clip(y.max(axis=1, initial=-np.inf) + reach + _EDGE, -1, height))
-    return np.maximum(low, 0).astype(np.int64), np.minimum(high, height - 1).astype(np.int64)
+def _between(low: Float64s, high: Float64s, reach: float, count: int) -> tuple[Int64s, Int64s]:
+    """Return the first and the last of some whole numbers between two places, or up to `reach` beyond."""
+    first = np.ceil(np.clip(low - reach - _EDGE, -1, count))
+    last = np.floor(np.clip(high + reach + _EDGE, -1, count))
+    return np.maximum(first, 0).astype(np.int64), np.minimum(last, count - 1).astype(np.int64)
 
 
 def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple[Int64s, Int64s]:
@@ -166,9 +167,7 @@ def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple
     other = np.where(level, bx, ax + (leave - ay) / rise * (bx - ax))
     low = np.where(crosses, np.minimum(one, other), np.inf).min(axis=1)
     high = np.where(crosses, np.maximum(one, other), -np.inf).max(axis=1)
-    first = np.ceil(np.clip(low - reach - _EDGE, -1, width))
-    last = np.floor(np.clip(high + reach + _EDGE, -1, width))
-    return np.maximum(first, 0).astype(np.int64), np.minimum(last, width - 1).astype(np.int64)
+    return _between(low, high, reach, width)
 
 
 def _blocks(counts: Int64s) -> Iterator[slice]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path, PurePath
 
@@ -192,24 +192,20 @@ def _opacity(colours: Sequence[Stored]) -> Float32s | None:
     return np.concatenate(opaque)
 
 
-def _left_out(tree: Tree) -> Iterator[str]:
-    """Give what conversion to another format leaves out."""
-    for key in ("materials", "textures", "skins", "animations", "cameras"):
-        if tree.get(key):
-            yield key
+def _left_out(tree: Tree) -> list[str]:
+    """Return what conversion to another format leaves out."""
     primitives = [primitive for _, primitive in primitives_of(tree)]
-    attributes = {key for primitive in primitives for key in primitive.get("attributes", {})}
-    if any(primitive.get("targets") for primitive in primitives):
-        yield "morph targets"
-    if any("COLOR_0" not in primitive.get("attributes", {}) for primitive in primitives):
-        yield "uncoloured meshes"
-    if any(key.startswith("TEXCOORD_") for key in attributes):
-        yield "texture coordinates"
-    if any(key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes):
-        yield "further vertex attributes"
-    if any(primitive.get("mode") in (1, 2, 3) for primitive in primitives):
-        yield "lines"
+    held = [primitive.get("attributes", {}) for primitive in primitives]
+    attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))
     placed = ("children", "matrix", "translation", "rotation", "scale")
-    nodes = objects(tree.get("nodes"))
-    if len(nodes) > 1 or any(key in node for node in nodes for key in placed):
-        yield "node hierarchy"
+    there = {key: tree.get(key) for key in ("materials", "textures", "skins", "animations", "cameras")} | {
+        "morph targets": any(primitive.get("targets") for primitive in primitives),
+        "uncoloured meshes": any("COLOR_0" not in each for each in held),
+        "texture coordinates": any(key.startswith("TEXCOORD_") for key in attributes),
+        "further vertex attributes": any(
+            key in ("TANGENT", "COLOR_1") or key.startswith("_") for key in attributes
+        ),
+        "lines": any(primitive.get("mode") in (1, 2, 3) for primitive in primitives),
+        "node hierarchy": len(nodes) > 1 or any(key in node for node in nodes for key in placed),
+    }
+    return [what for what, found in there.items() if found]

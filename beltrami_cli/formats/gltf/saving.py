@@ -23,40 +23,37 @@ _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR
 
 def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Written:
     """Return the files of an edit; the source itself if nothing was edited and the form is its own."""
-    if form == "glb" and edit.container.kind != form:
+    container, keeps_form = edit.container, form == edit.container.kind
+    if form == "glb" and not keeps_form:
         return _as_glb(edit, folder)
-    used = named_files(edit.container.root)
+    used = named_files(container.root)
     missing = [name for name in used if folder.find(name) is None]
-    names = NewNames(naming, edit.container.name, used, missing)
-    return (_same_form if form == edit.container.kind else _as_gltf)(edit, names, folder)
-
-
-def _same_form(edit: Edit, names: NewNames, folder: ModelFolder) -> Written:
-    sidecars = _place_buffers(edit, names) | _place_images(edit, names)
+    names = NewNames(naming, container.name, used, missing)
+    sidecars = {} if keeps_form else _place_chunk(edit, names)
+    sidecars |= _place_buffers(edit, names) | _place_images(edit, names)
     copies = _place_copies(edit, names, folder)
-    if not edit.buffers and not edit.images and edit.tree == edit.container.tree:
-        return Written([edit.container.data], {}, tuple(edit.notices), copies)
-    chunk = edit.buffers.get(0) if _source(edit, 0) == "chunk" else None
-    return Written(edit.container.rebuilt(edit.tree, chunk), sidecars, tuple(edit.notices), copies)
+    if not keeps_form:
+        main: list[Bytes] = [revised(container.text, edit.tree).encode()]
+        lost = [chunk for chunk in container.chunks if chunk.kind != BIN_CHUNK]
+        edit.notices += (
+            [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
+        )
+    elif not edit.buffers and not edit.images and edit.tree == container.tree:
+        main = [container.data]
+    else:
+        main = container.rebuilt(edit.tree, edit.buffers.get(0) if _source(edit, 0) == "chunk" else None)
+    return Written(main, sidecars, tuple(edit.notices), copies)
 
 
-def _as_gltf(edit: Edit, names: NewNames, folder: ModelFolder) -> Written:
-    """Return a binary file as text, its BIN chunk as a sidecar."""
+def _place_chunk(edit: Edit, names: NewNames) -> dict[str, Bytes]:
+    """Make a sidecar of the BIN chunk of a binary file that becomes text."""
     tree, buffers = edit.tree, edit.accessors.buffers
-    sidecars: dict[str, Bytes] = {}
-    if len(buffers) and buffers.source(0) == "chunk":
-        data: Bytes = edit.buffers[0] if 0 in edit.buffers else buffers.stored(0)
-        length = tree["buffers"][0]["byteLength"]
-        name = names.new(".bin")
-        sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the chunk's padding
-        tree["buffers"][0]["uri"] = quote(name)
-    sidecars |= _place_buffers(edit, names)
-    sidecars |= _place_images(edit, names)
-    copies = _place_copies(edit, names, folder)
-    lost = [chunk for chunk in edit.container.chunks if chunk.kind != BIN_CHUNK]
-    notices = [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
-    text = revised(edit.container.text, tree).encode()
-    return Written([text], sidecars, (*edit.notices, *notices), copies)
+    if not len(buffers) or buffers.source(0) != "chunk":
+        return {}
+    data: Bytes = edit.buffers[0] if 0 in edit.buffers else buffers.stored(0)
+    length, name = tree["buffers"][0]["byteLength"], names.new(".bin")
+    tree["buffers"][0]["uri"] = quote(name)
+    return {name: data[:length] if len(data) - length < 4 else data}  # without the chunk's padding
 
 
 def _as_glb(edit: Edit, folder: ModelFolder) -> Written:

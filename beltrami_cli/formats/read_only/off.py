@@ -28,8 +28,7 @@ _COLOUR = (3, 4)  # numbers
 def read_off(data: bytes, name: str) -> ColouredPolygons:
     """Read an OFF file in text: one vertex a line, then one face a line."""
     header = HEADER.match(data)
-    if header is None:
-        raise InputError(name, "it does not start with OFF", "is it an OFF file?")
+    assert header is not None  # by which it was recognised
     texture, _, normals, *other = header.groups()
     rest = _COMMENT.sub(b"", data[header.end() :])
     require_short_lines(rest, name)

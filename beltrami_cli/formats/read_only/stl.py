@@ -35,10 +35,8 @@ def is_binary_stl(data: bytes) -> bool:
 def read_stl(data: bytes, name: str) -> ColouredPolygons:
     """Read a binary STL file; vertices at one place become one."""
     if not is_binary_stl(data):
-        if data[:5].lower() == b"solid":
-            cause = "an STL file in text has no colours"
-            raise UnpaintedError(name, cause, "export it as PLY or OBJ with colours")
-        raise InputError(name, "its length does not fit its number of triangles", "the file may be cut off")
+        cause = "an STL file in text has no colours"
+        raise UnpaintedError(name, cause, "export it as PLY or OBJ with colours")
     from trimesh.exchange.stl import load_stl_binary
 
     triangles = load_stl_binary(io.BytesIO(data))

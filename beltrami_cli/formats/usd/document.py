@@ -113,8 +113,6 @@ class UsdDocument(Document):
         return [*(layer for layer in self._layers.contents if layer != self._layers.root), *images]
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        if new.places is not None:
-            self.require_movable()
         colours, form, package = new.colours, new.form or self.format, self._layers.package
         files, renamed, copies = self._new_images(new.images, naming)
         changes = colours is not None and not np.array_equal(colours, self._painted.colours)
