@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import DTypeLike
 
@@ -83,6 +85,11 @@ def display_colours(contents: MeshContents | VertexColours) -> tuple[Float32s, l
         colours = linear_to_srgb(colours).astype(np.float32)
         notices.append("Linear colours are written as sRGB, which the format's colours are by custom.")
     return _three_channels(colours, notices, _GREY), notices
+
+
+def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
+    """Return the colour of a material, which is linear light in a file, as display values of full scale 1."""
+    return tuple(linear_to_srgb(np.clip(np.array(linear, np.float64), 0, 1)).tolist())
 
 
 def linear_colours(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import get_args
@@ -11,6 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, fractions
 from beltrami_cli.formats.gltf.json_tree import Entry
@@ -19,7 +20,6 @@ from beltrami_cli.formats.gltf.textures import Images, TextureUse, texture_uses
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.textured_mesh import MeshImages, shown_materials, usable_coordinates
-from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.records import AlphaMode, Material, MaterialMap, Slot, TexturedMesh, VertexColours
 
 # Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
@@ -86,18 +86,13 @@ class _Materials:
         return Material(
             name=entry.text("name") or "",
             maps=maps,
-            colour=_display(factor[:3]),
-            emission=_display(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
+            colour=display_colour(factor[:3]),
+            emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
             opacity=min(max(factor[3], 0.0), 1.0),
             metalness=base.number("metallicFactor", default=1.0),
             roughness=base.number("roughnessFactor", default=1.0),
             alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
         )
-
-
-def _display(linear: Sequence[float]) -> tuple[float, ...]:
-    values = linear_to_srgb(np.clip(np.array(linear), 0, 1))
-    return tuple(float(value) for value in values)
 
 
 @dataclass(frozen=True)

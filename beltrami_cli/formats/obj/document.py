@@ -49,7 +49,6 @@ from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shif
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
-_SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal")
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
 
 
@@ -77,7 +76,7 @@ class ObjDocument(Document):
         return bool(self._scan.vertices.coloured.size)
 
     def slots(self) -> tuple[Slot, ...]:
-        return tuple(slot for slot in _SLOTS if slot in self._materials.slots())
+        return self._materials.slots()
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
         mesh = self._scan.vertices.positions, self._scan.corners, self._scan.offsets

@@ -25,6 +25,12 @@ SLOTS: dict[str, Slot] = {
 }
 """What is painted by the maps of a keyword; the first keyword that a material has is the one that counts."""
 
+PAINTED = tuple(dict.fromkeys(SLOTS.values()))
+"""The slots that maps are painted in."""
+
+ALONG = ("map_ka", "map_d")
+"""Keywords of maps that go along with the base colour where they show its image."""
+
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
     rb"^[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
@@ -149,9 +155,10 @@ class Materials:
         sets = [path for path, tiles in self.folder.tiles.items() if file in tiles.values()]
         return [*([file] if self.uses(file) or not sets else []), *sets]
 
-    def slots(self) -> set[Slot]:
-        """Return the slots that some material has a map in."""
-        return {slot for _, slot in self._shown}
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the slots that some material has a map in, in their order."""
+        shown = {slot for _, slot in self._shown}
+        return tuple(slot for slot in PAINTED if slot in shown)
 
     def uses(self, path: str) -> int:
         """Return how many maps there are to a file."""
@@ -161,7 +168,7 @@ class Materials:
         """Yield all maps through which an image is visible in a slot."""
         for library in self.libraries:
             painted = {m.material for m, p in library.maps if p == path and SLOTS.get(m.keyword) == slot}
-            along = ("map_ka", "map_d") if slot == "baseColor" else ()
+            along = ALONG if slot == "baseColor" else ()
             for found, its_path in library.maps:
                 goes_along = found.keyword in along and found.material in painted
                 if its_path == path and (goes_along or SLOTS.get(found.keyword) == slot):

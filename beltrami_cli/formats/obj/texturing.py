@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.obj.materials import Map, Materials
+from beltrami_cli.formats.obj.materials import ALONG, PAINTED, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.surface import records, tiling
@@ -137,9 +137,7 @@ class _Palette:
         return True
 
 
-_SLOTS: tuple[records.Slot, ...] = ("baseColor", "emissive", "normal")
 _VALUE = re.compile(rb"^[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE)
-_ALONG = ("map_ka", "map_d")  # which show the image of the base colour
 _Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
 
 
@@ -192,7 +190,7 @@ class _Reading:
 
     def take(self, name: str) -> None:
         """Take a material, and the images that it shows."""
-        found = {slot: painting for slot in _SLOTS if (painting := self._materials.painting(name, slot))}
+        found = {slot: painting for slot in PAINTED if (painting := self._materials.painting(name, slot))}
         maps: dict[records.Slot, records.MaterialMap] = {}
         placed: _Placed | None = None
         for slot, (shown, path) in found.items():
@@ -222,11 +220,10 @@ class _Reading:
         }
         rough, metal = maps.pop("map_pr", None), maps.pop("map_pm", None)
         base = maps.get("map_kd", (None, None))[1]
-        usual = ("map_kd", "map_ke", "norm", "map_bump", "bump")
         self.left_out += [
             f"{keyword} maps"
             for keyword, (_, path) in maps.items()
-            if keyword not in usual and not (keyword in _ALONG and path == base)
+            if keyword not in SLOTS and not (keyword in ALONG and path == base)
         ]
         if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):
             return {"metallicRoughness": records.MaterialMap(self._image(rough[1]), _wrap(rough[0]))}

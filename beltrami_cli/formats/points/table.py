@@ -123,11 +123,8 @@ def _is_number(word: bytes) -> bool:
 
 
 def _column_names(words: list[bytes]) -> tuple[str, ...]:
-    return tuple(_printable(word).lower() for word in words)
-
-
-def _printable(word: bytes) -> str:
-    return "".join(c if c.isprintable() else "?" for c in word[:_MOST_SHOWN].decode("ascii", "replace"))
+    shown = (word[:_MOST_SHOWN].decode("ascii", "replace").lower() for word in words)
+    return tuple("".join(c if c.isprintable() else "?" for c in word) for word in shown)
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.access import LARGE
+from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface import records, tiling
-from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.polygons import triangulate_corners
 
 _ALL: tuple[records.Slot, ...] = get_args(records.Slot)
@@ -223,15 +223,10 @@ class _Materials:
         return records.Material(
             name=known["name"],
             maps=maps,
-            colour=white if "baseColor" in maps else _display(colour),
-            emission=white if "emissive" in maps else _display(emission),
+            colour=white if "baseColor" in maps else display_colour(colour),
+            emission=white if "emissive" in maps else display_colour(emission),
             opacity=opacity,
             metalness=1.0 if has_metal else values.get("metallic", 0.0),
             roughness=1.0 if has_metal else values.get("roughness", 0.5),
             alpha="mask" if seen_through and mask else "blend" if seen_through else "opaque",
         )
-
-
-def _display(colour: list[float]) -> tuple[float, ...]:
-    values = linear_to_srgb(np.clip(np.array(colour, np.float32), 0, 1))
-    return tuple(float(value) for value in values)
