@@ -48,25 +48,21 @@ class Archive:
         return [name for name in self._file.namelist() if not name.endswith("/")]
 
     def read(self, member: str) -> bytes:
-        """Return the content of a member; its true size is checked as well as the announced one."""
+        """Return the content of a member, of which hardly more than its announced size is unpacked."""
         try:
             known = self._file.getinfo(member)
             if known.file_size > self._most:
-                raise self._too_large(member, known.file_size)
+                cause = f"{member} in the archive has {known.file_size} bytes, more than the {self._most} that are read"
+                raise InputError(self._name, cause, "raise --max-memory, or give a smaller model")
             require_ratio(self._name, member, known.compress_size, known.file_size)
             with self._file.open(known) as file:
-                data = file.read(self._most + 1)
+                return file.read(
+                    known.file_size + 1
+                )  # without a limit what it grows to would be unpacked first
         except KeyError:
             raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
         except _READ_ERRORS as error:
             raise InputError(self._name, f"{member} in the archive is damaged ({error})", _DAMAGED) from error
-        if len(data) > self._most:
-            raise self._too_large(member, len(data))
-        return data
-
-    def _too_large(self, member: str, size: int) -> InputError:
-        cause = f"{member} in the archive has {size} bytes, more than the {self._most} that are read"
-        return InputError(self._name, cause, "raise --max-memory, or give a smaller model")
 
     @property
     def entries(self) -> list[zipfile.ZipInfo]:
