@@ -133,13 +133,8 @@ def _remark(outcome: Outcome) -> str:
 
 def _bar() -> Progress:
     from rich.console import Console
-    from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    class Name(TextColumn):
-        def render(self, task: Any) -> Any:
-            task.fields["shown"] = escape(task.description)
-            return super().render(task)
-
-    columns = (Name("{task.fields[shown]}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    name = TextColumn("{task.description}", markup=False)  # names of files may have brackets
+    columns = (name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=Console(stderr=True), transient=True)
