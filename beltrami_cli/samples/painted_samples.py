@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,36 +12,23 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
-from beltrami_cli.samples.samples import Change, Grains, Part, Repainted, Samples, channel_numbers
+from beltrami_cli.samples.samples import (
+    Change,
+    ChosenChannels,
+    Grains,
+    Part,
+    Repainted,
+    Samples,
+    choose_channels,
+)
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import PaintedVertices
 
 
-@dataclass(frozen=True)
-class ChosenChannels:
-    """Columns of vertex colours."""
-
-    sampled: list[int]
-    changing: list[int]
-    metric: list[int] | None  # among the sampled ones; None: all
-
-    @property
-    def written(self) -> list[int]:
-        """Those that change, counted among the sampled ones."""
-        return [self.sampled.index(channel) for channel in self.changing]
-
-
-def choose_channels(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
-    """Choose the columns of vertex colours; UsageError if the settings name absent channels."""
-    changing = channel_numbers(painted.channels, settings.channels, "the colours have")
-    wanted = settings.embedding.metric_channels
-    in_metric = changing
-    if wanted is not None:
-        in_metric = channel_numbers(painted.channels, wanted, "the colours have")
-    channels = sorted({*changing, *in_metric})
-    metric = None if in_metric == channels else [channels.index(channel) for channel in in_metric]
-    return ChosenChannels(channels, changing, metric)
+def columns_of(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
+    """Choose the columns of vertex colours."""
+    return choose_channels(painted.channels, settings, "the colours have")
 
 
 def describe_colours(painted: PaintedVertices) -> dict[str, object]:
@@ -71,7 +57,7 @@ class PaintedSamples(Samples):
     ) -> None:
         self.painted, self.settings, self.guides = painted, settings, tuple(guides)
         self._noise = noise
-        self.channels = choose_channels(painted, settings)
+        self.channels = columns_of(painted, settings)
         self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
 
     def require_writable(self) -> None:

@@ -42,7 +42,7 @@ from beltrami_cli.samples.samples import (
     Repainted,
     Samples,
     as_jpeg,
-    channel_numbers,
+    choose_channels,
     describe_kernel,
     encoded,
     refuse_options_of_meshes,
@@ -54,8 +54,6 @@ from beltrami_cli.surface.records import ImageFile
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.probes.probe import Probe
-
-Pixels = Int64s
 
 _COLOURS = ("red", "green", "blue", "grey")
 _BLOCK = 1 << 20  # pixels rounded at a time, which bounds the memory for them
@@ -73,8 +71,8 @@ class ImageColours:
     channels: list[int]
     """Their numbers in the picture."""
 
-    changing: tuple[str, ...]
-    """The names of those that change."""
+    written: list[int]
+    """Which of the N change."""
 
     metric_channels: list[int] | None
     """Which of the N enter the metric; None: all."""
@@ -95,19 +93,18 @@ class ImageColours:
                 named[name.lower() if name.lower() not in named else f"{name}:{channel}"] = channel
         smoothed = settings.textures.alpha == "smooth"
         opacity = {"alpha": picture.alpha} if smoothed and picture.alpha is not None else {}
-        wanted, named_all = settings.embedding.metric_channels, named | opacity
-        changing = _choose(named, settings.channels, picture.name) | opacity
-        in_metric = changing if wanted is None else _choose(named_all, wanted, picture.name)
-        chosen = {name: i for name, i in named_all.items() if name in changing or name in in_metric}
-        self.names, self.channels, self.changing = tuple(chosen), list(chosen.values()), tuple(changing)
-        self.metric_channels = None
-        if in_metric.keys() != chosen.keys():
-            self.metric_channels = [self.names.index(name) for name in in_metric]
+        chosen = choose_channels(
+            tuple(named), settings, f"{picture.name} has", opacity=bool(opacity), abbreviable=_COLOURS
+        )
+        every = [*(named | opacity).items()]
+        self.names = tuple(every[i][0] for i in chosen.sampled)
+        self.channels = [every[i][1] for i in chosen.sampled]
+        self.written, self.metric_channels = chosen.written, chosen.metric
         self._coloured = [channel in picture.colour for channel in self.channels]
         # Colours that are averaged together with alpha are weighted by it already.
         self._is_divided = is_associated(picture) and not opacity and self._space != "data"
         known = (*picture.colour, picture.alpha)
-        self.others = tuple(name for name, channel in chosen.items() if channel not in known)
+        self.others = tuple(name for name, i in zip(self.names, self.channels, strict=True) if i not in known)
 
     @property
     def shows_all(self) -> bool:
@@ -137,14 +134,13 @@ class ImageColours:
         """Return the picture's pixels with new colours, and how they changed; other numbers keep their bits."""
         result = self._picture.pixels.copy()
         table, changes = self._table(result), []
-        written = [self.names.index(name) for name in self.changing]
-        channels = [self.channels[column] for column in written]
+        channels = [self.channels[column] for column in self.written]
         for first in range(0, len(new.places), _BLOCK):
             part = slice(first, first + _BLOCK)
             block = new.places[part]
             before = full_scale_one(table[block[:, None], self.channels])
             after = self._stored(before, new.take(part, slice(None)), self._opacity(block))
-            changes.append(store(self._picture, table, block, after[:, written], channels, threads))
+            changes.append(store(self._picture, table, block, after[:, self.written], channels, threads))
         return result, Change.joined(changes)
 
     def _table(self, pixels: Array) -> Array:
@@ -177,13 +173,6 @@ class ImageColours:
             if self._space == "oklab":  # which mixes the channels
                 moved[:, self._coloured] = moved[:, self._coloured].any(axis=1, keepdims=True)
         return np.where(moved, back, before)
-
-
-def _choose(named: dict[str, int], wanted: tuple[str, ...] | None, name: str) -> dict[str, int]:
-    """Choose channels by their names, or by the first letters of colours."""
-    names = tuple(named)
-    numbers = channel_numbers(names, wanted, f"{name} has", _COLOURS)
-    return {names[i]: named[names[i]] for i in numbers}
 
 
 class PixelSamples(Samples):
@@ -268,7 +257,7 @@ class PixelSamples(Samples):
             "stored": picture.stored,
             "channels": list(picture.channels),
             "encoding": picture.encoding,
-            "smoothed": list(self.colours.changing),
+            "smoothed": [self.colours.names[i] for i in self.colours.written],
             "surface": self.surface.kind,
             "holes": valid.size - int(np.count_nonzero(valid)),
         }

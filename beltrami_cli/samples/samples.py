@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -90,24 +90,49 @@ def jpeg_file(shown: Float32s, quality: int) -> bytes:
     return write_image(picture, new.pixels, jpeg_quality=quality).data
 
 
-def channel_numbers(
-    names: tuple[str, ...],
-    wanted: tuple[str, ...] | None,
-    owner_has: str,
-    abbreviable: tuple[str, ...] | None = None,
-) -> list[int]:
-    """Return the numbers of channels, ascending, by names or first letters (of all or some); None: all channels."""
-    if wanted is None:
-        return list(range(len(names)))
-    by_letter = names if abbreviable is None else abbreviable
-    numbers = set()
-    for word in wanted:
-        lower = word.lower()
-        fits = [lower == name or (lower == name[0] and name in by_letter) for name in names]
-        if not any(fits):
-            raise UsageError(f"there is no channel {word}; {owner_has} {', '.join(names)}")
-        numbers.add(fits.index(True))
-    return sorted(numbers)
+@dataclass(frozen=True)
+class ChosenChannels:
+    """Channels by their numbers among those that there are."""
+
+    sampled: list[int]
+    changing: list[int]
+    metric: list[int] | None  # among the sampled ones; None: all
+
+    @property
+    def written(self) -> list[int]:
+        """Those that change, counted among the sampled ones."""
+        return [self.sampled.index(channel) for channel in self.changing]
+
+
+def choose_channels(
+    names: tuple[str, ...], settings: SmoothSettings, owner_has: str, *,
+    used: Collection[str] | None = None, opacity: bool = False, abbreviable: tuple[str, ...] | None = None,
+) -> ChosenChannels:  # fmt: skip
+    """Choose channels by names or, of all or the `abbreviable` ones, first letters; UsageError if one is absent.
+
+    Only the `used` ones may change; those that only enter the metric are sampled, too. `opacity`, if it is smoothed, is
+    one more behind them.
+    """
+
+    def numbers_of(wanted: tuple[str, ...] | None) -> list[int]:
+        numbers = set(range(len(names))) if wanted is None else set[int]()
+        for word in wanted or ():
+            lower = word.lower()
+            fits = [lower == name or (lower == name[0] and name in (abbreviable or names)) for name in names]
+            if not any(fits):
+                raise UsageError(f"there is no channel {word}; {owner_has} {', '.join(names)}")
+            numbers.add(fits.index(True))
+        return sorted(numbers)
+
+    changing = [i for i in numbers_of(settings.channels) if used is None or names[i] in used]
+    if opacity:
+        changing.append(len(names))
+        names = (*names, "alpha")
+    wanted = settings.embedding.metric_channels
+    in_metric = changing if wanted is None else numbers_of(wanted)
+    sampled = sorted({*changing, *in_metric})
+    metric = None if in_metric == sampled else [sampled.index(channel) for channel in in_metric]
+    return ChosenChannels(sampled, changing, metric)
 
 
 class Samples(ABC):

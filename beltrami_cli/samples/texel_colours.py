@@ -17,7 +17,7 @@ from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
-from beltrami_cli.samples.samples import Change, channel_numbers, store
+from beltrami_cli.samples.samples import Change, choose_channels, store
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, fill_gutter, texels_by_texture, within
@@ -71,21 +71,16 @@ class TexelColours:
         if self.space == "oklab" and self._width != 3:
             raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
         used = _SLOT_CHANNELS.get(slot, set(names))
-        changing = channel_numbers(names, settings.channels, "the textures have")
-        self._changing = [i for i in changing if names[i] in used]
+        self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
+        self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
+        chosen = choose_channels(names, settings, "the textures have", used=used, opacity=self._alpha)
+        self._changing = [i for i in chosen.changing if i < len(names)]
         if not self._changing:
             cause = f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
             raise UsageError(cause)
-        self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
-        self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
-        wanted, all_names = settings.embedding.metric_channels, (*names, *(("alpha",) if self._alpha else ()))
-        in_metric = None if wanted is None else channel_numbers(all_names, wanted, "the textures have")
-        # Channels that only enter the metric are smoothed too, but not written.
-        self._kept = sorted({*self._changing, *(i for i in in_metric or () if i < len(names))})
-        self.names = tuple(names[i] for i in self._kept) + all_names[len(names) :]
-        self.metric_channels = None
-        if in_metric is not None:
-            self.metric_channels = [self.names.index(all_names[i]) for i in in_metric]
+        self._kept = [i for i in chosen.sampled if i < len(names)]
+        self._written, self.metric_channels = chosen.written, chosen.metric
+        self.names = tuple((*names, "alpha")[i] for i in chosen.sampled)
 
     @property
     def shows_all(self) -> bool:
@@ -163,20 +158,16 @@ class TexelColours:
 
     def written(self, index: int, samples: Float32s) -> Float32s:
         """Return the channels of unconverted samples that are stored, in the order of `columns`."""
-        chosen = self._written()[: len(self.columns(index))]
+        chosen = self._written[: len(self.columns(index))]
         return samples if chosen == list(range(samples.shape[1])) else samples[:, chosen]
 
     def changed(self, picture: Picture, stored: Array, samples: Float32s) -> Bools:
         """Return for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
         working = self._working(picture, stored)
         different = np.zeros(len(stored), bool)
-        for channel in self._written():
+        for channel in self._written:
             different |= working[:, channel] != samples[:, channel]
         return different
-
-    def _written(self) -> list[int]:
-        colours = [self._kept.index(i) for i in self._changing]
-        return [*colours, *([len(self._kept)] if self._alpha else [])]
 
     def write(self, values: Float32s, index: int, texels: Int64s | slice, samples: Float32s) -> None:
         """Write samples, shape (K, N), to some texels of a picture's values, shape (..., C), in place."""
@@ -185,7 +176,7 @@ class TexelColours:
         whole = self._widened(picture, self._straight(picture, table[texels]))
         working = to_space(whole, picture.encoding, self.space)
         working = working.copy()
-        working[:, self._changing] = samples[:, [self._kept.index(i) for i in self._changing]]
+        working[:, self._changing] = samples[:, self._written[: len(self._changing)]]
         stored = from_space(working, picture.encoding, self.space)
         if self._is_normal:  # stored as (n + 1) / 2
             normals = 2 * stored - 1

@@ -26,7 +26,7 @@ from beltrami_cli.jobs.compare.figures import (
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.painted_samples import choose_channels
+from beltrami_cli.samples.painted_samples import columns_of
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.settings import SmoothSettings
@@ -99,7 +99,7 @@ def compare_vertices(
     one, other = (document.painted() for document in documents)
     require_one_model(documents, (one, other))
     rows = np.intersect1d(coloured_vertices(documents[0]), coloured_vertices(documents[1]))
-    channels, space = choose_channels(one, settings).changing, settings.space
+    channels, space = columns_of(one, settings).changing, settings.space
     reference, test = (
         to_space(each.colours[rows][:, channels], each.encoding, space) for each in (one, other)
     )
