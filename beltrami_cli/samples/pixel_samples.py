@@ -24,9 +24,7 @@ from beltrami_cli.formats.image import (
     Picture,
     check_writable,
     is_exact,
-    is_unchanged,
     label_of,
-    losses,
 )
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
@@ -46,6 +44,7 @@ from beltrami_cli.samples.samples import (
     describe_kernel,
     encoded,
     refuse_options_of_meshes,
+    rewritten,
     store,
 )
 from beltrami_cli.samples.settings import SmoothSettings
@@ -214,6 +213,7 @@ class PixelSamples(Samples):
         self._guides = read_guide_images(self.picture, self.valid, settings, access)
         pixels = np.flatnonzero(self.valid)
         self._noise = noise_of_pixels(settings.kernel, [self.picture], pixels, access)
+        self._is_data = settings.space == "data"
         self._is_noted = settings.channels is None and not colours_only
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
@@ -280,8 +280,11 @@ class PixelSamples(Samples):
         return PixelProbe(self.flow(), WorkingColours(self.names, self.settings.space), self.picture, unit)
 
     def notices(self) -> list[str]:
-        name = self.picture.name
-        found = [*self.picture.notices, *self.surface.notices]
+        return [*self.picture.notices, *self._own_notices()]
+
+    def _own_notices(self) -> list[str]:
+        """Return what users should know besides what the picture says of itself."""
+        name, found = self.picture.name, [*self.surface.notices]
         if self._unfit:
             unfit = f"{self._unfit} pixels that are no finite numbers"
             found.append(f"{name} has {unfit}; they are holes, and stay.")
@@ -305,20 +308,14 @@ class PixelSamples(Samples):
 
     def repaint(self, new: NewColours) -> Repainted:
         pixels, change = self.colours.repainted(new, self.settings.kernel.thread_count)
-        picture, suffix = self.picture, self._suffix
-        notices = self.notices()
-        if suffix is None and is_unchanged(picture, pixels):
-            notices = [notice for notice in notices if notice not in picture.notices]
-            data = picture.source
-        else:
-            file = self._encoded(pixels)
-            data, notices = file.data, [*notices, *file.notices]
-        if suffix is not None:
-            notices += losses(picture, suffix)
-        elif not self.valid.all() and not is_exact(picture):
-            label = label_of(picture.format)
-            notices.append(f"{picture.name}: {label} is not exact, so holes change slightly as well.")
-        return self._repainted(data, change, notices)
+        file, notices = rewritten(
+            self.picture, pixels, self.settings.textures, self._suffix, as_data=self._is_data
+        )
+        notices += self._own_notices()
+        if self._suffix is None and not self.valid.all() and not is_exact(self.picture):
+            label = label_of(self.picture.format)
+            notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
+        return self._repainted(file, change, notices)
 
     def grains(self) -> Grains:
         pixels = np.flatnonzero(self.valid)
@@ -342,18 +339,13 @@ class PixelSamples(Samples):
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
         new = NewColours.of(after, np.flatnonzero(self.valid))
         pixels, change = self.colours.repainted(new, threads=1)
-        picture, suffix = self.picture, self._suffix
-        notices = [*picture.notices]
-        if suffix is not None:
-            notices += losses(picture, suffix)
-        file = self._encoded(pixels)
-        notices += [*file.notices, *noise_losses(picture, suffix, "an OUTPUT in .png keeps all")]
-        return self._repainted(file.data, change, notices)
+        file, notices = encoded(
+            self.picture, pixels, self.settings.textures, self._suffix, as_data=self._is_data
+        )
+        notices += noise_losses(self.picture, self._suffix, "an OUTPUT in .png keeps all")
+        return self._repainted(file, change, notices)
 
-    def _encoded(self, pixels: Array) -> ImageFile:
-        wanted, is_data = self.settings.textures, self.settings.space == "data"
-        return encoded(self.picture, pixels, wanted, self._suffix, as_data=is_data)
-
-    def _repainted(self, data: bytes, change: Change, notices: Sequence[str]) -> Repainted:
+    def _repainted(self, file: ImageFile, change: Change, notices: Sequence[str]) -> Repainted:
         suffix = self._suffix or Path(self.picture.name).suffix
-        return Repainted(change, images={("baseColor", ""): ImageFile(data, suffix)}, notices=tuple(notices))
+        image = ImageFile(file.data, suffix)
+        return Repainted(change, images={("baseColor", ""): image}, notices=tuple(notices))

@@ -23,7 +23,7 @@ from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, write_image
+from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
@@ -297,10 +297,22 @@ def store(
 
 def encoded(
     picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
-) -> ImageFile:
-    """Write new pixels as a file like a picture's own, or in another format."""
+) -> tuple[ImageFile, list[str]]:
+    """Write new pixels as a file like a picture's own, or in another format; return also what users should know."""
     quality, small = wanted.jpeg_quality, wanted.small
-    return write_image(picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
+    file = write_image(picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
+    is_chosen = suffix is not None
+    lost = losses(picture, suffix) if suffix is not None else ()
+    return dataclasses.replace(file, is_chosen=is_chosen), [*picture.notices, *file.notices, *lost]
+
+
+def rewritten(
+    picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
+) -> tuple[ImageFile, list[str]]:
+    """Do so only if a pixel or the format changed; otherwise the file is the picture's own."""
+    if suffix is None and is_unchanged(picture, pixels):
+        return ImageFile(picture.source, picture.suffix), []
+    return encoded(picture, pixels, wanted, suffix, as_data=as_data)
 
 
 def options_of_meshes(settings: SmoothSettings) -> dict[str, bool]:

@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, check_writable, is_unchanged, losses, read_image
+from beltrami_cli.formats.image import Picture, check_writable, read_image
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples import samples
@@ -86,6 +86,7 @@ class TexelSamples(samples.Samples):
 
             known = self.surface, self.pictures, self.atlas, settings
             self._guides = GuidedTexels(guided[0], *known, guided[1]).guides()
+        self._is_data = slot not in COLOUR_SLOTS
         self._gutter, self._is_smoothed = settings.textures.gutter, True
         self._levelled: Float32s | None = None
         self._is_levelled = self._is_dithered = False
@@ -243,7 +244,7 @@ class TexelSamples(samples.Samples):
         notices = _notices_of(self.atlas) if self._is_smoothed or not is_covered else []
         painter = self._painter(self._gutter)
         del self.atlas  # all on the canvas but the colours, before pictures as large are made
-        suffix, changes = self.settings.textures.image_suffix, []
+        wanted, changes = self.settings.textures, []
         images: dict[tuple[Slot, str], ImageFile] = {}
         for index in self._written():
             texture, picture = self.surface.textures[index], self.pictures[index]
@@ -252,16 +253,13 @@ class TexelSamples(samples.Samples):
             large_arrays.leave_memory()
             columns = self.colours.columns(index)
             pixels, slots = self._shared.join(self.slot, texture.key, pixels, columns)
-            if suffix is None and is_unchanged(picture, pixels):
-                file = ImageFile(picture.source, picture.suffix)
-            else:
-                file = self._encoded(picture, pixels)
-                notices += [*picture.notices, *file.notices]
+            file, said = samples.rewritten(
+                picture, pixels, wanted, wanted.image_suffix, as_data=self._is_data
+            )
+            notices += said
             if self._group is not None and texture.is_read_anew:
                 file = dataclasses.replace(file, content=large_arrays.kept(file.data))
             images |= {(each, texture.key): file for each in slots}
-            if suffix is not None:
-                notices += losses(picture, suffix)
         return samples.Repainted(samples.Change.joined(changes), images=images, notices=tuple(notices))
 
     def painted(self, index: int, new: NewColours) -> Array:
@@ -308,14 +306,14 @@ class TexelSamples(samples.Samples):
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
         new = NewColours.of(added, atlas.owned_texels, atlas.gutter_texels, beyond)
         painter, limits = self._painter(self.settings.textures.gutter), grains.limits
-        suffix, notices = self.settings.textures.image_suffix, list[str]()
+        wanted, notices = self.settings.textures, list[str]()
         images: dict[tuple[Slot, str], ImageFile] = {}
         for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
-            file = self._encoded(picture, painter.shift(index, new, limits))
+            pixels = painter.shift(index, new, limits)
+            file, said = samples.encoded(picture, pixels, wanted, wanted.image_suffix, as_data=self._is_data)
             images[self.slot, texture.key] = file
-            notices += [*picture.notices, *file.notices]
-            notices += losses(picture, suffix) if suffix is not None else ()
-            notices += noise_losses(picture, suffix, "--texture-format png keeps all")
+            notices += said
+            notices += noise_losses(picture, wanted.image_suffix, "--texture-format png keeps all")
         if not len(added):
             notices.append("no visible texel is covered by the surface, so its textures stay as they are")
         return samples.Repainted(samples.Change(), images=images, notices=tuple(notices))
@@ -324,11 +322,6 @@ class TexelSamples(samples.Samples):
         threads = self.settings.kernel.thread_count
         offsets = self.atlas.texture_offsets
         return Repainting(self.pictures, self.colours, offsets, gutter, threads, self._is_dithered)
-
-    def _encoded(self, picture: Picture, pixels: Array) -> ImageFile:
-        wanted, is_data = self.settings.textures, self.slot not in COLOUR_SLOTS
-        file = samples.encoded(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
-        return dataclasses.replace(file, is_chosen=wanted.image_suffix is not None)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:
