@@ -101,8 +101,7 @@ def do_item(
     start = time.monotonic()
     try:
         with limited_memory(memory if is_alone else None, item.source):
-            at_urls = is_url(item.source) or is_url(item.target)
-            done = (_done_at_urls if at_urls else _done)(item, memory, progress)
+            done = _done(item, memory, progress)
         return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
         # Whatever refuses a file for want of memory names the option as the way out.
@@ -119,17 +118,6 @@ def do_item(
 
 
 def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
-    read: dict[str, str] = {}
-
-    def note(path: Path, data: bytes) -> None:
-        read[str(path.absolute())] = hashlib.sha256(data).hexdigest()
-
-    report = _made(item, Access(outside=item.outside, memory=memory, note=note), progress)
-    written = _hashes(item.target, report.written[1:])
-    return outcome_of(item, "done", read=read, written=written, report=dataclasses.asdict(report))
-
-
-def _done_at_urls(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
     to_url = is_url(item.target)
     with staged(item.source, item.target) as stage:
         copy = dataclasses.replace(

@@ -136,9 +136,10 @@ def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:
 
 
 class Stage:
-    """Copies, in `folder`, of the files of an item whose source, target or both are URLs.
+    """The files of an item on this machine: those whose source or target is a URL as copies in `folder`.
 
-    `source` and `target` are the names of the copies. `read` has the SHA-256 of what was read, by its original name.
+    `source` and `target` are the names of these, or their own. `read` has the SHA-256 of what was read, by its original
+    name.
     """
 
     def __init__(self, source: str, target: str, folder: Path) -> None:
@@ -148,8 +149,8 @@ class Stage:
         self._inside = folder / "in"
         # What lies in one folder stays in one, so that files beside a model are left alone or copied as they would be.
         self._outside = self._inside if self._from == self._to else folder / "out"
-        for each in (self._inside, self._outside):
-            each.mkdir(exist_ok=True)
+        if is_url(target):
+            self._outside.mkdir()
         self.source = str(self._inside / source_name) if is_url(source) else source
         self.target = str(self._outside / target_name) if is_url(target) else target
         self.read: dict[str, str] = {}
@@ -194,7 +195,7 @@ class Stage:
         return f"{self._from}/{path.relative_to(self._inside).as_posix()}"
 
     def _note(self, path: Path, data: bytes) -> None:
-        is_copy = path.is_relative_to(self._inside) and is_url(self._original_source)
+        is_copy = is_url(self._original_source) and path.is_relative_to(self._inside)
         name = self._url_of(path) if is_copy else str(path.absolute())
         self.read[name] = hashlib.sha256(data).hexdigest()
 
@@ -202,7 +203,12 @@ class Stage:
 @contextlib.contextmanager
 def staged(source: str, target: str) -> Iterator[Stage]:
     """Download the source, if it is a URL, and remove all copies in the end."""
-    with tempfile.TemporaryDirectory(prefix="beltrami-") as name:
+    has_copies = is_url(source) or is_url(target)
+    with (
+        tempfile.TemporaryDirectory(prefix="beltrami-")
+        if has_copies
+        else contextlib.nullcontext(os.devnull) as name
+    ):
         stage = Stage(source, target, Path(name).resolve())
         if is_url(source):
             stage.bring(Path(stage.source))
