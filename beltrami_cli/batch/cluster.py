@@ -7,7 +7,6 @@ import dataclasses
 import logging
 import queue
 import socket
-import time
 import uuid
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -22,6 +21,7 @@ from beltrami_cli.errors import ProcessingError
 from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import is_file
 from beltrami_cli.formats.data_text import CONFIGURATION, parse_json, read_bounded
+from beltrami_cli.jobs.job import at_intervals
 
 LOST = "the connection to the scheduler was lost"
 _PATIENCE = 15.0  # seconds for a scheduler to answer
@@ -176,7 +176,7 @@ def _portable(item: Item) -> Item:
 
 
 # ---- on a worker
-class _Cancelled(BaseException):
+class Cancelled(BaseException):
     """The result is no longer wanted."""
 
 
@@ -199,21 +199,17 @@ def _do_on_worker(item: Item, memory: int | None, topic: str, key: int, client_v
     limit = worker.memory_manager.memory_limit
     if memory is None and limit:
         memory = limit // worker.state.nthreads
-    last, task = 0.0, worker.get_current_task()
+    task = worker.get_current_task()
 
     def progress(label: str, done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last < _PAUSE:
-            return
-        last = time.monotonic()
         state = worker.state.tasks.get(task)
         if state is None or state.state == "cancelled":
-            raise _Cancelled
+            raise Cancelled
         worker.log_event(topic, [key, label, done, total])
 
     own = dataclasses.replace(item, again=item.again or again)
     # Threads share the memory of a process, which can then not be limited for one of them.
     try:
-        return do_item(own, memory, progress, is_alone=worker.state.nthreads == 1)
-    except _Cancelled:
+        return do_item(own, memory, at_intervals(_PAUSE, progress), is_alone=worker.state.nthreads == 1)
+    except Cancelled:
         return Attempt(failed(item, f"{item.source}: given up", 1))

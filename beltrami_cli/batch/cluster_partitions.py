@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
 from beltrami_cli.arrays import Float32s, Int64s
-from beltrami_cli.batch.cluster import LOST
+from beltrami_cli.batch.cluster import LOST, Cancelled
 from beltrami_cli.batch.item import Attempt, Item, do_item
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.beltrami_flow import in_partitions
@@ -29,16 +28,13 @@ from beltrami_cli.flow.partitions import (
     joined,
     plan_transfers,
 )
+from beltrami_cli.jobs.job import at_intervals
 
 Progress = Callable[[int, int], None] | None
 
 _TRIES = 5  # of a surface, after workers died
 _PAUSE = 0.1  # seconds between two messages on progress
 _GRACE = 5.0  # seconds that a file has to end when it is given up
-
-
-class _Cancelled(BaseException):
-    """The result is no longer wanted."""
 
 
 class PartitionExecutor:
@@ -85,20 +81,17 @@ class PartitionExecutor:
         yield key, event
 
     def _do(self, key: int, item: Item) -> None:
-        last = 0.0
+        tell = at_intervals(_PAUSE, lambda *event: self._events.put((key, event)))
 
         def progress(label: str, done: int, total: int) -> None:
-            nonlocal last
             if self._ended.is_set():
-                raise _Cancelled
-            if time.monotonic() - last >= _PAUSE:
-                last = time.monotonic()
-                self._events.put((key, (label, done, total)))
+                raise Cancelled
+            tell(label, done, total)
 
         try:
             with in_partitions(self._count, self._runner):
                 self._events.put((key, do_item(item, self._memory, progress, is_alone=False)))
-        except _Cancelled:
+        except Cancelled:
             pass
 
 

@@ -26,6 +26,7 @@ from beltrami_cli.batch.record import Record, is_done, is_ours
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.errors import OutputError
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.job import at_intervals
 
 _GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
 _PAUSE = 0.1  # seconds between two messages on progress
@@ -285,14 +286,7 @@ def _work(pipe: Connection[Any, Any]) -> None:
     """Be a worker: do what comes through the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
     signal.signal(signal.SIGTERM, _end)
-    last = 0.0
-
-    def progress(label: str, done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _PAUSE:
-            last = time.monotonic()
-            _send(pipe, (label, done, total))
-
+    progress = at_intervals(_PAUSE, lambda *event: _send(pipe, event))
     with contextlib.suppress(EOFError, ConnectionError, _Stopped):
         while True:
             item, memory = pipe.recv()

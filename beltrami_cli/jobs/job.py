@@ -37,6 +37,19 @@ def tracked(items: Sequence[Item], label: str, progress: Progress | None) -> Ite
         progress(label, len(items), len(items))
 
 
+def at_intervals(seconds: float, progress: Progress) -> Progress:
+    """Return a progress that drops what comes less than some seconds after what it passed on last."""
+    last = 0.0
+
+    def update(label: str, done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= seconds:
+            last = time.monotonic()
+            progress(label, done, total)
+
+    return update
+
+
 @dataclass(frozen=True)
 class Job:
     """How a job is done, besides its parameters.

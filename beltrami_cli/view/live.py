@@ -25,7 +25,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.job import Job, at_intervals
 from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, make_report
@@ -51,6 +51,7 @@ _WAIT = 0.5  # seconds after a preview in which the whole is not begun, since an
 _WANTED = 0.1  # seconds that a preview may take, beside sending and drawing it
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
 _LEAST, _MOST = 2_000, 400_000  # samples of a preview
+_PAUSE = 0.1  # seconds between two messages on progress
 _PATIENCE = 1.0  # seconds in which work ends
 _REACH = 32  # 255ths that are shown brightest first
 
@@ -281,21 +282,24 @@ class Live:
 
     def _smooth(self, page: _Page, request: _Page) -> dict[str, Any]:
         """Smooth the whole as `smooth` does."""
-        settings, last = request.settings, [0.0]
+        settings = request.settings
         assert settings is not None
         event = {"kind": "progress", "number": request.number}
+
+        def tell(label: str, done: int, total: int) -> None:
+            page.events.put({**event, "label": label, "share": done / max(1, total)})
+
+        at_times = at_intervals(_PAUSE, tell)
 
         def progress(label: str, done: int, total: int) -> None:
             with self._changed:
                 while self._previews and not self._is_over:  # these shall not share the processors
                     self._changed.wait()
             self._check(page, request)
-            if time.monotonic() - last[0] > 0.1:
-                last[0] = time.monotonic()
-                page.events.put({**event, "label": label, "share": done / max(1, total)})
+            at_times(label, done, total)
 
         painter = Smoothing(settings)
-        page.events.put({**event, "label": "choosing parameters", "share": 0})
+        tell("choosing parameters", 0, 1)
         job = dataclasses.replace(self._job, progress=progress)
         result = recolour_in_memory(self._document, settings, painter, job)
         self._check(page, request)
