@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.level import LevelFileReport
     from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.reports import ImageReport, LevelReport, SlotReport, VertexReport
+    from beltrami_cli.samples.reports import LevelReport, SamplesReport
     from beltrami_cli.view.render import Preview
-
-    Done = VertexReport | ImageReport | SlotReport
 
 Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
 
@@ -238,7 +236,7 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
 
 
-def _show_done(messages: Messages, what: str, done: Done, samples: float) -> None:
+def _show_done(messages: Messages, what: str, done: SamplesReport, samples: float) -> None:
     strongest = 255 * max(done.noise.values(), default=0)
     noise = f"{what}, noise {strongest:.1f}/255"
     if not done.iterations:

@@ -98,8 +98,6 @@ class PaintedSamples(Samples):
                 "truncated_kernels": result.truncated,
             },
             spacing=result.spacing,
-            change={},
-            geometry=None,
             **self._used(flow, result),
         )
 

@@ -302,7 +302,6 @@ class PixelSamples(Samples):
             image=self.facts(),
             pitch=result.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            change={},
             **self._used(flow, result),
         )
 

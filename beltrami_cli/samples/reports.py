@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 
-@dataclass(frozen=True)
-class VertexReport:
-    """What was done to vertex colours.
+@dataclass(frozen=True, kw_only=True)
+class SamplesReport:
+    """What was done to samples of any kind.
 
     Attributes
     ----------
-    counts : dict
-        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
-        faces the triangles are those around each, and there are "outliers": points in none of them, left as they are.
-    spacing : float
-        Mean sample spacing, in the file's own unit of length.
     beta : float
         As used.
     iterations : int
@@ -27,12 +21,10 @@ class VertexReport:
         What was found of it: standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they
         differ; of "quiet" and "loud" places, if they do; and "grain", the width in samples of what samples share of it.
     change : dict of str to float
-        Mean, root mean square and largest change of a colour value, full scale 1, as stored.
+        Mean, root mean square and largest change of a value that is smoothed, of texels those that are covered, full
+        scale 1, as stored.
     guides : dict of str to float
         The beta used for each guide, by its name.
-    geometry : dict of str to float, or None
-        If positions were smoothed: the estimated noise of the normals in radians, the beta used for them, and the mean,
-        root mean square and largest distance that a vertex moved, in the file's own unit of length.
     choice : dict or None
         If parameters were chosen from the data: "chosen" with their values, and what is known of the result: its
         estimated "psnr" in dB, the standard "error" of that, the "gain" over the input, and the numbers of "candidates"
@@ -41,22 +33,40 @@ class VertexReport:
         The share of the result that was taken from patches; None if only the kernel was run.
     """
 
-    counts: dict[str, float]
-    spacing: float
     beta: float
     iterations: int
     noise: dict[str, float]
     noise_model: dict[str, float]
-    change: dict[str, float]
+    change: dict[str, float] = field(default_factory=dict)
     guides: dict[str, float]
-    geometry: dict[str, float] | None
-    choice: dict[str, object] | None = None
-    patches: float | None = None
+    choice: dict[str, object] | None
+    patches: float | None
 
 
-@dataclass(frozen=True)
-class SlotReport:
-    """What was done to the textures of a slot.
+@dataclass(frozen=True, kw_only=True)
+class VertexReport(SamplesReport):
+    """What was done to vertex colours, besides what `SamplesReport` says.
+
+    Attributes
+    ----------
+    counts : dict
+        Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
+        faces the triangles are those around each, and there are "outliers": points in none of them, left as they are.
+    spacing : float
+        Mean sample spacing, in the file's own unit of length.
+    geometry : dict of str to float, or None
+        If positions were smoothed: the estimated noise of the normals in radians, the beta used for them, and the mean,
+        root mean square and largest distance that a vertex moved, in the file's own unit of length.
+    """
+
+    counts: dict[str, float]
+    spacing: float
+    geometry: dict[str, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlotReport(SamplesReport):
+    """What was done to the textures of a slot, besides what `SamplesReport` says.
 
     Attributes
     ----------
@@ -71,31 +81,18 @@ class SlotReport:
         Mean distance of neighbouring texels on the surface, in the model's own unit of length.
     samples_per_kernel : float
         Mean number of samples that a kernel held.
-    change : dict of str to float
-        Mean, root mean square and largest change of a covered texel's value, in the channels that change, full scale 1,
-        as stored.
-    beta, iterations, noise, noise_model, guides, choice, patches
-        As for `VertexReport`.
     """
 
     slot: str
     textures: list[dict[str, object]]
     counts: dict[str, int]
     pitch: float
-    beta: float
-    iterations: int
-    noise: dict[str, float]
-    noise_model: dict[str, float]
     samples_per_kernel: float
-    guides: dict[str, float] = field(default_factory=dict)
-    change: dict[str, float] = field(default_factory=dict)
-    choice: dict[str, object] | None = None
-    patches: float | None = None
 
 
-@dataclass(frozen=True)
-class ImageReport:
-    """What was done to an image.
+@dataclass(frozen=True, kw_only=True)
+class ImageReport(SamplesReport):
+    """What was done to an image, besides what `SamplesReport` says.
 
     Attributes
     ----------
@@ -106,23 +103,11 @@ class ImageReport:
         Mean distance of neighbouring pixels on the surface, in its own unit of length.
     samples_per_kernel : float
         Mean number of pixels that a kernel held.
-    change : dict of str to float
-        Mean, root mean square and largest change of a smoothed value, full scale 1, as stored.
-    beta, iterations, noise, noise_model, guides, choice, patches
-        As for `VertexReport`.
     """
 
     image: dict[str, object]
     pitch: float
-    beta: float
-    iterations: int
-    noise: dict[str, float]
-    noise_model: dict[str, float]
     samples_per_kernel: float
-    guides: dict[str, float]
-    change: dict[str, float]
-    choice: dict[str, object] | None = None
-    patches: float | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +133,7 @@ class LevelReport:
     reason : str
         Why not, if they were not.
     change : dict of str to float
-        As for `SlotReport`.
+        As for `SamplesReport`.
     exposures : list of dict
         For each chart with seams its number, its texture and place there (the column and row of its centre), its
         texels, and the gain and offset per channel that it was exposed with, in the working space.
@@ -167,6 +152,3 @@ class LevelReport:
     reason: str
     change: dict[str, float] = field(default_factory=dict)
     exposures: list[dict[str, object]] = field(default_factory=list)
-
-
-SamplesReport: TypeAlias = VertexReport | SlotReport | ImageReport
