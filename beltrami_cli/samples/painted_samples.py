@@ -44,7 +44,10 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
 
 
 class PaintedSamples(Samples):
-    """The common part of vertices on a mesh and on a grid; `guides` and deviations of `noise` have a row a vertex."""
+    """The common part of vertices on a mesh and on a grid.
+
+    `guides` and deviations of `noise` have a row a vertex. `in_triangles`: vertices in none have no colour.
+    """
 
     part: ClassVar[Part] = "vertices"
 
@@ -54,9 +57,11 @@ class PaintedSamples(Samples):
         settings: SmoothSettings,
         guides: Sequence[Guide] = (),
         noise: Float32s | None = None,
+        *,
+        in_triangles: bool = False,
     ) -> None:
         self.painted, self.settings, self.guides = painted, settings, tuple(guides)
-        self._noise = noise
+        self._noise, self._in_triangles = noise, in_triangles
         self.channels = columns_of(painted, settings)
         self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
 
@@ -77,7 +82,7 @@ class PaintedSamples(Samples):
 
     def coloured(self) -> NDArray[np.intp]:
         """Return the vertices that have a position and a colour."""
-        return coloured_rows(self.painted)
+        return coloured_rows(self.painted, in_triangles=self._in_triangles)
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
         painted, channels, rows = self.painted, self.channels.changing, self.coloured()

@@ -136,7 +136,7 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.samples.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.samples.range_samples import RangeSamples
-    from beltrami_cli.samples.vertex_samples import LevelSetSamples, VertexSamples
+    from beltrami_cli.samples.vertex_samples import VertexSamples
     from beltrami_cli.samples.voxels import LevelSetDocument
 
     painted, grid = document.painted(), document.grid()
@@ -144,8 +144,8 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
     noise = noise_of_vertices(settings.kernel, document, access)
     if grid is not None:
         return RangeSamples(painted, grid, settings, guides, noise)
-    kind = LevelSetSamples if isinstance(document, LevelSetDocument) else VertexSamples
-    return kind(painted, settings, guides, noise)
+    is_level_set = isinstance(document, LevelSetDocument)
+    return VertexSamples(painted, settings, guides, noise, in_triangles=is_level_set)
 
 
 def coloured_vertices(document: Document) -> NDArray[np.intp]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
@@ -20,7 +19,7 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
-from beltrami_cli.samples.painted_samples import PaintedSamples, coloured_rows, describe_colours
+from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
 from beltrami_cli.samples.probes.probe import Probe, VertexProbe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, VertexReport
 from beltrami_cli.samples.samples import Repainted, describe_kernel
@@ -190,13 +189,6 @@ class VertexSamples(PaintedSamples):
             remedy = "lower t, or raise --max-samples"
             found.append(f"{result.truncated} kernels were cut short at {limit} samples; {remedy}")
         return found
-
-
-class LevelSetSamples(VertexSamples):
-    """Vertices of a triangulated level set: those without a colour are in no triangle."""
-
-    def coloured(self) -> NDArray[np.intp]:
-        return coloured_rows(self.painted, in_triangles=True)
 
 
 def require_surface(painted: PaintedVertices, name: str) -> None:
