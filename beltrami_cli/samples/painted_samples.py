@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -127,12 +128,25 @@ def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> ND
     return np.flatnonzero(valid)
 
 
+def only_rows(
+    painted: PaintedVertices, rows: NDArray[np.integer[Any]], faces: Int32s | None = None
+) -> PaintedVertices:
+    """Return some of the vertices, with triangles of these, or none."""
+    return dataclasses.replace(
+        painted,
+        positions=painted.positions[rows],
+        faces=np.empty((0, 3), np.int32) if faces is None else faces,
+        colours=painted.colours[rows],
+        space_of=None if painted.space_of is None else painted.space_of[rows],
+    )
+
+
 def spacing_of(painted: PaintedVertices, rows: NDArray[np.intp], place_of: Int32s) -> Float64s:
     """Return the mean length of the sides at each vertex's place, or of points the distance to the next place."""
     count = int(place_of.max(initial=-1)) + 1
     first = np.zeros(count, np.int64)
     first[place_of] = np.arange(len(rows))
-    places = painted.positions[rows][first]
+    places = painted.positions[rows[first]]
     if not len(painted.faces) and count > 1:
         from scipy.spatial import cKDTree
 

@@ -19,7 +19,7 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.levelled_charts import level_report
-from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
+from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours, only_rows
 from beltrami_cli.samples.probes.probe import Probe, VertexProbe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, VertexReport
 from beltrami_cli.samples.samples import Repainted, describe_kernel
@@ -220,14 +220,8 @@ def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedV
     measured = np.asarray(np.isfinite(painted.positions).all(axis=1))
     if measured.all():
         return dataclasses.replace(painted, faces=faces_of_points(painted, settings.kernel.thread_count))
-    spaces = painted.space_of
-    there = dataclasses.replace(
-        painted,
-        positions=painted.positions[measured],
-        colours=painted.colours[measured],
-        space_of=None if spaces is None else spaces[measured],
-    )
     rows = np.flatnonzero(measured).astype(np.int32)
+    there = only_rows(painted, rows)
     middle = there.positions.mean(axis=0) if len(rows) else np.zeros(painted.positions.shape[1])
     return dataclasses.replace(
         painted,

@@ -18,7 +18,7 @@ from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.guides import vertex_guides
-from beltrami_cli.samples.painted_samples import PaintedSamples
+from beltrami_cli.samples.painted_samples import PaintedSamples, only_rows
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.range_samples import RangeSamples
 from beltrami_cli.samples.settings import EmbeddingSettings, SmoothSettings
@@ -168,10 +168,7 @@ class Previewer:
         order = self._around(focus)[: budget * (2 if is_mesh else 1)]
         rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
         faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
-        part = dataclasses.replace(
-            painted, positions=painted.positions[rows], faces=faces.astype(np.int32),
-            colours=painted.colours[rows], space_of=None if painted.space_of is None else painted.space_of[rows],
-        )  # fmt: skip
+        part = only_rows(painted, rows, faces.astype(np.int32))
         known = self._vertex_guides(settings)
         guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in known]
         return [_smoothed(VertexSamples(part, settings, guides), part, rows, np.arange(len(rows)), progress)]

@@ -17,6 +17,7 @@ from beltrami_cli.flow.parameters import Space, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument, Picture, read_image
+from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
     SeamJumps,
@@ -26,7 +27,7 @@ from beltrami_cli.jobs.compare.figures import (
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.painted_samples import columns_of
+from beltrami_cli.samples.painted_samples import columns_of, only_rows
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.settings import SmoothSettings
@@ -120,14 +121,11 @@ def compare_vertices(
     )  # fmt: skip
 
 
-def _opacity(picture: Picture) -> NDArray[np.floating] | None:
-    if picture.alpha is None:
-        return None
-    values = picture.pixels[..., picture.alpha]
-    return values / np.iinfo(values.dtype).max if values.dtype.kind == "u" else values
+def _opacity(picture: Picture) -> Float32s | None:
+    return None if picture.alpha is None else full_scale_one(picture.pixels[..., picture.alpha])
 
 
-def _differ(one: NDArray[np.floating] | None, other: NDArray[np.floating] | None) -> bool:
+def _differ(one: Float32s | None, other: Float32s | None) -> bool:
     """Whether two opacities differ by more than rounding; None: all is opaque."""
     difference = np.asarray(1.0 if one is None else one) - (1.0 if other is None else other)
     return bool(np.abs(difference).max(initial=0) > _STEP)
@@ -137,11 +135,7 @@ def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSet
     """Return the area that each vertex stands for; of points, on the surface that they lie on."""
     if len(painted.faces):
         return vertex_areas(painted.positions, painted.faces)[rows].astype(np.float64)
-    known = dataclasses.replace(
-        painted, positions=painted.positions[rows], colours=painted.colours[rows],
-        space_of=None if painted.space_of is None else painted.space_of[rows],
-    )  # fmt: skip
-    surface = with_surface(known, settings)
+    surface = with_surface(only_rows(painted, rows), settings)
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
