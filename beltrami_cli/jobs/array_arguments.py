@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.samples.image_surface import ImageSurface
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import Encoding, PaintedVertices, check_scale
@@ -19,9 +20,14 @@ _ARRAYS = "the arrays"  # as messages call them
 
 
 def settings_for(
-    parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], overrides: dict[str, Any]
-) -> SmoothSettings:
-    """Return the parameters with overrides; the channels of the metric by their names, and the guide by one."""
+    parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], shape: tuple[int, ...],
+    overrides: dict[str, Any],
+) -> tuple[SmoothSettings, list[Guide], Float32s | None]:  # fmt: skip
+    """Return the parameters with overrides, the channels of the metric by their names; guides; and deviations of noise.
+
+    The latter have a row a vertex or pixel, of which there are as many as `shape` says.
+    """
+    noise = _deviations_in(overrides, shape)
     wanted = overrides.get("metric_channels")
     if wanted is not None:
         overrides["metric_channels"] = tuple(_channel(each, channels) for each in wanted)
@@ -30,11 +36,14 @@ def settings_for(
     settings = override(parameters, **overrides)
     if settings.space == "oklab" and len(channels) != 3:
         raise UsageError("the space oklab needs three channels")
-    return settings
+    if guide is None:
+        return settings, [], noise
+    (_, beta), *_ = settings.embedding.weighted_guides
+    return settings, [Guide("guide", centred(guide_table(guide, shape)), beta)], noise
 
 
-def deviations_in(overrides: dict[str, Any], shape: tuple[int, ...]) -> Float32s | None:
-    """Take the noise out of overrides if it is an array of standard deviations, with a row a vertex or pixel."""
+def _deviations_in(overrides: dict[str, Any], shape: tuple[int, ...]) -> Float32s | None:
+    """Take the noise out of overrides if it is an array of standard deviations."""
     if overrides.get("noise") is None or isinstance(overrides["noise"], str):
         return None
     table = guide_table(overrides.pop("noise"), shape, "noise")

@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.embedding import Guide, centred, from_space, to_space
+from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.jobs.array_arguments import (
     checked_surface,
-    deviations_in,
-    guide_table,
     painted_arrays,
     pixel_colours,
     require_encoding,
@@ -24,7 +22,7 @@ from beltrami_cli.jobs.array_arguments import (
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.vertex_samples import CloudCounts, VertexSamples, count_cloud
-from beltrami_cli.surface.records import Encoding, PaintedVertices
+from beltrami_cli.surface.records import Encoding
 
 Progress = Callable[[int, int], None]
 
@@ -184,9 +182,11 @@ def smooth(
        doi:10.1073/pnas.95.15.8431
     """
     painted = painted_arrays(positions, faces, colours, encoding)
-    noise = deviations_in(overrides, (len(painted.positions),))
-    settings = settings_for(parameters, guide, painted.channels, overrides)
-    samples = _vertex_samples(painted, settings, guide, noise, is_cloud=faces is None)
+    shape = (len(painted.positions),)
+    settings, guides, noise = settings_for(parameters, guide, painted.channels, shape, overrides)
+    _check_dimensions(painted.positions.shape[1], settings, is_cloud=faces is None)
+    samples = VertexSamples(painted, settings, guides, noise)
+    samples.is_cloud = faces is None
     flow = samples.flow()
     result = flow.run(progress)
     report, moving = samples.report(flow, result), flow.manifold.moving
@@ -257,13 +257,8 @@ def smooth_image(
     """
     table, shape = pixel_colours(colours)
     channels = tuple(map(str, range(table.shape[1])))
-    noise = deviations_in(overrides, shape)
-    settings = settings_for(parameters, guide, channels, overrides)
+    settings, guides, noise = settings_for(parameters, guide, channels, shape, overrides)
     require_encoding(encoding)
-    guides = []
-    if guide is not None:
-        (_, beta), *_ = settings.embedding.weighted_guides
-        guides = [Guide("guide", centred(guide_table(guide, shape)), beta)]
     metric = settings.embedding.metric_channels
 
     def working(pixels: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -286,20 +281,9 @@ def smooth_image(
     )  # fmt: skip
 
 
-def _vertex_samples(
-    painted: PaintedVertices, settings: SmoothSettings, guide: ArrayLike | None, noise: NDArray[np.float32] | None,
-    *, is_cloud: bool,
-) -> VertexSamples:  # fmt: skip
-    """Return the samples of vertices; UsageError if their positions have too many dimensions."""
-    dimensions = painted.positions.shape[1]
+def _check_dimensions(dimensions: int, settings: SmoothSettings, *, is_cloud: bool) -> None:
+    """Raise UsageError if positions of vertices have too many dimensions."""
     if settings.embedding.smooth_geometry and dimensions != 3:
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
     if is_cloud and dimensions > 3:
         raise UsageError(f"positions in {dimensions} dimensions need faces")
-    guides = []
-    if guide is not None:
-        (_, beta), *_ = settings.embedding.weighted_guides
-        guides = [Guide("guide", centred(guide_table(guide, (len(painted.positions),))), beta)]
-    samples = VertexSamples(painted, settings, guides, noise)
-    samples.is_cloud = is_cloud
-    return samples
