@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import click
 
@@ -10,11 +11,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.smooth import besides, show_levelled, written
-from beltrami_cli.jobs.job import Job
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
-
-if TYPE_CHECKING:
-    from beltrami_cli.jobs.level import LevelFileReport
 
 EPILOG = """\b
 Examples:
@@ -60,9 +57,7 @@ def command(source: str, target: str, messages: Messages, **values: Any) -> None
     settings = options.record_from(SmoothSettings, values)
     from beltrami_cli.jobs.level import level_file
 
-    def carry_out(job: Job) -> LevelFileReport:
-        return level_file(source, target, wanted, settings, job)
-
+    carry_out = partial(level_file, source, target, wanted, settings)
     report = written(values, (source, target), settings, messages, carry_out)
     messages.warn_of(source, report.warnings)
     unwritten = "not written (dry run), " if values["dry_run"] else ""

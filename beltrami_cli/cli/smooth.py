@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -177,9 +178,7 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
     unwrap = options.unwrapping_from(smoothing)
     from beltrami_cli.jobs.smooth import smooth_file
 
-    def carry_out(job: Job) -> SmoothReport:
-        return smooth_file(source, target, settings, unwrap=unwrap, job=job)
-
+    carry_out = partial(smooth_file, source, target, settings, unwrap=unwrap)
     report = written(smoothing, (source, target), settings, messages, carry_out)
     show_levelled(messages, report.levelled, f"{report.output}: ")
     if settings.kernel.iterations:
