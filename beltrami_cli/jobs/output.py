@@ -180,10 +180,9 @@ class Output:
 
 
 @dataclass(frozen=True)
-class _Staged:
-    """A file that is written aside, the output that it belongs to, and the name that the user knows it by."""
+class _Staged(replacing.Aside):
+    """Also the output that a file belongs to, and the name that the user knows it by."""
 
-    aside: replacing.Aside
     output: Output
     name: str
 
@@ -235,7 +234,7 @@ class FileSet:
     def with_staged(self, access: Access) -> Access:
         """Return what may be read, with the files that are written aside as if they were in place."""
         instead = {
-            Path(os.path.realpath(path.parent), path.name): staged.aside.temporary
+            Path(os.path.realpath(path.parent), path.name): staged.temporary
             for path, staged in self._staged.items()
         }
         return dataclasses.replace(access, note=None, instead=instead)
@@ -260,30 +259,29 @@ class FileSet:
         with replacing.endings_held() as deliver:
             for path, pieces in files.items():
                 temporary, may_replace = replacing.temporary_beside(path), output.overwrite and path in own
-                aside = replacing.Aside(temporary, path, overwrite=may_replace)
+                staged = _Staged(temporary, path, may_replace, output, names[path])
                 try:
                     replacing.make_folder(path.parent, self._cleaning)
-                    self._cleaning.callback(aside.temporary.unlink, missing_ok=True)
-                    replacing.write_aside(aside, pieces, deliver)
+                    self._cleaning.callback(temporary.unlink, missing_ok=True)
+                    replacing.write_aside(staged, pieces, deliver)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
                 leave_memory()
-                self._staged[path] = _Staged(aside, output, names[path])
+                self._staged[path] = staged
 
     def keep_equal(self) -> None:
         """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
         for path, staged in list(self._staged.items()):
             try:
                 if path.exists():
-                    if not filecmp.cmp(path, staged.aside.temporary, shallow=False):
+                    if not filecmp.cmp(path, staged.temporary, shallow=False):
                         raise _existing(staged.name)
-                    staged.aside.temporary.unlink()
+                    staged.temporary.unlink()
                     del self._staged[path]
                     continue
             except OSError as error:
                 raise _unwritable(staged.name, error) from error
-            aside = dataclasses.replace(staged.aside, overwrite=False)
-            self._staged[path] = dataclasses.replace(staged, aside=aside)
+            self._staged[path] = dataclasses.replace(staged, overwrite=False)
 
     def put_in_place(self) -> None:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
@@ -293,9 +291,9 @@ class FileSet:
             staged = sorted(self._staged.values(), key=_rank)
             try:
                 with replacing.folders_locked((path.parent for path in self._staged), deliver):
-                    replacing.put_together([each.aside for each in staged])
+                    replacing.put_together(staged)
             except OSError as error:
-                blamed = next((each.name for each in staged if str(each.aside.path) == error.filename), "")
+                blamed = next((each.name for each in staged if str(each.path) == error.filename), "")
                 if isinstance(error, FileExistsError):
                     raise _existing(blamed) from error
                 raise _unwritable(blamed or staged[-1].name, error) from error
@@ -307,7 +305,7 @@ class FileSet:
 def _rank(staged: _Staged) -> tuple[bool, bool, str]:
     """Put files that others name before those that name them, and OUTPUT last; otherwise alike in every run."""
     is_main = staged.name == staged.output.target
-    return is_main, staged.output.is_result, str(staged.aside.path)
+    return is_main, staged.output.is_result, str(staged.path)
 
 
 def _collision(output: Output, name: str, other: str) -> OutputError:
