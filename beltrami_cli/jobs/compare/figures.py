@@ -113,7 +113,7 @@ def figures(parts: Sequence[ComparedColours]) -> dict[str, object]:
         "samples": len(weights),
         "psnr": psnr(squares, weights),
         "ssim": sum(value * weight for value, weight in structured) / total if total else None,
-        "delta_e": _delta_e([part for part in parts if part.delta_e is not None]),
+        "delta_e": _delta_e([(part.delta_e, part.weights) for part in parts if part.delta_e is not None]),
         "worst": max(worst, key=lambda found: float(str(found["error"])), default=None),
         "near_seams": _near_seams(parts),
         "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
@@ -127,12 +127,11 @@ def psnr(squares: Float64s, weights: Float64s) -> float | None:
     return -10 * math.log10(mean) if mean > 0 else None
 
 
-def _delta_e(parts: Sequence[ComparedColours]) -> dict[str, float] | None:
-    values = [part.delta_e for part in parts if part.delta_e is not None]
-    weights = np.concatenate([part.weights for part in parts]) if values else np.zeros(0)
+def _delta_e(looks: Sequence[tuple[Float64s, Float64s]]) -> dict[str, float] | None:
+    """Sum up differences and what they count."""
+    every, weights = (np.concatenate([np.zeros(0), *(pair[k] for pair in looks)]) for k in (0, 1))
     if not weights.sum() > 0:
         return None
-    every = np.concatenate(values)
     order = np.argsort(every)
     share = np.cumsum(weights[order]) / weights.sum()
     at = min(int(np.searchsorted(share, 0.95)), len(every) - 1)
