@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 from collections.abc import Iterator, Mapping, Sequence
+from string import Template
 from typing import Any
 
 from beltrami_cli.errors import UsageError
@@ -19,6 +20,7 @@ _CHOICES = ("strength", "patches")
 _TEXTS = ("noise",)
 _SLIDERS = {"iterations": (1, 20, 1), "t": (0.5, 10, 0.1), "beta": (0, 40, 0.5), "window": (3, 31, 2)}
 _NAMES = (*_CHOICES, *_TEXTS, *_SLIDERS)
+_NAMED = 'id="$name" name="$name" aria-describedby="about-$name"'
 
 # Shown of the kernel even where nobody gave or chose them.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
@@ -82,39 +84,33 @@ def controls(layers: Sequence[Slot | None]) -> str:
 def _choice(declared: Parameter) -> str:
     chosen = {declared.default: " selected"}
     options = "".join(f"<option{chosen.get(each, '')}>{each}</option>" for each in declared.choices)
-    return (
-        f'<div class="control"><label for="{declared.name}">{declared.name}</label>'
-        f'<select id="{declared.name}" name="{declared.name}" aria-describedby="about-{declared.name}">'
-        f"{options}</select>{_about(declared)}</div>"
-    )
+    return _control(declared, f"<select {_NAMED}>{options}</select>")
 
 
 def _text(declared: Parameter) -> str:
-    return (
-        f'<div class="control"><label for="{declared.name}">{declared.name}</label>'
-        f'<input type="text" id="{declared.name}" name="{declared.name}" placeholder="{declared.unset}" '
-        f'aria-describedby="about-{declared.name}" autocomplete="off" spellcheck="false">{_about(declared)}</div>'
+    field = (
+        f'<input type="text" {_NAMED} placeholder="{declared.unset}" autocomplete="off" spellcheck="false">'
     )
+    return _control(declared, field)
 
 
 def _slider(declared: Parameter, low: float, high: float, step: float) -> str:
-    name, label = declared.name, {"t": "time step"}.get(declared.name, declared.name)
     auto = (
-        f'<label class="auto"><input type="checkbox" data-auto="{name}" checked>'
-        f'<span>chosen</span><span class="hidden">: {label}</span></label>'
+        '<label class="auto"><input type="checkbox" data-auto="$name" checked>'
+        '<span>chosen</span><span class="hidden">: $label</span></label>'
     )
-    auto = auto if name in TUNABLE else ""
+    auto = auto if declared.name in TUNABLE else ""
     value = declared.default if declared.default is not None else (low + high) / 4
-    return (
-        f'<div class="control"><label for="{name}">{label}</label><output id="{name}-value"></output>{auto}'
-        f'<input type="range" id="{name}" name="{name}" min="{low}" max="{high}" step="{step}" value="{value}" '
-        f'aria-describedby="about-{name}">{_about(declared)}</div>'
-    )
+    field = f'<input type="range" {_NAMED} min="{low}" max="{high}" step="{step}" value="{value}">'
+    return _control(declared, f'<output id="$name-value"></output>{auto}{field}')
 
 
-def _about(declared: Parameter) -> str:
-    first = declared.help.partition(". ")[0].removesuffix(".")
-    return f'<p class="about" id="about-{declared.name}">{html.escape(first)}.</p>'
+def _control(declared: Parameter, field: str) -> str:
+    """Return a field with its label in front and what it is about below it; `$name` and `$label` are filled in."""
+    about = html.escape(declared.help.partition(". ")[0].removesuffix("."))
+    control = f'<label for="$name">$label</label>{field}<p class="about" id="about-$name">{about}.</p>'
+    label = {"t": "time step"}.get(declared.name, declared.name)
+    return f'<div class="control">{Template(control).substitute(name=declared.name, label=label)}</div>'
 
 
 def used_parameters(report: dict[str, Any]) -> str:
