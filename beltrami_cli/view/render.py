@@ -6,7 +6,6 @@ Turntables are GIF by OpenImageIO, WebP by Pillow, or MP4 by PyAV.
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import struct
 from collections.abc import Callable, Sequence
@@ -29,7 +28,7 @@ from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.view.drawing import draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
 from beltrami_cli.view.sheet import distinct_labels
-from beltrami_cli.view.tracing import require_embree
+from beltrami_cli.view.tracing import imported, require_embree
 from beltrami_cli.view.views import open_views, require_memory_to_draw
 
 Frames = Sequence[Uint8s]  # of one size, (H, W, 3), or (H, W, 4) with opacity
@@ -146,15 +145,8 @@ def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
 
 
 def _imported(suffix: str) -> Any:
-    """Return the module that writes a kind of animation; ProcessingError says what to install if it is missing."""
-    module, package = _PACKAGES[suffix]
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise ProcessingError(
-            f"to write turntables as {suffix}, the package {package} is needed; "
-            "install it with: pip install 'beltrami-cli[animation]'"
-        ) from error
+    """Return the module that writes a kind of animation."""
+    return imported(*_PACKAGES[suffix], "animation", f"to write turntables as {suffix}")
 
 
 def _gif(frames: Frames, rate: int) -> bytes:

@@ -83,15 +83,19 @@ class Tracer:
 
 
 def require_embree() -> tuple[Any, Any]:
-    """Import the two modules that cast rays, or raise a ProcessingError that names the extra."""
+    """Import the two modules that cast rays."""
+    about = "embreex", "render", "to draw surfaces"
+    return imported("embreex.rtcore_scene", *about), imported("embreex.mesh_construction", *about)
+
+
+def imported(module: str, package: str, extra: str, purpose: str) -> Any:
+    """Import a module of a package that is not always there; ProcessingError says what to install if it is missing."""
     try:
-        scenes, meshes = map(importlib.import_module, ("embreex.rtcore_scene", "embreex.mesh_construction"))
+        return importlib.import_module(module)
     except ImportError as error:
         raise ProcessingError(
-            "to draw surfaces, the package embreex is needed; "
-            "install it with: pip install 'beltrami-cli[render]'"
+            f"{purpose}, the package {package} is needed; install it with: pip install 'beltrami-cli[{extra}]'"
         ) from error
-    return scenes, meshes
 
 
 class SurfaceView:
