@@ -77,10 +77,7 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
 
 def find_sources(inputs: Iterable[str]) -> list[str]:
     """Return the files that names, folders and globs stand for, each once."""
-    found: dict[str, None] = {}
-    for text in inputs:
-        found |= dict.fromkeys(source for source, _ in _found(text, os.devnull))
-    return list(found)
+    return list(dict.fromkeys(source for text in inputs for source, _ in _found(text, os.devnull)))
 
 
 def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePath:
