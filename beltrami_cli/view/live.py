@@ -47,6 +47,7 @@ from beltrami_cli.view.views import image_files
 Command = Callable[[SmoothSettings, str], str]
 
 _SCRIPTS = (LIBRARY, *VIEWER_SCRIPTS, "live.js")
+_WITH_PATCHES = " with patches"  # a stage of previews, after that of the kernel alone
 _WAIT = 0.5  # seconds after a preview in which the whole is not begun, since another change may follow
 _WANTED = 0.1  # seconds that a preview may take, beside sending and drawing it
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
@@ -89,7 +90,7 @@ class Live:
         select(self._document, settings)  # raises if nothing is coloured
         self._layers = Layers(self._document)
         self._previewers: dict[int, Previewer] = {}
-        self._rates = {False: _FIRST_RATE, True: _FIRST_RATE / 5}  # without and with patches
+        self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}
         self._pages: dict[str, _Page] = {}
         self._changed, self._is_over, self._previews = threading.Condition(), False, 0
         self._saving = threading.Lock()
@@ -243,28 +244,24 @@ class Live:
             raise NoPreviewError("no iteration is wanted, so nothing changes")
         if request.layer not in self._previewers:
             self._previewers[request.layer] = Previewer(self._document, slot, self._job.access)
-        self._preview_part(page, request, self._at_once(settings, page), with_patches=False)
+        self._preview_part(page, request, self._at_once(settings, page), "")
         if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
-            self._preview_part(page, request, self._at_once(settings, page), with_patches=True)
+            with_patches = override(self._at_once(settings, page), patches="on")
+            self._preview_part(page, request, with_patches, _WITH_PATCHES)
 
-    def _preview_part(
-        self, page: _Page, request: _Page, settings: SmoothSettings, *, with_patches: bool
-    ) -> None:
+    def _preview_part(self, page: _Page, request: _Page, settings: SmoothSettings, stage: str) -> None:
         assert request.focus is not None
-        if with_patches:
-            settings = override(settings, patches="on")
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
-        budget = int(np.clip(_WANTED * self._rates[with_patches] / iterations, _LEAST, _MOST))
+        budget = int(np.clip(_WANTED * self._rates[stage] / iterations, _LEAST, _MOST))
         focus = self._layers.in_space(request.focus, request.layer)
         previewer = self._previewers[request.layer]
         patches = previewer.smooth(settings, focus, budget, lambda *_: self._check(page, request))
         spent = time.perf_counter() - began
         held = sum(len(patch.rows) for patch in patches)
         rate = held * iterations / max(spent, 1e-3)
-        self._rates[with_patches] = 0.5 * self._rates[with_patches] + 0.5 * rate
+        self._rates[stage] = 0.5 * self._rates[stage] + 0.5 * rate
         self._check(page, request)
         events = [self._layers.patched(page.shown, request.layer, patch) for patch in patches]
-        stage = " with patches" if with_patches else ""
         shown = {"patches": events, "stage": stage, "seconds": spent, "samples": held}
         page.events.put({"kind": "preview", "number": request.number, **shown})
 
