@@ -137,7 +137,7 @@ class HelpfulCommand(click.Command):
     def __init__(self, *arguments: Any, **attributes: Any) -> None:
         super().__init__(*arguments, **attributes)
         options = [each for each in self.params if isinstance(each, click.Option)]
-        self._is_long = len(options) > _FEW and any(map(_group, options))
+        self._is_long = len(options) > _FEW and any(getattr(each, "group", "") for each in options)
         help_all = click.Option(
             ["--help-all"], is_flag=True, expose_value=False, is_eager=True, callback=_show_all,
             hidden=not self._is_long, help="Show all options, examples and notes, and exit.",
@@ -162,7 +162,7 @@ class HelpfulCommand(click.Command):
             return {DAILY: options}
         groups: dict[str, list[click.Option]] = {DAILY: []}
         for option in options:
-            groups.setdefault(_group(option) or DAILY, []).append(option)
+            groups.setdefault(getattr(option, "group", "") or DAILY, []).append(option)
         return groups
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -212,10 +212,6 @@ def _show_all(context: click.Context, option: click.Parameter, wanted: bool) -> 
         context.meta[_ALL] = True
         click.echo(context.get_help(), color=context.color)
         context.exit()
-
-
-def _group(option: click.Option) -> str:
-    return option.group if isinstance(option, GroupedOption) else ""
 
 
 def _first_examples(text: str) -> str:
