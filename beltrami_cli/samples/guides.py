@@ -25,7 +25,7 @@ from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
 from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import TexelColours
-from beltrami_cli.surface.atlas import Atlas
+from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
 
@@ -165,14 +165,12 @@ class GuidedTexels:
         images = self._images(guiding, slot)
         width = images[0].shape[2] if images else 1
         values = np.empty((len(self.atlas.owned_texels), width), np.float32)
-        for index, picture in enumerate(self.pictures):
-            first, last = self.atlas.texture_offsets[index : index + 2]
-            inside = (self.atlas.owned_texels >= first) & (self.atlas.owned_texels < last)
+        for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
             shown = self._shown_with(index, guiding, slot)
             if shown is None:
                 values[inside] = np.resize(_WITHOUT.get(slot, (1.0,)), width)
             else:
-                texels, size = self.atlas.owned_texels[inside] - first, picture.pixels.shape[:2]
+                size = self.pictures[index].pixels.shape[:2]
                 values[inside] = _at_size(images[shown], size, guiding.textures[shown], texels)
         return values
 
