@@ -169,13 +169,11 @@ class TexelColours:
             different |= working[:, channel] != samples[:, channel]
         return different
 
-    def write(self, values: Float32s, index: int, texels: Int64s | slice, samples: Float32s) -> None:
-        """Write samples, shape (K, N), to some texels of a picture's values, shape (..., C), in place."""
+    def write(self, values: Float32s, index: int, samples: Float32s) -> None:
+        """Write samples, shape (K, N), to pixels of a picture, shape (K, C), of full scale 1, in place."""
         picture = self._pictures[index]
-        table = values.reshape(-1, values.shape[-1])
-        whole = self._widened(picture, self._straight(picture, table[texels]))
-        working = to_space(whole, picture.encoding, self.space)
-        working = working.copy()
+        whole = self._widened(picture, self._straight(picture, values))
+        working = to_space(whole, picture.encoding, self.space).copy()
         working[:, self._changing] = samples[:, self._written[: len(self._changing)]]
         stored = from_space(working, picture.encoding, self.space)
         if self._is_normal:  # stored as (n + 1) / 2
@@ -186,14 +184,14 @@ class TexelColours:
         if picture.stored in ("uint8", "uint16"):
             stored = np.clip(stored, 0, 1)
         if self._is_divided(picture):
-            stored *= table[texels, picture.alpha, None]
+            stored *= values[:, picture.alpha, None]
         if len(picture.colour) == 1:
-            table[texels, picture.colour[0]] = stored.mean(axis=1)
+            values[:, picture.colour[0]] = stored.mean(axis=1)
         else:
             for i in self._changing:
-                table[texels, picture.colour[i]] = stored[:, i]
+                values[:, picture.colour[i]] = stored[:, i]
         if self._alpha and picture.alpha is not None:
-            table[texels, picture.alpha] = samples[:, -1]
+            values[:, picture.alpha] = samples[:, -1]
 
     def opacity(self, picture: Picture) -> Float32s | None:
         """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
@@ -299,7 +297,7 @@ class Repainting:
                 if not moved.all():
                     here, after, stored = here[moved], after[moved], stored[moved]
                 whole = full_scale_one(stored)
-                colours.write(whole, index, slice(None), after)
+                colours.write(whole, index, after)
                 values = whole[:, channels]
             else:
                 values = colours.written(index, after)
