@@ -80,18 +80,18 @@ class Job:
     files: FileSet | None = None
     check: Callable[[Document], None] | None = None
 
-    def output(self, target: str) -> Output | None:
-        """Check where OUTPUT goes; None on a dry run."""
+    def output(self, target: str, guarded: Iterable[str]) -> tuple[Output | None, Access]:
+        """Check where OUTPUT goes, None on a dry run; and return the access to files that it does not replace.
+
+        It replaces none of the `guarded` files either.
+        """
         from beltrami_cli.jobs.output import Output
 
-        return None if self.dry_run else Output(target, overwrite=self.overwrite, files=self.files)
-
-    def access_besides(self, output: Output | None, guarded: Iterable[str]) -> Access:
-        """Return the access to files that no output replaces, nor the `guarded` files."""
-        if output is None:
-            return self.access
+        if self.dry_run:
+            return None, self.access
+        output = Output(target, overwrite=self.overwrite, files=self.files)
         output.files.guard(guarded)
-        return output.files.watching(self.access)
+        return output, output.files.watching(self.access)
 
     def progress_of(self, label: str) -> Callable[[int, int], None] | None:
         """Return the callback for the progress of one part of the job."""

@@ -65,8 +65,7 @@ class Recoloured:
 
 def recolour(source: str, target: str, settings: SmoothSettings, painter: Painter, job: Job) -> Recoloured:
     """Paint what the settings select of a file, and write it with nothing else changed."""
-    watch, output = Stopwatch(), job.output(target)
-    access = job.access_besides(output, settings.files_besides(source))
+    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
     with watch.stage("read"):
         document = open_input(source, settings, access)
         kind = choose_format(document, target, job.format)

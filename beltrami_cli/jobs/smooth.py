@@ -97,8 +97,7 @@ def _smooth_unwrapped(
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
     _check(settings)
-    watch, output = Stopwatch(), job.output(target)
-    access = job.access_besides(output, settings.files_besides(source))
+    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
     with watch.stage("read"):
         document = open_input(source, settings, access)
         has_texture = settings.on == "texture" or "baseColor" in document.slots()
