@@ -64,8 +64,7 @@ def report_file(
     access = output.files.watching(job.access)
     job = dataclasses.replace(job, access=access)
     shown = "" if parameters is None else _parameters(parameters, access)
-    data = read_source(before, access), read_source(after, access)
-    documents = open_both((before, after), data, settings, job)
+    documents = open_both((before, after), settings, job)
     compared = compare_documents(documents, settings, "uniform", job)
     parts = tracked(compared.parts, "drawing seams", job.progress)
     seams = [drawn for part in parts if (drawn := seam_map(part))]

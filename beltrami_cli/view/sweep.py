@@ -17,7 +17,6 @@ from typing import Literal
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.figures import figures
@@ -116,8 +115,7 @@ def _opened(source: str, reference: str | None, settings: SmoothSettings, job: J
     """Return the documents that are shown besides the trials, by their labels."""
     if reference is None:
         return {"before": open_input(source, settings, job.access)}
-    data = read_source(reference, job.access), read_source(source, job.access)
-    truth, document = open_both((reference, source), data, settings, job)
+    truth, document = open_both((reference, source), settings, job)
     return {"reference": truth, "before": document}
 
 

@@ -84,8 +84,7 @@ def compare_files(
     if map_to is not None:
         output = _opened_map(os.fspath(map_to), names, settings, overwrite)
         job = dataclasses.replace(job, access=output.files.watching(job.access))
-    data = read_source(names[0], job.access), read_source(names[1], job.access)
-    documents = open_both(names, data, settings, job)
+    documents = open_both(names, settings, job)
     compared = compare_documents(documents, settings, weights, job)
     require_samples(compared.parts, documents[0].name)
     described = [part.described() for part in tracked(compared.parts, "measuring", job.progress)]
@@ -194,10 +193,9 @@ def compare_documents(
     return Compared(parts, moves_between(documents, selection), selection.slots, tuple(notices))
 
 
-def open_both(
-    names: tuple[str, str], data: tuple[bytes, bytes], settings: SmoothSettings, job: Job = PLAIN_JOB
-) -> tuple[Document, Document]:
+def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tuple[Document, Document]:
     """Open both; one may be a level set, and the other the mesh that was made of it."""
+    data = [read_source(name, job.access) for name in names]
     volumes = [kind_of(each, name) == "volume" for each, name in zip(data, names, strict=True)]
     plain = dataclasses.replace(settings, level_set=LevelSetSettings()) if any(volumes) else settings
     sources = [*zip(data, names, volumes, strict=True)]
