@@ -13,13 +13,12 @@ from beltrami_cli.jobs.job import Progress
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.sheet import Background, Panel, arranged, detail_size, is_lost_on_white
+from beltrami_cli.view.sheet import LUMINANCE, Background, Panel, arranged, detail_size, is_lost_on_white
 from beltrami_cli.view.views import Drawable, ImageView
 
 Draw = Callable[..., Float32s]  # of a size and a window
 
 _ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _COVERED = 0.98  # of a detail, at least, if there is any such place
 _STEPS_OF_A_VIEW = 100  # that progress counts
 _STEPS = 8  # places tried along each side of a detail
@@ -109,7 +108,7 @@ def richest_window(view: Float32s, side: float) -> Window:
     """Return the square window, the first of equals, filled by the model, with the most varying brightness."""
     height, width = view.shape[:2]
     square = max(1, round(side * min(width, height)))
-    brightness = linear_to_srgb(np.clip(view[..., :3].astype(np.float64) @ _LUMINANCE, 0, 1))
+    brightness = linear_to_srgb(np.clip(view[..., :3].astype(np.float64) @ LUMINANCE, 0, 1))
     cover = view[..., 3].astype(np.float64)
     sums = [_sums(values, square) for values in (cover, cover * brightness, cover * np.square(brightness))]
     stride = max(1, square // _STEPS)

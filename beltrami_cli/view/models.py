@@ -26,7 +26,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument, Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.surface.colour_values import VIRIDIS, linear_to_srgb
+from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import data_address
@@ -241,8 +241,7 @@ def displayed_pixels(picture: Picture) -> Uint8s:
 
 
 def _as_bytes(sheet: Float32s) -> Uint8s:
-    shown = np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2)
-    return np.asarray(np.rint(255 * shown), np.uint8)
+    return as_bytes(np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2))
 
 
 def packed_array(values: Array, level: int) -> str:

@@ -23,7 +23,7 @@ from beltrami_cli.jobs.compare.models import EVERYTHING
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.surface.colour_values import colour_by_value
+from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages
 from beltrami_cli.view.models import ModelPacker
@@ -202,6 +202,6 @@ def seam_map(pair: ComparedColours) -> str:
     np.maximum.at(values, (rows[near], columns[near]), (amount[near] / largest).astype(np.float32))
     shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
     drawn = colour_by_value(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
-    tag = pages.picture_tag(np.rint(255 * drawn).astype(np.uint8), f"seams of {pair.name}")
+    tag = pages.picture_tag(as_bytes(drawn), f"seams of {pair.name}")
     caption = f"{html.escape(pair.name)}: brightest {255 * largest:.1f}/255"
     return f"<figure>{tag}<figcaption>{caption}</figcaption></figure>"

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.colour_values import as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.camera import Window, pixels_of
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
@@ -19,7 +19,7 @@ _FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167
 _DARK, _LIGHT = 0.1, 0.95  # greys of letters
 # Linear light above which a channel looks white, and the share of an outline that may be so white.
 _NEARLY_WHITE, _LOST = 0.85, 0.25
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains
 
 
@@ -33,7 +33,7 @@ class Background:
     @property
     def ink(self) -> float:
         """The grey of letters that is easiest to read on it."""
-        return _DARK if self.opacity == 0 or np.dot(self.colour, _LUMINANCE) > 0.4 else _LIGHT
+        return _DARK if self.opacity == 0 or np.dot(self.colour, LUMINANCE) > 0.4 else _LIGHT
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def arranged(panels: Sequence[Panel | None], columns: int, background: Backgroun
         row += [blank] * (min(columns, len(drawn)) - len(row))
         rows.append(_joined(row, gap, background, axis=1))
     sheet = _joined(rows, gap, background, axis=0)
-    return np.rint(255 * np.clip(sheet if background.opacity == 0 else sheet[..., :3], 0, 1)).astype(np.uint8)
+    return as_bytes(np.clip(sheet if background.opacity == 0 else sheet[..., :3], 0, 1))
 
 
 def detail_size(width: int, count: int) -> int:
