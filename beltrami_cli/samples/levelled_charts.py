@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Int64s
+from beltrami_cli.arrays import Bools, Int64s
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.levelling.correction import Levelled, level_canvas
+from beltrami_cli.levelling.correction import Levelled
 from beltrami_cli.samples.reports import LevelReport
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
     from beltrami_cli.formats.image.jpeg_tables import JpegTables
-    from beltrami_cli.samples.settings import LevelSettings
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
@@ -76,12 +75,6 @@ class TextureCharts:
                 f"--reference {' '.join(wanted)} keeps all charts as they are, so none is levelled"
             )
         return found
-
-    def level(
-        self, atlas: Atlas, planes: Float32s, wanted: LevelSettings, halved: Sequence[bool]
-    ) -> tuple[Levelled, float]:
-        """Take exposures out of planes as wanted, see `level_canvas`."""
-        return level_canvas(atlas, planes, wanted.strength, self.matching(wanted.reference), halved)
 
     def facts(self, pictures: Sequence[Picture]) -> list[dict[str, object]]:
         """Return for each chart its number, its texture, a texel of it there, and how many it has."""

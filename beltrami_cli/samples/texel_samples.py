@@ -22,6 +22,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, read_image
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
+from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
@@ -134,7 +135,8 @@ class TexelSamples(samples.Samples):
             cause = f"{self.label}: they are data, which no camera exposed; leave them out of --slots"
             raise UsageError(cause)
         planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
-        found, change = charts.level(self.atlas, planes, wanted, halved_colour(self._tables, self.names))
+        reference, halved = charts.matching(wanted.reference), halved_colour(self._tables, self.names)
+        found, change = level_canvas(self.atlas, planes, wanted.strength, reference, halved)
         self._levelled, self._is_levelled = planes if change else None, change > 0
         if not change and not self.settings.level_seams:
             self._gutter = None  # what is not levelled stays as it is
