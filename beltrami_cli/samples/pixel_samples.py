@@ -41,7 +41,6 @@ from beltrami_cli.samples.samples import (
     Samples,
     as_jpeg,
     choose_channels,
-    describe_kernel,
     encoded,
     refuse_options_of_meshes,
     rewritten,
@@ -265,12 +264,7 @@ class PixelSamples(Samples):
     def describe(self) -> dict[str, object]:
         flow, facts = self.flow(), self.facts()
         del facts["format"]  # is that of the file
-        return {
-            "image": {**facts, "pitch": flow.manifold.spacing},
-            "noise": self.named(flow.noise),
-            "noise_model": flow.noise_model,
-            "smooth": describe_kernel(self.settings, flow),
-        }
+        return {"image": {**facts, "pitch": flow.manifold.spacing}, **self._planned(flow)}
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
         from beltrami_cli.samples.probes.cells import PixelProbe

@@ -17,7 +17,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
 from beltrami_cli.samples.reports import VertexReport
-from beltrami_cli.samples.samples import Repainted, describe_kernel, options_of_meshes
+from beltrami_cli.samples.samples import Repainted, options_of_meshes
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import PaintedVertices
 
@@ -75,9 +75,7 @@ class RangeSamples(PaintedSamples):
                 "holes": grid.size - measured,
                 "mean_edge_length": flow.manifold.spacing,
             },
-            "noise": self.named(flow.noise),
-            "noise_model": flow.noise_model,
-            "smooth": describe_kernel(self.settings, flow),
+            **self._planned(flow),
         }
 
     def probe(self, document: Document, *, whole: bool) -> Probe:

@@ -144,6 +144,8 @@ class Samples(ABC):
     label: str
     """Their name in messages."""
 
+    settings: SmoothSettings
+
     names: tuple[str, ...]
     """The sampled channels: those that change, and those that only enter the metric."""
 
@@ -219,6 +221,21 @@ class Samples(ABC):
             "patches": result.patches,
         }
 
+    def _planned(self, flow: BeltramiFlow[Any]) -> dict[str, Any]:
+        """Return what `describe` says of all kinds: the noise, and the parameters of the kernel that a flow uses."""
+        choice = describe_choice(flow.choice)
+        used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
+        del used["free"]  # nothing is any more
+        smooth = {
+            **used,
+            "patches": "on" if flow.takes_patches else "off",
+            "threads": self.settings.kernel.thread_count,
+            "space": self.settings.space,
+            **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
+            **({"choice": choice} if choice else {}),
+        }
+        return {"noise": self.named(flow.noise), "noise_model": flow.noise_model, "smooth": smooth}
+
     def warnings(self, result: FlowResult) -> list[str]:
         """Return warnings about a flow that was run."""
         del result
@@ -227,21 +244,6 @@ class Samples(ABC):
     def named(self, values: Float64s) -> dict[str, float]:
         """Pair a value per channel with the channels' names."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
-
-
-def describe_kernel(settings: SmoothSettings, flow: BeltramiFlow[Any]) -> dict[str, object]:
-    """Return the parameters of the kernel that a flow uses."""
-    choice = describe_choice(flow.choice)
-    used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
-    del used["free"]  # nothing is any more
-    return {
-        **used,
-        "patches": "on" if flow.takes_patches else "off",
-        "threads": settings.kernel.thread_count,
-        "space": settings.space,
-        **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
-        **({"choice": choice} if choice else {}),
-    }
 
 
 def describe_choice(choice: Choice | None) -> dict[str, object] | None:

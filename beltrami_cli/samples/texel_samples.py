@@ -207,10 +207,8 @@ class TexelSamples(samples.Samples):
             "seams_between_textures": max(0, self.atlas.seams - seams),
             "colour_jumps": flow.manifold.jumps,
             "pitch": flow.manifold.spacing,
-            "noise": self.named(flow.noise),
-            "noise_model": flow.noise_model,
             "exposure": exposure,
-            "smooth": samples.describe_kernel(self.settings, flow),
+            **self._planned(flow),
         }
 
     def exposure(self) -> dict[str, object] | None:

@@ -22,7 +22,7 @@ from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours, only_rows
 from beltrami_cli.samples.probes.probe import Probe, VertexProbe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, VertexReport
-from beltrami_cli.samples.samples import Repainted, describe_kernel
+from beltrami_cli.samples.samples import Repainted
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
@@ -129,6 +129,8 @@ class VertexSamples(PaintedSamples):
         if (moved := manifold.moving) is not None:
             moving = {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
         held = round(manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)
+        planned = self._planned(flow)
+        planned["smooth"] |= moving | {"samples_per_kernel": held}
         return {
             "colours": describe_colours(painted),
             "cloud" if self.is_cloud else "surface": {
@@ -136,9 +138,7 @@ class VertexSamples(PaintedSamples):
                 "mean_edge_length": manifold.spacing,
                 "bounds": bounds(painted.positions),
             },
-            "noise": self.named(flow.noise),
-            "noise_model": flow.noise_model,
-            "smooth": describe_kernel(self.settings, flow) | moving | {"samples_per_kernel": held},
+            **planned,
         }
 
     def _describe_mesh(self) -> dict[str, object]:
