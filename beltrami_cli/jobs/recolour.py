@@ -28,7 +28,7 @@ from beltrami_cli.jobs.job import Job, Stopwatch
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings, given_options
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
@@ -152,8 +152,8 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
         from beltrami_cli.samples.voxels import LevelSetDocument
 
         return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
-    if settings.level_set.given:
-        raise UsageError(f"{', '.join(settings.level_set.given)}: for level sets, and {name} is none")
+    if wrong := given_options(settings.level_set):
+        raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
     if kind == "image":
         from beltrami_cli.formats.image import ImageDocument
 

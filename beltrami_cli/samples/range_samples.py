@@ -42,8 +42,7 @@ class RangeSamples(PaintedSamples):
         self.grid = grid
 
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
-        wrong = [option for option, is_given in options_of_meshes(self.settings).items() if is_given]
-        if wrong:
+        if wrong := options_of_meshes(self.settings):
             cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
             raise UsageError(cause)
         measured = self.grid >= 0

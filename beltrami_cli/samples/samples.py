@@ -29,10 +29,10 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import (
     COLOUR_SLOTS,
-    DEFAULTS,
     LevelSettings,
     SmoothSettings,
     TextureSettings,
+    given_options,
 )
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
@@ -317,29 +317,16 @@ def rewritten(
     return encoded(picture, pixels, wanted, suffix, as_data=as_data)
 
 
-def options_of_meshes(settings: SmoothSettings) -> dict[str, bool]:
-    """Return which options are given that nothing on a grid has."""
-    kernel, usual = settings.kernel, DEFAULTS.kernel
-    return {
-        "--weights": kernel.weights != usual.weights,
-        "--max-samples": kernel.max_samples != usual.max_samples,
-        "--smooth-geometry": settings.embedding.smooth_geometry,
-    }
+def options_of_meshes(settings: SmoothSettings) -> list[str]:
+    """Return the options that are given, and that nothing on a grid has."""
+    of_kernel = given_options(settings.kernel, "weights", "max_samples")
+    return [*of_kernel, *given_options(settings.embedding, "smooth_geometry")]
 
 
 def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
     """Raise UsageError for options that only meshes and their textures have."""
-    textures, usual = settings.textures, DEFAULTS.textures
-    given = {
-        "--on": settings.on != DEFAULTS.on,
-        "--slots": textures.slots != usual.slots,
-        "--material": textures.materials != usual.materials,
-        "--texture": textures.names != usual.names,
-        "--gutter": textures.gutter != usual.gutter,
-        "--texture-format": textures.image_suffix != usual.image_suffix,
-        **options_of_meshes(settings),
-    }
-    wrong = [option for option, is_given in given.items() if is_given]
+    of_textures = given_options(settings.textures, "slots", "materials", "names", "gutter", "image_suffix")
+    wrong = [*given_options(settings, "on"), *of_textures, *options_of_meshes(settings)]
     if not wrong:
         return
     in_name = "--texture-format" in wrong

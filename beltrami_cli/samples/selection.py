@@ -17,7 +17,7 @@ from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.settings import SmoothSettings, given_options
 from beltrami_cli.surface.records import Slot, check_scale
 
 if TYPE_CHECKING:
@@ -55,9 +55,8 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
 
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)
-    if settings.image.given:
-        wrong = ", ".join(settings.image.given)
-        raise UsageError(f"{wrong}: for images only, but {document.name} is none; leave it out")
+    if wrong := given_options(settings.image):
+        raise UsageError(f"{', '.join(wrong)}: for images only, but {document.name} is none; leave it out")
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
     coloured = settings.on != "texture" and document.has_vertex_colours()

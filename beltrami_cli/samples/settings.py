@@ -11,7 +11,17 @@ from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Checked, check, described, named_files, names_in, parameter, part, share_in
+from beltrami_cli.fields import (
+    Checked,
+    check,
+    described,
+    named_files,
+    names_in,
+    parameter,
+    parameters,
+    part,
+    share_in,
+)
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
 
@@ -166,12 +176,6 @@ class ImageSettings:
         if self.height is None and self.height_scale != ImageSettings.height_scale:
             raise UsageError("height_scale is of the heights that --height names; add --height")
 
-    @property
-    def given(self) -> tuple[str, ...]:
-        """The options that are set, for messages."""
-        names = ("height", "positions", "mask")
-        return tuple(f"--{name}" for name in names if getattr(self, name) is not None)
-
 
 @described
 @dataclass(frozen=True)
@@ -202,12 +206,6 @@ class LevelSetSettings(Checked):
         "Of a level set: the largest grid that is read.",
         low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True,
     )  # fmt: skip
-
-    @property
-    def given(self) -> tuple[str, ...]:
-        """The options that are not as by default, for messages."""
-        names = [each.name for each in dataclasses.fields(self) if getattr(self, each.name) != each.default]
-        return tuple("--" + name.replace("_", "-") for name in names)
 
 
 @described
@@ -330,6 +328,17 @@ class SmoothSettings:
 
 
 DEFAULTS = SmoothSettings()
+
+
+def given_options(record: object, *names: str) -> list[str]:
+    """Return the options of a record, or some of them by the names of parameters, that are not as by default."""
+    return [
+        declared.flags[0] if declared.flags else f"--{declared.name.replace('_', '-')}"
+        for declared in parameters(record)
+        if (not names or declared.name in names) and getattr(record, declared.name) != declared.default
+    ]
+
+
 _PARTS = ("textures", "image", "level_set", "embedding")
 
 
