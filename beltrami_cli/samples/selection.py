@@ -116,17 +116,15 @@ def samples_of(
                 if in_groups and len(surface.textures) > 1:
                     from beltrami_cli.samples.texture_groups import separate_groups
 
-                    groups = separate_groups(samples, settings)
+                    groups = separate_groups(samples.surface, samples.atlas, settings.kernel, samples.common)
                 if not groups:
                     yield samples
                 del samples
             else:
-                from beltrami_cli.samples.texture_groups import Common
                 from beltrami_cli.samples.tile_groups import TileGroups
 
                 tiles = TileGroups(surface, *many)
-                common = Common.chosen_on(TexelSamples(tiles.evenly_chosen(), slot, settings), settings)
-                groups = tiles.parted(common)
+                groups = tiles.parted(tiles.common(slot, settings))
             for group in groups:
                 yield TexelSamples(group.surface, slot, group.common.settings, shared=shared, group=group)
 

@@ -29,7 +29,7 @@ from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, 
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
-from beltrami_cli.samples.texture_groups import TextureGroup
+from beltrami_cli.samples.texture_groups import Common, TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells, places_of_texels
@@ -122,6 +122,12 @@ class TexelSamples(samples.Samples):
             deviations=self._noise,
             whole=whole,
         )
+
+    def common(self) -> Common:
+        """Return what groups of these textures share: noise only if it does not differ from place to place."""
+        manifold = self.manifold()
+        noise = manifold.common_noise if manifold.differing is None else None
+        return Common(self.settings, manifold.unit, noise, self.names)
 
     def _on_canvas(self) -> Float32s:
         """Return the colours on the canvas, levelled if they were; these are given away."""

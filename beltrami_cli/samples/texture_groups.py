@@ -6,18 +6,16 @@ plain wall. Noise is estimated once for all, as they mostly come from one camera
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int64s
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.arrays import Int64s
+from beltrami_cli.flow.grid_manifold import Whole
 from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.samples.samples import describe_choice
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
@@ -52,20 +50,6 @@ class TextureGroup:
         return {"charts": len(charts), "covered": covered}
 
 
-class Sampled(Protocol):
-    """Samples of textures, by their manifold."""
-
-    surface: TexturedSurface
-    atlas: Atlas
-    names: tuple[str, ...]
-
-    def manifold(self) -> GridManifold:
-        """Return the manifold, with the noise of the colours."""
-
-    def named(self, values: Float64s) -> dict[str, float]:
-        """Pair a value per channel with the channels' names."""
-
-
 @dataclass(frozen=True)
 class Common:
     """What is the same for all groups: the settings, the unit of length, and the noise, if it is one for all."""
@@ -80,36 +64,17 @@ class Common:
         """Return what a group of these channels takes: not the noise, if it is grey alone and others are not."""
         return Whole(self.unit, self.noise if names == self.names else None)
 
-    @classmethod
-    def of(cls, samples: Sampled, settings: SmoothSettings) -> Common:
-        """Estimate noise on samples of all textures; where it differs from place to place, groups do it themselves."""
-        manifold = samples.manifold()
-        noise = manifold.common_noise if manifold.differing is None else None
-        return cls(settings, manifold.unit, noise, samples.names)
 
-    @classmethod
-    def chosen_on(cls, samples: Sampled, settings: SmoothSettings) -> Common:
-        """Estimate noise and choose parameters on samples of some of the textures, with nothing left to choose."""
-        manifold = samples.manifold()
-        noise, sigma = manifold.common_noise, samples.named(manifold.noise)
-        flow = BeltramiFlow(manifold, settings.kernel)
-        used, beta = flow.parameters, flow.step(0).beta
-        kernel = dataclasses.replace(used, free=(), beta=beta, patches="on" if flow.takes_patches else "off")
-        choice = describe_choice(flow.choice)
-        described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
-        chosen = dataclasses.replace(settings, kernel=kernel)
-        return cls(chosen, manifold.unit, noise, samples.names, described)
-
-
-def separate_groups(samples: Sampled, settings: SmoothSettings) -> list[TextureGroup]:
+def separate_groups(
+    surface: TexturedSurface, atlas: Atlas, kernel: KernelParameters, common_of_all: Callable[[], Common]
+) -> list[TextureGroup]:
     """Part textures into those that touch each other on the surface; none, if parameters are the same for all."""
-    kernel, surface = settings.kernel, samples.surface
     if kernel.fast or not kernel.is_open:
         return []
-    parts = _large_parts(_touching(surface), samples.atlas.covered_by_texture())
+    parts = _large_parts(_touching(surface), atlas.covered_by_texture())
     if len(parts) < 2:
         return []
-    common = Common.of(samples, settings)
+    common = common_of_all()
     return [
         TextureGroup(
             f"group {number} of {len(parts)}",

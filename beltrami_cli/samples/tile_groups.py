@@ -15,14 +15,18 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int64s
+from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import ImageSize
 from beltrami_cli.samples import memory_check
+from beltrami_cli.samples.samples import describe_choice
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import only_textures
+from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.texture_groups import Borders, Common, TextureGroup
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.records import TexturedSurface
+from beltrami_cli.surface.records import Slot, TexturedSurface
 
 # Patches are looked for around each texel twice, and their weights are averaged.
 _PASSES_OF_PATCHES = 4
@@ -49,6 +53,19 @@ class TileGroups:
                 break
             chosen = wanted
         return only_textures(self.surface, chosen)
+
+    def common(self, slot: Slot, settings: SmoothSettings) -> Common:
+        """Estimate noise and choose parameters on some of the textures, with nothing left to choose."""
+        samples = TexelSamples(self.evenly_chosen(), slot, settings)
+        manifold = samples.manifold()
+        noise, sigma = manifold.common_noise, samples.named(manifold.noise)
+        flow = BeltramiFlow(manifold, settings.kernel)
+        used, beta = flow.parameters, flow.step(0).beta
+        kernel = dataclasses.replace(used, free=(), beta=beta, patches="on" if flow.takes_patches else "off")
+        choice = describe_choice(flow.choice)
+        described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
+        chosen = dataclasses.replace(settings, kernel=kernel)
+        return Common(chosen, manifold.unit, noise, samples.names, described)
 
     def parted(self, common: Common) -> list[TextureGroup]:
         """Part all textures; InputError if one does not fit into memory with the surface around it."""
