@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,27 +60,22 @@ class Patch:
     places: Float64s | None = None  # positions of vertices, (K, 3), if they moved
 
 
-class _PartDocument:
-    """The part of a document's triangles that is smoothed, as guides of textures read it."""
+def _part_of(document: Document, own: TexturedSurface, part: TexturedSurface, faces: Int64s) -> Document:
+    """Return the part of a document's triangles that is smoothed, as guides of textures read it."""
 
-    def __init__(
-        self, document: Document, own: TexturedSurface, part: TexturedSurface, faces: Int64s
-    ) -> None:
-        self._document, self._own, self._part, self._faces = document, own, part, faces
-        self.name = document.name
-
-    def slots(self) -> Sequence[Slot]:
-        return self._document.slots()
-
-    def textured(self, slot: Slot) -> TexturedSurface:
-        guiding, part, faces = self._document.textured(slot), self._part, self._faces
-        if len(guiding.faces) != len(self._own.faces):
+    def textured(slot: Slot) -> TexturedSurface:
+        guiding = document.textured(slot)
+        if len(guiding.faces) != len(own.faces):
             return guiding  # which is refused as for the whole
-        alike = (guiding.uv[faces] == self._own.uv[faces]).all(axis=(1, 2))
+        alike = (guiding.uv[faces] == own.uv[faces]).all(axis=(1, 2))
         return dataclasses.replace(
             part, textures=guiding.textures, texture_of=guiding.texture_of[faces],
             uv=np.where(alike[:, None, None], part.uv, np.nan),
         )  # fmt: skip
+
+    made = copy(document)
+    made.textured = textured  # type: ignore[method-assign]
+    return made
 
 
 class Previewer:
@@ -187,7 +183,7 @@ class Previewer:
         order = self._around(focus)
         order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
         part = _used(surface, order)
-        read = cast("Document", _PartDocument(self._document, self._own, part, self._faces[order]))
+        read = _part_of(self._document, self._own, part, self._faces[order])
         samples = TexelSamples(part, self._slot, settings, (read, self._access))
         flow = samples.flow()
         flow.run(progress)
