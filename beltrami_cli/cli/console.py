@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -73,12 +74,12 @@ def _progress_in_lines() -> Callable[[str, int, int], None]:
     return update
 
 
+@dataclass(frozen=True, kw_only=True)
 class Messages:
     """Messages to the user: none if quiet; results and warnings; details if verbose."""
 
-    def __init__(self, *, quiet: bool, verbose: int) -> None:
-        self.quiet = quiet
-        self.verbose = verbose
+    quiet: bool
+    verbose: int
 
     def say(self, text: str) -> None:
         if not self.quiet:
@@ -86,8 +87,8 @@ class Messages:
 
     def detail(self, text: str) -> None:
         """Print what only --verbose shows."""
-        if self.verbose and not self.quiet:
-            click.echo(printable(text), err=True)
+        if self.verbose:
+            self.say(text)
 
     def warn(self, text: str) -> None:
         self.say(f"warning: {text}")
