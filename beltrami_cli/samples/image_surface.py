@@ -75,29 +75,31 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
     valid = np.ones(picture.pixels.shape[:2], bool)
     notices: list[str] = []
     if wanted.height is not None:
-        pixels, found = _read(wanted.height, picture, access)
-        notices += found
+        pixels = _read(wanted.height, picture, access, notices)
         heights = wanted.height_scale * _height_of(pixels)
         valid &= np.isfinite(heights) & _opaque(pixels)
     if wanted.positions is not None:
-        pixels, found = _read(wanted.positions, picture, access)
-        notices += found
+        pixels = _read(wanted.positions, picture, access, notices)
         positions = _positions_of(pixels)
         check_scale(positions.reshape(-1, 3), _triangles(*positions.shape[:2]), wanted.positions)
         valid &= np.isfinite(positions).all(axis=2) & _opaque(pixels)
     if wanted.mask is not None:
-        mask = _read(wanted.mask, picture, access)[0]
+        mask = _read(wanted.mask, picture, access, [])  # which may be coarse
         colours = np.nan_to_num(mask.pixels[..., list(mask.colour)])
         valid &= (colours != 0).any(axis=2) & _opaque(mask)
     return ImageSurface(heights, positions, valid, tuple(notices))
 
 
-def _read(path: str, picture: Picture, access: Access) -> tuple[Picture, list[str]]:
-    """Read an image of the size of the picture, and return notices about it as a map."""
+def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Picture:
+    """Read an image of the size of the picture, and add notices about it as a map."""
     read = read_image(read_source(path, access), path, finite=False)
     require_size(read.pixels, picture.pixels.shape[:2], path, picture.name)
-    coarse = [f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."]
-    return read, [*read.notices, *(coarse if read.stored == _COARSE else [])]
+    notices += read.notices
+    if read.stored == _COARSE:
+        notices.append(
+            f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."
+        )
+    return read
 
 
 def _height_of(picture: Picture) -> NDArray[np.float64]:
