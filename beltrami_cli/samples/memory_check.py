@@ -99,10 +99,9 @@ def too_many_together(textures: Sequence[Texture], memory: int | None) -> tuple[
     """Return the sizes of textures that do not fit together, not even in files, and the memory; None: they do."""
     if memory is None or len(textures) < 2:
         return None
-    sizes = [measure_image(texture.data, texture.name) for texture in textures]
-    known = [size for size in sizes if size is not None]  # of others the decoder says what is wrong
+    known = [size for _, size in _measured((texture.name, texture.data) for texture in textures)]
     memory -= held_by_files(textures)
-    return None if len(known) < len(sizes) or fit_in_files(known, memory) else (known, memory)
+    return None if len(known) < len(textures) or fit_in_files(known, memory) else (known, memory)
 
 
 def memory_beside(document: Document, access: Access) -> int | None:
