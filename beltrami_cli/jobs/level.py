@@ -94,5 +94,5 @@ def level_file(
     parameters = {name: value for name, value in described.items() if name in used}
     return LevelFileReport(
         source, target, made.format, {**parameters, **dataclasses.asdict(wanted)}, painter.done, made.stages,
-        peak_memory(), made.written, list(dict.fromkeys(made.warnings)),
+        peak_memory(), made.written, made.warnings,
     )  # fmt: skip

@@ -54,9 +54,8 @@ class Painter(Protocol):
 
 @dataclass(frozen=True)
 class Recoloured:
-    """A document, the format and the files that were written, and what the user should know."""
+    """The format and the files that were written, and what the user should know."""
 
-    document: Document
     format: str
     written: list[str]
     warnings: list[str]
@@ -91,7 +90,9 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
                 output.write(written)
     names = [] if output is None else [target, *written.sidecars]
     notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]
-    return Recoloured(document, kind.name, names, [*notices, *beside, *written.notices], watch.stages)
+    # Several slots say the same of one surface.
+    warnings = list(dict.fromkeys([*notices, *beside, *written.notices]))
+    return Recoloured(kind.name, names, warnings, watch.stages)
 
 
 def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Painter, job: Job) -> Document:

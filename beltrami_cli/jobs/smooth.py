@@ -75,9 +75,7 @@ def smooth_file(
         return _smooth_unwrapped(source, target, settings, unwrap, job)
     painter = Smoothing(settings)
     made = recolour(source, target, settings, painter, job)
-    # Several slots say the same of one surface.
-    warnings = list(dict.fromkeys(made.warnings))
-    warnings += [warning for each in painter.done for warning in each.warnings]
+    warnings = made.warnings + [warning for each in painter.done for warning in each.warnings]
     ends = source, target
     return make_report(ends, made.format, settings, painter.done, made.stages, made.written, warnings)
 

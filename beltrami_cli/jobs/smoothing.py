@@ -10,7 +10,6 @@ from itertools import count
 from typing import Any
 
 from beltrami_cli.arrays import Int64s
-from beltrami_cli.flow.beltrami_flow import FlowResult
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.job import Job, peak_memory
 from beltrami_cli.samples.levelled_charts import photographs_of
@@ -29,7 +28,6 @@ class Smoothed:
     part: Part
     repainted: Repainted
     report: SamplesReport
-    result: FlowResult
     warnings: list[str]
     levelled: LevelReport | None = None  # what was done to exposure steps before
 
@@ -51,7 +49,7 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
     del flow  # before images as large are made
     repainted = samples.repaint(new)
     report = dataclasses.replace(report, change=repainted.change.summary())
-    return Smoothed(samples.part, repainted, report, result, warnings)
+    return Smoothed(samples.part, repainted, report, warnings)
 
 
 class Levelling:
