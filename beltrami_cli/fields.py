@@ -206,6 +206,15 @@ def _parameters_of(record: type, deep: bool) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
+def given_options(record: object, *names: str) -> list[str]:
+    """Return the options of a record, or some of them by the names of parameters, that are not as by default."""
+    return [
+        declared.flags[0] if declared.flags else f"--{declared.name.replace('_', '-')}"
+        for declared in parameters(record)
+        if (not names or declared.name in names) and getattr(record, declared.name) != declared.default
+    ]
+
+
 def parts(record: Any) -> dict[str, type]:
     """Return the records in a record, by the names of their fields."""
     return {each.name: each.metadata[_PART] for each in dataclasses.fields(record) if _PART in each.metadata}

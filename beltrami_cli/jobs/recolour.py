@@ -19,6 +19,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
+from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, read_regular, read_source
 from beltrami_cli.formats.document import Document, Naming, Written
@@ -28,7 +29,7 @@ from beltrami_cli.jobs.job import Job, Stopwatch
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
-from beltrami_cli.samples.settings import SmoothSettings, given_options
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface

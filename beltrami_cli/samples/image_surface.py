@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.fields import given_options
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.embedding import Guide
@@ -23,7 +24,7 @@ from beltrami_cli.formats.image.jpeg_tables import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.guides import require_size
-from beltrami_cli.samples.settings import ImageSettings
+from beltrami_cli.samples.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.records import check_scale
 
@@ -193,3 +194,20 @@ def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
     positions[..., 2] = heights
     return positions
+
+
+def options_of_meshes(settings: SmoothSettings) -> list[str]:
+    """Return the options that are given, and that nothing on a grid has."""
+    of_kernel = given_options(settings.kernel, "weights", "max_samples")
+    return [*of_kernel, *given_options(settings.embedding, "smooth_geometry")]
+
+
+def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
+    """Raise UsageError for options that only meshes and their textures have."""
+    of_textures = given_options(settings.textures, "slots", "materials", "names", "gutter", "image_suffix")
+    wrong = [*given_options(settings, "on"), *of_textures, *options_of_meshes(settings)]
+    if not wrong:
+        return
+    in_name = "--texture-format" in wrong
+    remedy = "end the name of OUTPUT in the extension instead" if in_name else "leave it out"
+    raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")

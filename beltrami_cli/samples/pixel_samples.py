@@ -30,7 +30,7 @@ from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER, read_jpeg_tab
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
-from beltrami_cli.samples.image_surface import grid_flow, read_surface
+from beltrami_cli.samples.image_surface import grid_flow, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
@@ -42,7 +42,6 @@ from beltrami_cli.samples.samples import (
     as_jpeg,
     choose_channels,
     encoded,
-    refuse_options_of_meshes,
     rewritten,
     store,
 )

@@ -14,10 +14,10 @@ from beltrami_cli.flow.embedding import Guide, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, grid_flow, options_of_meshes
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours
 from beltrami_cli.samples.reports import VertexReport
-from beltrami_cli.samples.samples import Repainted, options_of_meshes
+from beltrami_cli.samples.samples import Repainted
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import PaintedVertices
 

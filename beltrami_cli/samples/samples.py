@@ -27,21 +27,13 @@ from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_imag
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
-from beltrami_cli.samples.settings import (
-    COLOUR_SLOTS,
-    LevelSettings,
-    SmoothSettings,
-    TextureSettings,
-    given_options,
-)
+from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
 
 if TYPE_CHECKING:
     from beltrami_cli.samples.probes.probe import Probe
-
-Progress = Callable[[int, int], None]
 
 Part = Literal["vertices", "textures", "image"]
 
@@ -315,23 +307,6 @@ def rewritten(
     if suffix is None and is_unchanged(picture, pixels):
         return ImageFile(picture.source, picture.suffix), []
     return encoded(picture, pixels, wanted, suffix, as_data=as_data)
-
-
-def options_of_meshes(settings: SmoothSettings) -> list[str]:
-    """Return the options that are given, and that nothing on a grid has."""
-    of_kernel = given_options(settings.kernel, "weights", "max_samples")
-    return [*of_kernel, *given_options(settings.embedding, "smooth_geometry")]
-
-
-def refuse_options_of_meshes(settings: SmoothSettings, name: str) -> None:
-    """Raise UsageError for options that only meshes and their textures have."""
-    of_textures = given_options(settings.textures, "slots", "materials", "names", "gutter", "image_suffix")
-    wrong = [*given_options(settings, "on"), *of_textures, *options_of_meshes(settings)]
-    if not wrong:
-        return
-    in_name = "--texture-format" in wrong
-    remedy = "end the name of OUTPUT in the extension instead" if in_name else "leave it out"
-    raise UsageError(f"{', '.join(wrong)}: for meshes only, but {name} is an image; {remedy}")
 
 
 @dataclass

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
+from beltrami_cli.fields import given_options
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.samples.settings import SmoothSettings, given_options
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot, check_scale
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class OutputFormat:
 def select(document: Document, settings: SmoothSettings) -> Selection:
     """Choose what is painted, by the settings and the document; errors if there is nothing, or for unfit options."""
     if isinstance(document, ImageDocument):
-        from beltrami_cli.samples.samples import refuse_options_of_meshes
+        from beltrami_cli.samples.image_surface import refuse_options_of_meshes
 
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)

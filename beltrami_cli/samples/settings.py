@@ -11,17 +11,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import (
-    Checked,
-    check,
-    described,
-    named_files,
-    names_in,
-    parameter,
-    parameters,
-    part,
-    share_in,
-)
+from beltrami_cli.fields import Checked, check, described, named_files, names_in, parameter, part, share_in
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters, Space
 from beltrami_cli.formats.access import is_file
 
@@ -328,17 +318,6 @@ class SmoothSettings:
 
 
 DEFAULTS = SmoothSettings()
-
-
-def given_options(record: object, *names: str) -> list[str]:
-    """Return the options of a record, or some of them by the names of parameters, that are not as by default."""
-    return [
-        declared.flags[0] if declared.flags else f"--{declared.name.replace('_', '-')}"
-        for declared in parameters(record)
-        if (not names or declared.name in names) and getattr(record, declared.name) != declared.default
-    ]
-
-
 _PARTS = ("textures", "image", "level_set", "embedding")
 
 
