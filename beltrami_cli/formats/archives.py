@@ -185,7 +185,7 @@ class NpzArchive:
     def members(self) -> dict[str, bytes]:
         """Return the contents of all members by their file names; InputError if one cannot be unpacked."""
         with self._refusing_damage():
-            return {member.filename: self._archive.read(member) for member in self._archive.infolist()}
+            return {member.filename: self._content(member) for member in self._archive.infolist()}
 
     def with_array(self, key: str, array: Array) -> bytes:
         """Return the archive with other numbers in an array; members keep their order, dates and compression."""
@@ -193,7 +193,7 @@ class NpzArchive:
         with self._refusing_damage(), zipfile.ZipFile(buffer, "w") as new:
             new.comment = self._archive.comment
             for member in self._archive.infolist():
-                content = self._archive.read(member)
+                content = self._content(member)
                 if member.filename == f"{key}.npy":
                     content = header.exchanged(content, array)
                 info = zipfile.ZipInfo(member.filename, member.date_time)
@@ -201,6 +201,11 @@ class NpzArchive:
                 info.external_attr, info.create_system = member.external_attr, member.create_system
                 new.writestr(info, content)
         return buffer.getvalue()
+
+    def _content(self, member: zipfile.ZipInfo) -> bytes:
+        """Unpack a member; without a size, a read unpacks all there is, however little the archive announces."""
+        with self._archive.open(member) as file:
+            return file.read(member.file_size)
 
     @contextlib.contextmanager
     def _refusing_damage(self) -> Iterator[None]:

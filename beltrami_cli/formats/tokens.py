@@ -130,7 +130,9 @@ def _parse(text: bytes) -> Float64s | None:
     if not text or text.isspace():
         return np.empty(0)  # NumPy would make one number of blanks.
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # what NumPy 1.26 does instead of raising
+        warnings.simplefilter(
+            "error", DeprecationWarning
+        )  # what older versions of NumPy do instead of raising
         try:
             return np.fromstring(text, np.float64, sep=" ")
         except (ValueError, DeprecationWarning):

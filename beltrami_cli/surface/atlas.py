@@ -319,8 +319,9 @@ def within(covered: Bools, reach: int) -> Bools:
     """Return which cells are at most `reach` rows and columns from a covered one."""
     near, known = covered, 0
     while known < reach:
-        # Dilate by shifted copies: the step is the largest that leaves no gap between them.
-        step = min(2 * known + 1, reach - known)
+        # Dilate by shifted copies: the step is the largest that leaves no gap between them, beside the edges of the
+        # canvas, too, where only half of what is known is in it.
+        step = min(known + 1, reach - known)
         for axis in (0, 1):
             ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
             ahead[axis], behind[axis] = slice(step, None), slice(None, -step)
