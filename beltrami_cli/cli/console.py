@@ -48,6 +48,8 @@ def choice_in_words(choice: dict[str, Any]) -> str:
     chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
     if not choice["candidates"]:
         return f"{chosen}; by the fixed rule of --fast"
+    if choice["psnr"] is None and choice["samples"] == 1:
+        return f"{chosen}; of one sample no PSNR can be told"
     if choice["psnr"] is None:
         return f"{chosen}; most colours are plain, as where JPEG took the noise, so no PSNR can be told: give --noise"
     least, most = choice["interval"]

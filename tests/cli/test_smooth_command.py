@@ -218,6 +218,21 @@ def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothe
     assert "Warning" not in done.stderr
 
 
+@pytest.mark.slow
+def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
+    (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
+    report = tmp_path / "run.json"
+    assert (
+        beltrami(
+            "smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, "--report", report
+        ).returncode
+        == 0
+    )
+    assert not re.search("Infinity|NaN", report.read_text())
+    told = beltrami("info", tmp_path / "one.png", "--noise", 15, text=True).stdout
+    assert "of one sample no PSNR can be told" in told
+
+
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5, "--fast")
     assert run.returncode == 0

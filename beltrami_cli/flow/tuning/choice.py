@@ -226,7 +226,7 @@ class Choice:
             return self
         before = 10 ** (-self.psnr / 10)
         error = self.error * before / _IN_DECIBELS
-        after = max(before - gain, error if math.isfinite(error) else 0.0, 1e-12)
+        after = max(before - gain, error, 1e-12)
         better = 10 * float(np.log10(before / after))
         return dataclasses.replace(
             self, psnr=self.psnr + better, gain=self.gain + better, error=_IN_DECIBELS * error / after
@@ -297,9 +297,11 @@ def _nearest(values: tuple[float, ...], wanted: float) -> int:
     return int(np.argmin(np.abs(np.log1p(np.array(values)) - np.log1p(wanted))))
 
 
-def _decibels(risk: Risk, noise: float) -> tuple[float, float, float]:
+def _decibels(risk: Risk, noise: float) -> tuple[float | None, float | None, float | None]:
+    if not np.isfinite(risk.error):  # of one sample
+        return None, None, None
     # An estimate of a small error may be negative; it is reported as its standard error.
-    value = max(risk.value, risk.error if np.isfinite(risk.error) else 0.0, 1e-12)
+    value = max(risk.value, risk.error, 1e-12)
     error = _IN_DECIBELS * risk.error / value
     return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(noise / value))
 
