@@ -51,7 +51,8 @@ def choice_in_words(choice: dict[str, Any]) -> str:
     if choice["psnr"] is None and choice["samples"] == 1:
         return f"{chosen}; of one sample no PSNR can be told"
     if choice["psnr"] is None:
-        return f"{chosen}; most colours are plain, as where JPEG took the noise, so no PSNR can be told: give --noise"
+        plain = "most colours are plain, as where JPEG took the noise, or at a limit"
+        return f"{chosen}; {plain}, so no PSNR can be told: give --noise"
     least, most = choice["interval"]
     within = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
     shared = ""

@@ -152,7 +152,10 @@ def _choice(smooth: dict[str, Any]) -> str | None:
     """Say what would be chosen, and by what; None: all is given."""
     if "choice" in smooth:
         return choice_in_words(smooth["choice"])
-    return None if smooth["iterations"] else f"nothing to smooth: the noise is {NO_NOISE}; {ALL_THE_SAME}"
+    if smooth["iterations"]:
+        return None
+    why = "smoothing would take nothing of the noise" if smooth.get("noise") else f"the noise is {NO_NOISE}"
+    return f"nothing to smooth: {why}; {ALL_THE_SAME}"
 
 
 def _rows(key: str, value: Any) -> list[tuple[str, str]]:

@@ -242,6 +242,8 @@ def _in_three_dimensions(positions: Float64s) -> Float64s:
 
 def _axes(positions: Float64s, colours: Float32s) -> Float64s:
     """Return two directions, shape (2, 3), that turn with the model: to where colours are brighter and stronger."""
+    if not len(positions):
+        return np.eye(3)[:2]
     offsets = positions - positions.mean(axis=0)
     level = colours.sum(axis=1, dtype=np.float64)
     level -= level.mean()

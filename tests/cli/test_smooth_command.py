@@ -219,6 +219,22 @@ def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothe
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("count", "colour"), [(1, 90), (3, 0)])
+def test_noise_is_given_for_vertices_that_have_no_neighbours_or_hold_none(tmp_path, count, colour):
+    properties = [f"property float {axis}" for axis in "xyz"]
+    properties += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
+    rows = [f"{place} {colour} {colour} {colour}" for place in ("0 0 0", "1 0 0", "0 1 0")[:count]]
+    lines = ["ply", "format ascii 1.0", f"element vertex {count}", *properties, "end_header", *rows, ""]
+    (tmp_path / "in.ply").write_text("\n".join(lines))
+    report = tmp_path / "run.json"
+    for options in ([], ["--strength", "strong", "--patches", "on", "-n", 3]):
+        done = beltrami("smooth", tmp_path / "in.ply", tmp_path / "out.ply", "--noise", 15, "--report", report,
+                        "--overwrite", *options, text=True)  # fmt: skip
+        assert (done.returncode, "Warning:" in done.stderr) == (0, False), done.stderr
+        assert not re.search("Infinity|NaN", report.read_text())
+
+
+@pytest.mark.slow
 def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
     (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
     report = tmp_path / "run.json"

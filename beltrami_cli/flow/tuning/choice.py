@@ -298,7 +298,7 @@ def _nearest(values: tuple[float, ...], wanted: float) -> int:
 
 
 def _decibels(risk: Risk, noise: float) -> tuple[float | None, float | None, float | None]:
-    if not np.isfinite(risk.error):  # of one sample
+    if not np.isfinite(risk.error) or noise <= 0:  # of one sample, or where all noise was cut off
         return None, None, None
     # An estimate of a small error may be negative; it is reported as its standard error.
     value = max(risk.value, risk.error, 1e-12)
@@ -337,10 +337,13 @@ def tune(
     closed = dataclasses.replace(parameters, free=())
     if not parameters.is_open:
         return closed, None
+    unchanged = dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed
     if not noisy:
-        return dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed, None
+        return unchanged, None
     if parameters.fast or not manifold.work.is_surface:
         return choose_by_rule(manifold, parameters, manifold.rule)
     trial = manifold.trial()
+    if not trial.samples:  # as of points that all lie by themselves
+        return unchanged, None
     LOG.info("work: parameters are tried on %d of %d samples first", trial.samples, manifold.kernels)
     return choose(trial, manifold, parameters, tick)
