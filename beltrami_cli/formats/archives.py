@@ -48,17 +48,14 @@ class Archive:
         return [name for name in self._file.namelist() if not name.endswith("/")]
 
     def read(self, member: str) -> bytes:
-        """Return the content of a member, of which hardly more than its announced size is unpacked."""
+        """Return the content of a member, of which no more than its announced size is unpacked."""
         try:
             known = self._file.getinfo(member)
             if known.file_size > self._most:
                 cause = f"{member} in the archive has {known.file_size} bytes, more than the {self._most} that are read"
                 raise InputError(self._name, cause, "raise --max-memory, or give a smaller model")
             require_ratio(self._name, member, known.compress_size, known.file_size)
-            with self._file.open(known) as file:
-                return file.read(
-                    known.file_size + 1
-                )  # without a limit what it grows to would be unpacked first
+            return _content(self._file, known)
         except KeyError:
             raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
         except _READ_ERRORS as error:
@@ -108,6 +105,12 @@ class Header:
         """Return a member with other numbers, keeping what stands before and behind them."""
         numbers = array.astype(self.dtype).tobytes("F" if self.fortran else "C")
         return member[: self.offset] + numbers + member[self.offset + len(numbers) :]
+
+
+def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Unpack a member; without a size, a read unpacks all there is, however little the archive announces."""
+    with archive.open(member) as file:
+        return file.read(member.file_size)
 
 
 class NpzArchive:
@@ -185,7 +188,7 @@ class NpzArchive:
     def members(self) -> dict[str, bytes]:
         """Return the contents of all members by their file names; InputError if one cannot be unpacked."""
         with self._refusing_damage():
-            return {member.filename: self._content(member) for member in self._archive.infolist()}
+            return {member.filename: _content(self._archive, member) for member in self._archive.infolist()}
 
     def with_array(self, key: str, array: Array) -> bytes:
         """Return the archive with other numbers in an array; members keep their order, dates and compression."""
@@ -193,7 +196,7 @@ class NpzArchive:
         with self._refusing_damage(), zipfile.ZipFile(buffer, "w") as new:
             new.comment = self._archive.comment
             for member in self._archive.infolist():
-                content = self._content(member)
+                content = _content(self._archive, member)
                 if member.filename == f"{key}.npy":
                     content = header.exchanged(content, array)
                 info = zipfile.ZipInfo(member.filename, member.date_time)
@@ -201,11 +204,6 @@ class NpzArchive:
                 info.external_attr, info.create_system = member.external_attr, member.create_system
                 new.writestr(info, content)
         return buffer.getvalue()
-
-    def _content(self, member: zipfile.ZipInfo) -> bytes:
-        """Unpack a member; without a size, a read unpacks all there is, however little the archive announces."""
-        with self._archive.open(member) as file:
-            return file.read(member.file_size)
 
     @contextlib.contextmanager
     def _refusing_damage(self) -> Iterator[None]:

@@ -29,9 +29,8 @@ _BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the m
 def find_tokens(text: bytes) -> tuple[Int64s, Int64s]:
     """Return starts and ends, shape (T,), of the runs of bytes between ASCII white space."""
     solid = np.frombuffer(text.translate(_SOLID), np.bool_)
-    edges = np.flatnonzero(
-        np.diff(solid, prepend=False, append=False)
-    )  # starts and ends of tokens, alternating
+    # Starts and ends of tokens, alternating.
+    edges = np.flatnonzero(np.diff(solid, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
 
@@ -130,9 +129,8 @@ def _parse(text: bytes) -> Float64s | None:
     if not text or text.isspace():
         return np.empty(0)  # NumPy would make one number of blanks.
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "error", DeprecationWarning
-        )  # what older versions of NumPy do instead of raising
+        # Older versions of NumPy warn instead of raising.
+        warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, np.float64, sep=" ")
         except (ValueError, DeprecationWarning):

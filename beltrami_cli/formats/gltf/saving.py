@@ -35,9 +35,8 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
     if not keeps_form:
         main: list[Bytes] = [revised(container.text, edit.tree).encode()]
         lost = [chunk for chunk in container.chunks if chunk.kind != BIN_CHUNK]
-        edit.notices += (
-            [f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file."] if lost else []
-        )
+        if lost:
+            edit.notices.append(f"{len(lost)} GLB chunk(s) of unknown type cannot be kept in a .gltf file.")
     elif not edit.buffers and not edit.images and edit.tree == container.tree:
         main = [container.data]
     else:

@@ -22,7 +22,7 @@ struct Variant {
   AddRows add_rows;
 };
 
-// Rows of patches, a number of values each, and as many more as are read beyond the last.
+// Values in a row of a patch, as many as are compared at a time, or several times that.
 std::size_t row_length(std::size_t channels) { return (channels * nodes + 15) / 16 * 16; }
 
 // What the groups of a part add to: vertices under numbers of their own, so that little memory is touched at a time.
@@ -54,7 +54,7 @@ class SurfacePatches::Worker {
     describe(colours, part.vertices.size());
     to.sums.assign(to.members.size() * colours.channels, {0, 0});
     for (std::size_t i = 0; i + 1 < part.first.size(); ++i) {
-      const std::size_t count = has_pilot ? part.first[i + 1] - part.first[i] : part.few[i];
+      const std::size_t count = has_pilot ? part.first[i + 1] - part.first[i] : part.without_pilot[i];
       const auto candidates = std::span(part.candidates).subspan(part.first[i], count);
       choose(candidates, has_pilot ? medium : few, colours.channels, variant);
       estimate(colours, has_pilot, variant, to);
@@ -112,6 +112,7 @@ class SurfacePatches::Worker {
   void describe(const Colours& colours, std::size_t count) {
     const std::size_t n = colours.channels;
     length_ = row_length(n);
+    // Of the last channel `short_row` values are read, too.
     for (auto* rows : {&noisy_rows_, &pilot_rows_, &sum_rows_}) rows->assign(count * length_ + short_row, 0);
     weights_.assign(count * n, 0);
     is_chosen_.assign(count, false);

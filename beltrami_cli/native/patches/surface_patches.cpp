@@ -237,7 +237,7 @@ void SurfacePatches::find_candidates(const std::vector<std::int32_t>& starts, st
           }
           part.candidates.push_back(own);
         }
-        part.few.push_back(rings[worker].whole_rings(few_candidates));
+        part.without_pilot.push_back(rings[worker].whole_rings(few_candidates));
         part.first.push_back(part.candidates.size());
       }
       for (const std::int32_t vertex : part.vertices) rank[static_cast<std::size_t>(vertex)] = -1;

@@ -58,7 +58,7 @@ class SurfacePatches {
     std::vector<std::int32_t> vertices;
     std::vector<std::int32_t> candidates;  // of all starts, places in `vertices`; of each, itself first
     std::vector<std::size_t> first;        // of each start, and one beyond the last
-    std::vector<std::size_t> few;          // of each start: how many of them are compared without a pilot
+    std::vector<std::size_t> without_pilot;  // of each start: how many of them are compared then
   };
 
   void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
