@@ -340,7 +340,8 @@ def test_channels_without_noise_stay_and_do_not_stop_the_others():
         np.float32
     )
     result = smooth_image(noisy)
-    np.testing.assert_allclose(result.colours[..., 3:], noisy[..., 3:], atol=1e-5)
+    # What float32 needs on the diagonal of a system is noise of this order, a fortieth of a step of 8 bits.
+    np.testing.assert_allclose(result.colours[..., 3:], noisy[..., 3:], atol=1e-4)
     without = smooth_image(noisy[..., :3])
     assert psnr(result.colours[..., :3], clean) > psnr(without.colours, clean) - 0.2
 

@@ -15,7 +15,7 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 constexpr float least_share = 0.05F;
 
 // What is added at least, as a share of the trace, so that float32 can solve the system.
-constexpr float least_of_trace = 1e-7F;
+constexpr float least_of_trace = 1e-6F;
 
 // Patches whose noise the detail of a group must exceed to count more than `shrinkage`; and the detail of a patch in the
 // pilot, in units of what D was made, below which there is none.

@@ -277,6 +277,30 @@ void equal_patches_with_next_to_no_noise_stay() {
       }
 }
 
+// As of a slope in 8 bit that was drawn without noise, of which the patches are all but linearly dependent.
+void steps_of_a_slope_without_noise_stay() {
+  Random random(31);
+  for (const auto& [size, length] : shapes)
+    for (std::size_t width = 2; width < 7; ++width)
+      for (std::size_t count = 12; count <= 28; count += 4)
+        for (const float energy : {2e-6F, 2.6e-7F, 3e-8F}) {
+          Group own = some_group(size, length, size, count, random);
+          own.energy.fill(energy);
+          for (std::size_t k = 0; k < size; ++k)
+            for (std::size_t p = 0; p < count; ++p) {
+              const std::size_t step = (k + 1) / 2 + p / width;  // of which one is left out
+              own.noisy[k * length + own.used[p]] = (static_cast<float>(step + step / 12) - 9.97281F) / 255;
+            }
+          const Group given = own;
+          baseline::estimate_group(own, false);
+          for (std::size_t k = 0; k < size; ++k)
+            for (std::size_t p = 0; p < count; ++p) {
+              const std::size_t at = k * length + own.used[p];
+              CHECK(std::abs(own.estimates[at] - given.noisy[at]) < 1e-2F);
+            }
+        }
+}
+
 // Nothing may be divided by nothing.
 void plain_patches_without_noise_stay() {
   Random random(29);
@@ -404,6 +428,7 @@ int main() {
   noise_is_averaged_and_lost_detail_comes_back();
   a_constant_stays_whatever_the_pilot_is();
   equal_patches_with_next_to_no_noise_stay();
+  steps_of_a_slope_without_noise_stay();
   plain_patches_without_noise_stay();
   grids_have_an_estimate_in_every_owned_cell_and_the_pilot_elsewhere();
   grids_do_not_depend_on_threads();
