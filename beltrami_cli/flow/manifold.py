@@ -80,7 +80,7 @@ class Manifold(Domain):
     """The mean square error that may be missing in estimates because of JPEG; infinite: nobody can tell."""
 
     most_noise: float = np.inf
-    """The root mean square of estimated noise, over channels of colour, at most."""
+    """Estimated noise of a channel of colour at most."""
 
     @property
     def shares_noise(self) -> bool:
@@ -128,7 +128,7 @@ class Manifold(Domain):
     def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
         """Set the noise of the colours to what is reckoned with; `sigma` is of noise that is given by sample."""
         colours = self.sigma[:COLOURS]
-        colours *= min(1.0, self.most_noise / max(float(np.sqrt(np.mean(colours**2))), 1e-12))
+        np.minimum(colours, self.most_noise, out=colours)
         colours[:] = noise_of(parameters, colours, sigma, self.stabiliser)
 
     def given_beta(self, beta: float) -> float:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 # The mean of three channels and two differences, orthonormal.
@@ -54,6 +54,9 @@ _SCATTER, _ROUNDS = 0.1, 30
 
 # Values that make a full weight.
 _ENOUGH_VALUES = 200
+
+# Differences of channels are of one hue if they hold more than this factor of what differs from it.
+_ONE_HUE = 2.0
 
 # Steps between neighbouring levels count by this, over the distance; all else that is not determined is small.
 _EVEN, _LITTLE = 0.03, 1e-3
@@ -162,6 +165,26 @@ def stabiliser_of(found: NoiseByLevel) -> VarianceStabiliser | None:
 def mixing_for(channels: int) -> Float64s:
     """Return the mixing of channels into components, shape (K, K): the colours', or one channel each."""
     return OPPONENTS if channels >= len(OPPONENTS) else np.eye(channels)
+
+
+def mixing_by(details: Array) -> Float64s:
+    """Return the same by details of colours, shape (K, M): what most of them lie along, and what differs from that.
+
+    Textures of one hue, as of grass or wood, are as strong in differences of channels as noise would be.
+    """
+    if len(details) < len(OPPONENTS):
+        return np.eye(len(details))
+    squares = np.einsum("im,jm->ij", details, details, dtype=np.float64)
+    energies, vectors = np.linalg.eigh(squares)
+    differences = np.trace(OPPONENTS[1:] @ squares @ OPPONENTS[1:].T)
+    if differences <= _ONE_HUE * energies[:2].sum():
+        return OPPONENTS
+    hue = vectors[:, -1] * np.sign(vectors[:, -1] @ OPPONENTS[0] or 1)
+    # The mean of channels and its differences, all turned as that is turned to the hue: reflected twice.
+    halfway = OPPONENTS[0] + hue
+    reflected: Float64s = OPPONENTS - 2 * np.outer(OPPONENTS @ halfway, halfway) / (halfway @ halfway)
+    reflected[0] = -reflected[0]
+    return reflected
 
 
 def _edges(levels: Float64s) -> Float64s:

@@ -34,11 +34,14 @@ _LEAST_MIDDLE, _LEAST_COARSE = 3.5 / 255, 4 / 255
 _MOST_OF_DIAGONAL = 3.0
 
 # Growth of the mean of channels from single cells to the second scale, beyond which it is texture.
-_PLAIN_GROWTH = 2.0
+_PLAIN_GROWTH = 2.2
 
-# Growth of the mean of channels from single cells to the second scale, beyond which even flat places are texture;
-# and change of white noise in their differences at most, as it is measured, where few colours are cut off.
-_NOWHERE_FLAT, _WHITE, _FEW_CUT_OFF = 1.4, 1.25, 0.05
+# Growth of the mean of channels from single cells to the second scale, beyond which even flat places are texture, where
+# few colours are cut off. Differences of channels with less noise than the last were perhaps taken from them by JPEG.
+_NOWHERE_FLAT, _FEW_CUT_OFF, _LEAST_DIFFERENCES = 1.2, 0.1, 1 / 255
+
+# What is measured of noise is up to a tenth less than there is, on meshes of some ten thousand samples.
+_SLACK = 1.1
 
 # Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
 _MOST_HUED = 2.0
@@ -56,6 +59,10 @@ _COLOURLESS = 1.3
 # second scale and less than the second to the third, or less than the third from single cells on, as no texture does.
 # Differences of channels have less of it, at the second scale by more than the last factor, and least in the finest.
 _MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE, _TAKEN = 2.2, 1.35, 1.25, 1.5
+
+# It leaves less than this share of the finest in the differences, and coarse noise: that of the mean is no larger than
+# this factor of it, or is texture.
+_LEFT, _MOST_ABOVE = 0.2, 3.0
 
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
 _MOST_APART = 1.2
@@ -81,7 +88,7 @@ class FoundNoise:
     covariances: Float64s | None = None  # of stabilised colours, shape (L, N, N), see `haar_noise`
     doubt: float = 0.0  # mean square of what may be missing because of JPEG; infinite: nobody can tell
     sigma: Float64s | None = None  # of stabilised colours, by channel, once that is known
-    most: float = np.inf  # root mean square of independent noise, over the first channels, at most
+    most: float = np.inf  # independent noise of each of the first channels at most
 
 
 def noise_of_scales(
@@ -104,8 +111,9 @@ def noise_of_scales(
     stabiliser = stabiliser_of(found) if by_level else None
     doubt = _doubt(found.sigma)
     if not is_shared(found.sigma):
-        is_known = stabiliser is None and scales[0].cut_off < _FEW_CUT_OFF
-        most = _most_independent(found.sigma) if is_known else float(np.inf)
+        scale = 1.0 if stabiliser is None else stabiliser.scale
+        is_known = scales[0].cut_off < _FEW_CUT_OFF
+        most = scale * _most_independent(found.sigma) if is_known else float(np.inf)
         return FoundNoise(stabiliser, doubt=doubt, most=most)
     count, independent = len(mixing), alone()
     sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))
@@ -119,12 +127,14 @@ def noise_of_scales(
 
 
 def _most_independent(sigma: Float64s) -> float:
-    """Return what differences of channels show of white noise, if all that their mean shows is texture."""
-    if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 2 or np.isnan(sigma[:2]).any():
+    """Return what differences of channels hold of noise, if their mean shows that even quiet places are texture."""
+    if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
         return float(np.inf)
-    fine, middle = np.sqrt(np.mean(sigma[:2, 1:] ** 2, axis=1))
-    is_white = max(fine, middle) < _WHITE * min(fine, middle)
-    return float(fine) if is_white and sigma[1, 0] > _NOWHERE_FLAT * sigma[0, 0] else float(np.inf)
+    fine, middle, coarse = sigma[:3, 0]
+    most = float(max(np.sqrt(np.mean(sigma[0, 1:] ** 2)), sigma[1, 1:].min()))
+    # Where JPEG may have taken noise from the differences, and the finest of the mean, this has to grow further.
+    is_texture = middle > _NOWHERE_FLAT * fine and (most > _LEAST_DIFFERENCES or coarse > _EVEN_MEAN * middle)
+    return _SLACK * max(most, _LEAST_DIFFERENCES) if is_texture else float(np.inf)
 
 
 def _doubt(sigma: Float64s) -> float:
@@ -168,11 +178,17 @@ def _level_of_mean(sigma: Float64s) -> float | None:
         return None
     fine, middle, coarse = sigma[:3, 0]
     differences = sigma[:3, 1:].max(axis=1)
-    if middle < max(_LEAST_MIDDLE, _TAKEN * differences[1]) or differences[2] < _GROWS_TWICE * differences[0]:
+    if middle < max(_LEAST_MIDDLE, _TAKEN * differences[1]) or differences[0] > _LEFT * fine:
+        return None
+    if differences[2] < _GROWS_TWICE * differences[0] and differences[0] > _LEAST_DIFFERENCES:
         return None
     if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
-        return float(max(fine, middle, coarse))
-    return float(max(fine, middle)) if middle < _AS_FINE * fine else None
+        level = max(fine, middle, coarse)
+    elif middle < _AS_FINE * fine:
+        level = max(fine, middle)
+    else:
+        return None
+    return float(level) if level < _MOST_ABOVE * np.nanmax(sigma[2:4, 1:].min(axis=1)) else None
 
 
 def _levels_off(sigma: Float64s) -> bool:

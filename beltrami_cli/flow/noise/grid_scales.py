@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_for
+from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_by
 from beltrami_cli.flow.noise.by_scale import FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
 from beltrami_cli.flow.noise.upper_bound import most_noise
@@ -67,9 +67,9 @@ def measure_by_scale(
     None instead of them if most tiles are plain.
     """
     colours = planes[:3] if len(planes) >= 3 else planes
-    mixing = mixing_for(len(colours))
     rows = _some_rows(*filled.shape)
     colours, filled = colours[:, rows], filled[rows]
+    mixing = _mixing_of(colours, filled)
     louder = None if relative is None else relative[0, rows]
     cut = ((colours <= 0) | (colours >= 1)).mean(axis=0, dtype=np.float32)
     # Not by BLAS: its threads would spin for as long as an iteration takes.
@@ -104,13 +104,21 @@ def measure_by_scale(
             Neighbourhoods(
                 (4**scale * energy / remaining)[:, ~plain],
                 (np.sum(square - level**2, axis=0) / remaining)[~plain],
-                (level[0] / np.sqrt(len(mixing)) if len(mixing) == 3 else level.mean(axis=0))[~plain],
+                np.einsum("k,km->m", mixing.mean(axis=1), level)[~plain],
                 3 * side**2,
                 float(share[whole].mean()),
                 most,
             )
         )
     return scales, mixing
+
+
+def _mixing_of(colours: Float32s, filled: Bools) -> Float64s:
+    """Return the mixing of channels into components by details of means of 2 x 2 cells."""
+    fine = corners_of(colours).mean(axis=0)
+    corners, whole = corners_of(fine), all_filled(all_filled(filled))
+    details = (corners - corners.mean(axis=0))[:, :, whole]
+    return mixing_by(details.swapaxes(0, 1).reshape(len(colours), -1))
 
 
 def find_grid_noise(

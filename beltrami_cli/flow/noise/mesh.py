@@ -16,7 +16,13 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, mixing_for, stabiliser_of
+from beltrami_cli.flow.noise.by_level import (
+    Neighbourhoods,
+    fit_by_level,
+    mixing_by,
+    mixing_for,
+    stabiliser_of,
+)
 from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
 from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
@@ -228,16 +234,19 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
         _variances(colours, relative)[chosen],
         colours[chosen, : 3 if colours.shape[1] >= 3 else None],
     )
-    inside, mixing, by_level = _inside(own, edges), mixing_for(own.shape[1]), own.min(initial=0) >= 0
+    inside, by_level = _inside(own, edges), own.min(initial=0) >= 0
     if np.count_nonzero(inside) < _FEWEST_BY_LEVEL:
         return FoundNoise()
+    are_enough = np.count_nonzero(inside) >= _FEWEST_SHARED
+    clusters = list(islice(levels_of(part), SCALES + 2)) if are_enough else []
+    mixing = _mixing_of(own, clusters)
     mixed = np.einsum("ki,si->sk", mixing, own)
     cut = ((own <= 0) | (own >= 1)).mean(axis=1)
-    columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
+    columns = np.column_stack([mixed, own.mean(axis=1), cut, variances]).astype(np.float32)
     found = FoundNoise()
-    if np.count_nonzero(inside) >= _FEWEST_SHARED:
-        scales, levels = [], list(islice(levels_of(part), SCALES + 2))
-        for fine, parents, tiles in zip(levels, levels[1:], levels[2:], strict=False):
+    if are_enough:
+        scales = []
+        for fine, parents, tiles in zip(clusters, clusters[1:], clusters[2:], strict=False):
             if tiles.graph.size >= _FEWEST_TILES:
                 scales.append(_details(columns, fine, parents, tiles))
         alone = partial(estimate_sigma, colours, samples.edges, relative)
@@ -249,31 +258,40 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     return dataclasses.replace(found, stabiliser=None if fitted is None else stabiliser_of(fitted))
 
 
+def _mixing_of(colours: Float32s, clusters: list[Level]) -> Float64s:
+    """Return the mixing of channels into components, by details of means of some four samples if there are enough."""
+    if len(clusters) <= SCALES:
+        return mixing_for(colours.shape[1])
+    fine, parents = clusters[1:3]
+    details = fine.means(colours) - parents.means(colours)[parents.members[fine.centres]]
+    return mixing_by((details * np.sqrt(fine.counts)[:, None]).T)
+
+
 def _residuals(columns: Float32s, edges: Int32s, inside: Bools) -> Neighbourhoods:
     """Measure how samples differ from their neighbours; for columns see `_details`."""
     mixed, cut, variances = columns[:, :-2], columns[:, -2:-1], columns[:, -1]
     energy, uneven, level, cut_around = _neighbourhoods(mixed, cut, variances, edges, inside)
+    energy, uneven = energy[:-1], uneven[:-1]
     used = (cut_around[0] < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
-    levels = level[0, used] / np.sqrt(mixed.shape[1])
-    return Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], levels, round(_FREEDOM_AROUND))
+    return Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], level[-1, used], round(_FREEDOM_AROUND))
 
 
 def _details(columns: Float32s, fine: Level, parents: Level, tiles: Level) -> Neighbourhoods:
     """Measure how means differ from those of their clusters, like Haar details, in clusters of these.
 
-    Columns are components of colours; the last two: shares of channels that were cut off, and variances of noise.
+    Columns are components of colours; the last three: their level, the share of channels that were cut off, and the
+    variance of noise.
     """
-    (means, around), within = (level.means(columns[:, :-2]) for level in (fine, parents)), tiles.graph.size
+    (means, around), within = (level.means(columns[:, :-3]) for level in (fine, parents)), tiles.graph.size
     parent, tile = parents.members[fine.centres], tiles.members[fine.centres]
     details = np.square(means - around[parent]) * fine.counts[:, None]
     free = np.bincount(tile, 1 - fine.counts / parents.counts[parent], within)
     level, tile_of_parent = tiles.means(columns).astype(np.float64), tiles.members[parents.centres]
-    apart = np.square(around - level[tile_of_parent, :-2]).sum(axis=1) * parents.counts
+    apart = np.square(around - level[tile_of_parent, :-3]).sum(axis=1) * parents.counts
     cut = level[:, -2]
     used = (free >= _FEWEST_DETAILS) & (cut < _MOST_CUT_OFF_OF_TILES)
     variances = (level[:, -1] * variance_of_clipped(cut))[used]
     energy = np.stack([np.bincount(tile, own, within)[used] for own in details.T]) / (free[used] * variances)
     uneven = np.bincount(tile_of_parent, apart, within)[used] / (tiles.counts[used] * variances)
     seen = energy.min(axis=0, initial=np.inf) > _PLAIN
-    levels = level[used][seen, 0] / np.sqrt(len(energy))
-    return Neighbourhoods(energy[:, seen], uneven[seen], levels, _DETAILS, float(cut.mean()))
+    return Neighbourhoods(energy[:, seen], uneven[seen], level[used][seen, -3], _DETAILS, float(cut.mean()))

@@ -1,0 +1,78 @@
+"""Textures without any even place, as of grass or scratched metal, are no noise: their hue tells them apart."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import beltrami_cli
+from beltrami_cli.arrays import Float32s
+from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_by
+from beltrami_cli.flow.parameters import parameters_with
+from beltrami_cli.surface.records import SampledSurface
+from oracles import surfaces
+from oracles.paintings import psnr
+
+SIDE = 320
+GRASS = np.array([0.6, 0.78, 0.12])
+
+
+def texture(hue, deviation=0.17, growth=1.5):
+    """Return details of every size, each scale stronger than the one before, in multiples of a hue."""
+    random, total = np.random.default_rng(4), np.zeros((SIDE, SIDE))
+    for scale in range(5):
+        layer = gaussian_filter(random.standard_normal((SIDE, SIDE)), 0.4 * 2**scale)
+        total += growth**scale * layer / layer.std()
+    total *= deviation / total.std()
+    return np.clip(0.45 + total[..., None] * hue / np.linalg.norm(hue) * np.sqrt(3), 0.02, 0.98)
+
+
+def stored(clean, sigma):
+    noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
+    return np.rint(255 * noisy.clip(0, 1)).astype(np.uint8)
+
+
+def read(image):
+    """Return what is read of noise, of 255."""
+    return 255 * float(np.sqrt(np.mean(beltrami_cli.smooth_image(image, iterations=0).noise ** 2)))
+
+
+@pytest.mark.parametrize("hue", [GRASS, np.ones(3)], ids=["grass", "grey"])
+def test_white_noise_on_a_texture_is_read_right(hue):
+    """Its differences of channels hold noise and nothing else; the bound that they give leaves a tenth of slack."""
+    assert 0.95 * 10 < read(stored(texture(hue), 10)) < 1.15 * 10
+
+
+def test_a_clean_texture_of_one_hue_is_hardly_changed():
+    clean = texture(GRASS)
+    result = beltrami_cli.smooth_image(stored(clean, 0))
+    assert psnr(result.colours, clean) > 45
+
+
+def test_vertices_with_a_texture_of_one_hue_show_their_noise():
+    positions, faces = surfaces.icosphere(6)
+    at = ((positions[:, :2] + 1) / 2 * (SIDE - 1)).astype(int)
+    clean = texture(GRASS)[at[:, 0], at[:, 1]]
+    noisy: Float32s = (clean + 12 / 255 * np.random.default_rng(3).standard_normal(clean.shape)).astype(
+        np.float32
+    )
+    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), noisy)
+    manifold = MeshManifold(surface, parameters_with({"threads": 1}))
+    assert not manifold.shares_noise
+    assert 255 * manifold.noise == pytest.approx(12, rel=0.15)  # by some 600 tiles, and with slack, as above
+
+
+@pytest.mark.parametrize("hue", [GRASS, [0, 0, 1], [1, 1, 1]])
+def test_channels_are_mixed_so_that_one_component_holds_the_hue(hue):
+    random = np.random.default_rng(6)
+    hue = np.array(hue) / np.linalg.norm(hue)
+    mixing = mixing_by(np.outer(hue, random.standard_normal(5000)))
+    assert mixing @ mixing.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert mixing @ hue == pytest.approx([1, 0, 0], abs=1e-12)
+
+
+def test_noise_and_many_hues_leave_the_mean_of_channels_first():
+    details = np.random.default_rng(7).standard_normal((3, 5000))
+    assert np.array_equal(mixing_by(details), OPPONENTS)
+    details[1:] *= 0.5  # two components differ from the strongest
+    assert np.array_equal(mixing_by(details), OPPONENTS)
