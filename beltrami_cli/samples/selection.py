@@ -61,6 +61,8 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
     coloured = settings.on != "texture" and document.has_vertex_colours()
+    if settings.on == "auto":
+        slots = document.readable(slots)
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
             document.painted()  # raises an error with what there is instead
