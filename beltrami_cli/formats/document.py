@@ -18,7 +18,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
@@ -206,7 +206,9 @@ class Document(ABC):
     def textured(self, slot: records.Slot) -> records.TexturedSurface:
         """Return the textures of a slot and their surface, always the same record; InputError without usable ones."""
         if slot not in self._textured:
-            self._textured[slot] = self._gathered(slot)
+            surface = self._gathered(slot)
+            textures = tuple(replace(texture, model=self.name) for texture in surface.textures)
+            self._textured[slot] = replace(surface, textures=textures)
         return self._textured[slot]
 
     def readable(self, slots: Iterable[records.Slot]) -> tuple[records.Slot, ...]:

@@ -11,7 +11,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
+from beltrami_cli.formats.image import ImageDocument, Picture, read_texture, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.job import Progress, tracked
@@ -205,7 +205,7 @@ def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> Float32s:
 
 def texture_sheet(texture: Texture, slot: Slot) -> Float32s:
     """Return a texture of a slot in linear light with opacity, (H, W, 4)."""
-    return sheet_of(read_image(texture.data, texture.name), is_data=slot not in COLOUR_SLOTS)
+    return sheet_of(read_texture(texture), is_data=slot not in COLOUR_SLOTS)
 
 
 def light_of(painted: PaintedVertices) -> Float64s:

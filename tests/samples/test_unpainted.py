@@ -114,6 +114,19 @@ def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path: Path
         assert "palette" in reported
 
 
+def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path: Path) -> None:
+    model = write_model(tmp_path, "gltf", "skin.png")
+    (tmp_path / "skin.png").write_bytes(PICTURE[:60])
+    for attempt in (
+        lambda: smooth_file(model, tmp_path / "o.gltf", iterations=1),
+        lambda: view_of(open_document(str(model)), RenderSettings()),
+    ):
+        with pytest.raises(
+            InputError, match=r"model\.gltf: skin\.png: the PNG image is damaged .*; export it anew"
+        ):
+            attempt()
+
+
 TEXTURED_OBJ = (
     "mtllib a.mtl\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nvt 0 0\nvt 1 0\nusemtl m\nf 1/1 2/2 3/1"
 )

@@ -18,6 +18,7 @@ from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measu
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
 from beltrami_cli.formats.image.picture import READABLE, Picture, format_of, label_of, suffix_for
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
+from beltrami_cli.surface.records import Texture
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
@@ -102,6 +103,15 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     if key in kept:
         kept[key] = picture
     return picture
+
+
+def read_texture(texture: Texture, data: bytes | None = None) -> Picture:
+    """Decode a texture, or another image in its stead; errors name the model, too."""
+    try:
+        return read_image(texture.data if data is None else data, texture.name)
+    except InputError as error:
+        cause = f"{error.name}: {error.cause}"
+        raise InputError(texture.model or error.name, cause, error.remedy) from error
 
 
 def _decoded(data: bytes, name: str, finite: bool) -> Picture:
