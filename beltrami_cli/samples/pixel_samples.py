@@ -287,7 +287,8 @@ class PixelSamples(Samples):
                 "--channels leaves them out."
             )
         if not self.valid.any():
-            found.append(f"{name} has no pixel but holes, so nothing was smoothed.")
+            remedy = "" if self.colours.visible().any() else "; --alpha smooth takes what is transparent, too"
+            found.append(f"{name} has no pixel but holes, so nothing was smoothed{remedy}.")
         return found
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> ImageReport:
