@@ -105,8 +105,8 @@ class SlotImages:
         several = "is used with several wrap modes; the first is followed."
         return left + [f"The {self._slot} image {name!r} {several}" for name in mixed]
 
-    def refusal(self, name: str, *, is_bare: bool) -> InputError:
-        """Return the error that nothing shows an image, `is_bare` for lack of texture coordinates."""
+    def refusal(self, name: str, *, is_bare: bool, why: str = "") -> InputError:
+        """Return the error that nothing shows an image: `is_bare` for lack of texture coordinates, or `why` else."""
         if self._missing:
             reason = next(iter(self._missing))
             cause = f"its {self._slot} texture cannot be read: {reason}"
@@ -114,7 +114,8 @@ class SlotImages:
         if is_bare:
             cause = f"it has a {self._slot} texture, but no texture coordinates for it"
             return InputError(name, cause, "export it with them")
-        return InputError(name, f"it has no {self._slot} texture")
+        reason = f", because {why}" if why else ""
+        return UnpaintedError(name, f"it has no {self._slot} texture{reason}", remedy_for(reason))
 
 
 class MeshImages:
