@@ -29,6 +29,8 @@ def amount(text: str) -> float:
 def sure_amount(text: str) -> float:
     """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of 1."""
     value = amount(text)
+    if value > 1:
+        raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
     if 0 < value < 1 / 255 and not set(text) & set("/%"):
         number = text.strip()
         remedy = f"write {number}/255 or {100 * float(number):g}%"
