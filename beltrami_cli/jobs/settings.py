@@ -96,7 +96,7 @@ class BakeSettings:
 
     size: int | None = parameter(
         None, "Longest side of the new texture.", kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
-        unset="two texels along an edge, 256 to 8192; or as in the old texture", metavar="N",
+        unset="two texels along an edge, at most 8192; or as in the old texture", metavar="N",
     )  # fmt: skip
     padding: int = parameter(
         4, "Distance between the charts of a new texture.", low=0, high=64, unit="texels", metavar="N"
