@@ -301,8 +301,9 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
         case "tiff":
             spec.attribute("tiff:half", 1)
     if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
-        # Otherwise it would be the time of writing, and two runs would differ.
-        spec.attribute("DateTime", "")
+        # Otherwise it would be the time of writing, and two runs would differ. A pair of numbers is not written at all.
+        nothing = ("int[2]", (0, 0)) if known == "tiff" else ("string", "")
+        spec.attribute("DateTime", *nothing)
 
 
 def _encode(spec: Any, pixels: Array, known: str, name: str) -> bytes:
