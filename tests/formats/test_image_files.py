@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -180,7 +181,11 @@ def test_webp_keeps_its_kind_and_metadata(channels: int, lossless: bool) -> None
     source = riff([extended, metadata[0], *chunks, *metadata[1:]])
     picture = read_image(source, "x.webp")
     assert picture.pixels.shape == pixels.shape
-    written = riff_chunks(write_image(picture, picture.pixels).data)
+    file = write_image(picture, picture.pixels)
+    assert [bool(re.search(r"a PSNR of \d+\.\d dB", notice)) for notice in file.notices] == [True] * (
+        not lossless
+    )
+    written = riff_chunks(file.data)
     assert written[0] == extended
     assert [chunk for chunk in written if chunk[0] in (b"ICCP", b"EXIF", b"XMP ")] == metadata
     assert any(kind == (b"VP8L" if lossless else b"VP8 ") for kind, _ in written)

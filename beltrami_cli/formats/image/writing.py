@@ -19,7 +19,7 @@ from beltrami_cli.formats.image.picture import (
     label_of,
     without_alpha,
 )
-from beltrami_cli.formats.image.reading import TYPES, scratch_file
+from beltrami_cli.formats.image.reading import TYPES, read_image, scratch_file
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
 
@@ -190,6 +190,7 @@ def write_image(
 ) -> ImageFile:
     """Encode pixels like those of a picture as the file that it came from, or in another format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
+    # What came as lossy WebP stays so, since lossless files are several times as large.
     known = check_writable(picture, suffix)
     if known in extra_codecs.EXTRA_CODECS:
         return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
@@ -210,6 +211,9 @@ def write_image(
     compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)
     data = _encode(spec, pixels, known, picture.name)
+    if known == "webp" and not compression:
+        again = read_image(data, picture.name).pixels
+        notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
     return ImageFile(metadata.carry_over(picture.source, data, known), picture.suffix, tuple(notices))
 
 
@@ -245,7 +249,8 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
         values, _ = converted(picture, pixels, known, as_data=as_data)
     quality = min(max(quality, 1), 100)
     data = extra_codecs.encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
-    cost = extra_codecs.encoding_cost(known, values, data, picture.name)
+    again = extra_codecs.decoded(data, known, picture.name)[0]
+    cost = extra_codecs.encoding_cost(known, values, again, picture.name)
     return ImageFile(data, FORMATS[known].suffixes[0], (cost,))
 
 
