@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import inspect
 import os
+from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
+
+from beltrami_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.output import Overwrite
@@ -153,7 +156,18 @@ class HelpfulCommand(click.Command):
                 else word
                 for place, word in enumerate(args)
             ]
+        self._refuse_repeated_lists(ctx, args)
         return super().parse_args(ctx, args)
+
+    def _refuse_repeated_lists(self, ctx: click.Context, args: list[str]) -> None:
+        """Refuse a list that is given in parts, of which click would take the last."""
+        _, _, order = self.make_parser(ctx).parse_args([*args])
+        for option, times in Counter(order).items():
+            declared = getattr(option, "declared", None)
+            is_list = declared is not None and declared.kind is str and declared.several
+            if times > 1 and is_list and not option.multiple and not ctx.resilient_parsing:
+                cause = f"{option.opts[0]} is given {times} times"
+                raise UsageError(f"{cause}; give one list, with commas between its names")
 
     def option_groups(self, context: click.Context) -> dict[str, list[click.Option]]:
         """Return the options by their groups, those that matter daily first."""

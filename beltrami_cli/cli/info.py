@@ -107,10 +107,17 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
 
 def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
     slots: Any = facts.get("textures", [])
-    planned: list[Any] = [facts.get("smooth"), *(slot["smooth"] for slot in slots)]
-    for smooth in filter(None, planned):
+    image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
+    samples = image["width"] * image["height"] - image["holes"]
+    planned: list[Any] = [
+        (facts.get("smooth"), samples),
+        *((slot["smooth"], slot["covered"]) for slot in slots),
+    ]
+    for smooth, count in planned:
+        if not smooth:
+            continue
         if settings.kernel.iterations:
-            smooth["choice"] = _choice(smooth)
+            smooth["choice"] = _choice(smooth) if count else "nothing to smooth: there are no samples"
         if "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
             several = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
             which = several if smooth["iterations"] > 1 else " iteration"

@@ -222,20 +222,27 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         facts = report.image.image
         holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
         what = f"{facts['width']} x {facts['height']} pixels{holes}"
-        _show_done(messages, name + what, report.image, report.image.samples_per_kernel)
+        is_empty = facts["holes"] == cast("int", facts["width"]) * cast("int", facts["height"])
+        _show_done(messages, name + what, report.image, report.image.samples_per_kernel, is_empty=is_empty)
     for slot in report.textures:
         textures = counted(len(slot.textures), f"{slot.slot} texture")
         if sum(other.slot == slot.slot for other in report.textures) > 1:
             textures += f" ({', '.join(str(each['name']) for each in slot.textures)})"
         charts = counted(slot.counts["charts"], "chart")
         what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
-        _show_done(messages, name + what, slot, slot.samples_per_kernel)
+        is_empty = not slot.counts["covered"]
+        _show_done(messages, name + what, slot, slot.samples_per_kernel, is_empty=is_empty)
         if slot.counts["jumps"]:
             jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
             messages.detail(f"{jumps} are real colour edges and were not smoothed over")
 
 
-def _show_done(messages: Messages, what: str, done: SamplesReport, samples: float) -> None:
+def _show_done(
+    messages: Messages, what: str, done: SamplesReport, samples: float, *, is_empty: bool = False
+) -> None:
+    if is_empty:  # A warning says why.
+        messages.say(f"{what}, so the colours are left as they are")
+        return
     strongest = 255 * max(done.noise.values(), default=0)
     noise = f"{what}, noise {strongest:.1f}/255"
     if not done.iterations:

@@ -17,13 +17,14 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
@@ -205,8 +206,19 @@ class Document(ABC):
     def textured(self, slot: records.Slot) -> records.TexturedSurface:
         """Return the textures of a slot and their surface, always the same record; InputError without usable ones."""
         if slot not in self._textured:
-            self._textured[slot] = self._gathered(slot)
+            surface = self._gathered(slot)
+            textures = tuple(replace(texture, model=self.name) for texture in surface.textures)
+            self._textured[slot] = replace(surface, textures=textures)
         return self._textured[slot]
+
+    def readable(self, slots: Iterable[records.Slot]) -> tuple[records.Slot, ...]:
+        """Leave out slots whose images are missing, if there is something else that is coloured."""
+        slots, found = tuple(slots), []
+        for slot in slots:
+            with suppress(UnpaintedError):
+                self.textured(slot)
+                found.append(slot)
+        return tuple(found) if found or self.has_vertex_colours() else slots
 
     def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
         raise InputError(self.name, f"it has no {slot} texture")

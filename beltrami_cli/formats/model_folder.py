@@ -38,6 +38,7 @@ _REMEDIES = {
     "is no USD layer": "write the scene as one layer (usdcat --flatten), and give that",
     "leaves the model's folder": "copy its files into the model's folder; for other formats than USD, --allow-outside "
     "reads them as well",
+    "no library has its material": "correct the name at usemtl, or name the library that has it at mtllib",
     "no MaterialX surface": "bake their colours into images, or paint the vertices",
     "USD files there are not read": "copy all files of the scene into one folder, or write it as one package (usdzip)",
 }

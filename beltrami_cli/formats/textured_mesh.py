@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import NewNames, remedy_for, tile_name
@@ -105,15 +105,17 @@ class SlotImages:
         several = "is used with several wrap modes; the first is followed."
         return left + [f"The {self._slot} image {name!r} {several}" for name in mixed]
 
-    def refusal(self, name: str, *, is_bare: bool) -> InputError:
-        """Return the error that nothing shows an image, `is_bare` for lack of texture coordinates."""
+    def refusal(self, name: str, *, is_bare: bool, why: str = "") -> InputError:
+        """Return the error that nothing shows an image: `is_bare` for lack of texture coordinates, or `why` else."""
         if self._missing:
             reason = next(iter(self._missing))
-            return InputError(name, f"its {self._slot} texture cannot be read: {reason}", remedy_for(reason))
+            cause = f"its {self._slot} texture cannot be read: {reason}"
+            return UnpaintedError(name, cause, remedy_for(reason))
         if is_bare:
             cause = f"it has a {self._slot} texture, but no texture coordinates for it"
             return InputError(name, cause, "export it with them")
-        return InputError(name, f"it has no {self._slot} texture")
+        reason = f", because {why}" if why else ""
+        return UnpaintedError(name, f"it has no {self._slot} texture{reason}", remedy_for(reason))
 
 
 class MeshImages:

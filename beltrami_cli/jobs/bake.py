@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_image
+from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
@@ -83,7 +83,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     # Where a seam runs through a vertex each side is looked up, and if they agree within the noise the vertex has
     # their mean. Otherwise there is a real colour edge, and the vertex stays split.
     surface = document.textured("baseColor")
-    pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
+    pictures = [read_texture(texture) for texture in surface.textures]
     corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
     values, noise = _seen(surface, pictures)
     place = group_places(surface.positions, surface.space_of)[0][corners]

@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_image, to_float, without_alpha, write_image
+from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.job import Progress
 from beltrami_cli.jobs.settings import BakeSettings
@@ -115,7 +115,7 @@ def texture_from_textures(
     old = document.textured("baseColor")
     new = [(smoothed or {}).get(texture.key) for texture in old.textures]
     pictures = [
-        read_image(texture.data if file is None else file.data, texture.name)
+        read_texture(texture, None if file is None else file.data)
         for texture, file in zip(old.textures, new, strict=True)
     ]
     texels = texels_of(old, np.array([picture.pixels.shape[1::-1] for picture in pictures]))
@@ -162,7 +162,7 @@ def _kept_uv(document: Document, corners: Float64s, side: int | None) -> tuple[F
     elif surface.uv.min() < 0 or surface.uv.max() > 1:
         cause = "its texture coordinates leave the image"
     if not cause:
-        height, width = read_image(surface.textures[0].data, surface.textures[0].name).pixels.shape[:2]
+        height, width = read_texture(surface.textures[0]).pixels.shape[:2]
         scale = 1.0 if side is None else side / max(width, height)
         size = max(1, round(width * scale)), max(1, round(height * scale))
         if overlap(surface.uv, size) <= _SHARED:

@@ -52,9 +52,11 @@ class Output:
         self.target, self.overwrite, self.what = target, bool(overwrite), what
         self.is_result = what == "OUTPUT"
         self.is_stdout = target == "-"
-        # A link is followed, so that what it points to is replaced and the link stays.
-        self.path = Path(os.path.realpath(target))
-        self.is_device = not self.is_stdout and replacing.is_special(self.path)
+        if not target:
+            raise OutputError(what, "its name is empty", "name a file, or - for standard output")
+        self.is_device = not self.is_stdout and replacing.is_special(Path(target))
+        # A link is followed, so that what it points to is replaced and the link stays; those to pipes lead nowhere.
+        self.path = Path(target if self.is_device else os.path.realpath(target))
         self._sidecars: tuple[str, ...] = ()
         self.replaceable: frozenset[str] = frozenset()  # files beside an old OUTPUT, which belong to it
         self._is_alone = files is None

@@ -238,7 +238,7 @@ def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
     """Whether a document is written anew, as another format that can hold its textures."""
     if kind.is_own or kind.suffix is not None or kind.name in document.forms:
         return False
-    return registry.held_images(kind.name) is not None and bool(document.slots())
+    return registry.held_images(kind.name) is not None and bool(document.readable(document.slots()))
 
 
 def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:

@@ -29,6 +29,8 @@ def amount(text: str) -> float:
 def sure_amount(text: str) -> float:
     """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of 1."""
     value = amount(text)
+    if value > 1:
+        raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
     if 0 < value < 1 / 255 and not set(text) & set("/%"):
         number = text.strip()
         remedy = f"write {number}/255 or {100 * float(number):g}%"
@@ -94,7 +96,7 @@ class BakeSettings:
 
     size: int | None = parameter(
         None, "Longest side of the new texture.", kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
-        unset="two texels along an edge, 256 to 8192; or as in the old texture", metavar="N",
+        unset="two texels along an edge, at most 8192; or as in the old texture", metavar="N",
     )  # fmt: skip
     padding: int = parameter(
         4, "Distance between the charts of a new texture.", low=0, high=64, unit="texels", metavar="N"

@@ -98,8 +98,8 @@ def _smooth_unwrapped(
     watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
     with watch.stage("read"):
         document = open_input(source, settings, access)
-        has_texture = settings.on == "texture" or "baseColor" in document.slots()
-        textured = settings.on != "vertices" and has_texture
+        shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
+        textured = settings.on == "texture" or (settings.on != "vertices" and bool(shown))
         if not textured:
             document.painted()  # raises if there are no colours at all
         if job.check is not None:

@@ -20,7 +20,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
 from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, read_npy
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, read_image
+from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
 from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
@@ -175,7 +175,7 @@ class GuidedTexels:
         return values
 
     def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
-        pictures = [read_image(texture.data, texture.name) for texture in guiding.textures]
+        pictures = [read_texture(texture) for texture in guiding.textures]
         textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
         plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)
         colours = TexelColours(pictures, slot, plain)

@@ -28,7 +28,7 @@ from beltrami_cli.formats.image import (
 )
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
-from beltrami_cli.formats.image.writing import noise_losses
+from beltrami_cli.formats.image.writing import noise_losses, upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_memory
@@ -287,7 +287,8 @@ class PixelSamples(Samples):
                 "--channels leaves them out."
             )
         if not self.valid.any():
-            found.append(f"{name} has no pixel but holes, so nothing was smoothed.")
+            remedy = "" if self.colours.visible().any() else "; --alpha smooth takes what is transparent, too"
+            found.append(f"{name} has no pixel but holes, so nothing was smoothed{remedy}.")
         return found
 
     def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> ImageReport:
@@ -300,10 +301,11 @@ class PixelSamples(Samples):
 
     def repaint(self, new: NewColours) -> Repainted:
         pixels, change = self.colours.repainted(new, self.settings.kernel.thread_count)
+        pixels, turned = upright(self.picture, pixels, self._suffix)
         file, notices = rewritten(
             self.picture, pixels, self.settings.textures, self._suffix, as_data=self._is_data
         )
-        notices += self._own_notices()
+        notices += [*turned, *self._own_notices()]
         if self._suffix is None and not self.valid.all() and not is_exact(self.picture):
             label = label_of(self.picture.format)
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
@@ -331,10 +333,11 @@ class PixelSamples(Samples):
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
         new = NewColours.of(after, np.flatnonzero(self.valid))
         pixels, change = self.colours.repainted(new, threads=1)
+        pixels, turned = upright(self.picture, pixels, self._suffix)
         file, notices = encoded(
             self.picture, pixels, self.settings.textures, self._suffix, as_data=self._is_data
         )
-        notices += noise_losses(self.picture, self._suffix, "an OUTPUT in .png keeps all")
+        notices += [*turned, *noise_losses(self.picture, self._suffix, "an OUTPUT in .png keeps all")]
         return self._repainted(file, change, notices)
 
     def _repainted(self, file: ImageFile, change: Change, notices: Sequence[str]) -> Repainted:

@@ -61,6 +61,8 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
     coloured = settings.on != "texture" and document.has_vertex_colours()
+    if settings.on == "auto":
+        slots = document.readable(slots)
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
             document.painted()  # raises an error with what there is instead
@@ -195,7 +197,7 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
     kinds = "no textures" if textures_only else "neither vertex colours nor textures"
     cause = f"it has {kinds} to smooth"
     if present:
-        remedy = f"add --slots {present[0]}"
+        remedy = f"give --slots {present[0]}"
         cause = f"{cause}, but textures in the slots {', '.join(present)}"
         return UnpaintedError(document.name, cause, remedy)
     reason = document.notices[0] if document.notices else why

@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, check_writable, read_image
+from beltrami_cli.formats.image import Picture, check_writable, read_texture
 from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
@@ -95,7 +95,7 @@ class TexelSamples(samples.Samples):
     def _picture(self, texture: Texture) -> Picture:
         """Decode a texture, and keep its tables; of those around a group the files are not kept."""
         data = texture.data  # which may be read anew each time
-        picture = read_image(data, texture.name)
+        picture = read_texture(texture, data)
         self._tables.append(read_jpeg_tables(data))
         if self._group is None or texture.key in self._group.own:
             return picture

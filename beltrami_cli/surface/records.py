@@ -82,6 +82,7 @@ class Texture:
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")  # what lies beyond 0 and 1, along u and along v
     # Whether texels of opacity 0 cannot be seen; in opaque materials of glTF alpha means nothing.
     alpha_hides: bool = True
+    model: str = ""  # the file that shows it, for errors
 
     @property
     def data(self) -> bytes:

@@ -47,7 +47,7 @@ def unwrap(
     texels: float = 0.0, space_of: Int32s | None = None, progress: Progress = None,
 ) -> Unwrapped:  # fmt: skip
     """Lay a mesh out on a square. Vertices at exactly one place (and in one space) are one."""
-    # `size`: longest side of the texture, in texels; None: from 256 to 8192, as `texels`, which charts
+    # `size`: longest side of the texture, in texels; None: up to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
     # several times a second with the tenths of a second that went by and those that are expected.
     require_finite(positions, name, "the position of vertex")

@@ -17,7 +17,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
-from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.samples.guides import vertex_guides
 from beltrami_cli.samples.painted_samples import PaintedSamples, only_rows
 from beltrami_cli.samples.pixel_samples import PixelSamples
@@ -98,7 +98,7 @@ class Previewer:
             self._own = document.textured(slot)
             textured = np.flatnonzero(self._own.texture_of >= 0)
             surface = _used(self._own, textured)
-            pictures = [read_image(texture.data, texture.name) for texture in surface.textures]
+            pictures = [read_texture(texture) for texture in surface.textures]
             self._texels = np.array([picture.pixels[..., 0].size for picture in pictures], np.float64)
             most = max(_PIECE, float(self._texels.sum()) / _MOST_PIECES)
             self._surface, pieces_of = _split(surface, self._texels, most)

@@ -11,7 +11,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument, Picture, read_image, to_float, without_alpha
+from beltrami_cli.formats.image import ImageDocument, Picture, read_texture, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.job import Progress, tracked
@@ -134,10 +134,11 @@ def _seen_images(document: Document, settings: RenderSettings) -> list[tuple[byt
     """Return the image files of what is seen of a document."""
     if isinstance(document, ImageDocument):
         return [(document.data, document.name)]
-    if settings.on == "vertices" or settings.slot not in document.slots():
+    if settings.on == "vertices":
         return []
-    slot: Slot = settings.slot
-    return [(texture.data, texture.name) for texture in document.textured(slot).textures]
+    slots = document.readable(slot for slot in document.slots() if slot == settings.slot)
+    textures = [texture for slot in slots for texture in document.textured(slot).textures]
+    return [(texture.data, texture.name) for texture in textures]
 
 
 def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:
@@ -146,6 +147,8 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
         return ImageView(sheet_of(document.picture()))
     slot: Slot = settings.slot  # type: ignore[assignment]
     has_texture = slot in document.slots()
+    if has_texture and settings.on == "auto":
+        has_texture = bool(document.readable([slot]))
     if settings.on == "texture" and not has_texture:
         raise InputError(document.name, f"it has no {slot} texture", "leave out --show")
     if has_texture and settings.on != "vertices":
@@ -166,7 +169,8 @@ def image_files(document: Document) -> list[tuple[bytes, str]]:
     """Return the image files of a document, with their names."""
     if isinstance(document, ImageDocument):
         return [(document.data, document.name)]
-    textures = [texture for slot in document.slots() for texture in document.textured(slot).textures]
+    slots = document.readable(document.slots())
+    textures = [texture for slot in slots for texture in document.textured(slot).textures]
     return [(texture.data, texture.name) for texture in textures]
 
 
@@ -201,7 +205,7 @@ def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> Float32s:
 
 def texture_sheet(texture: Texture, slot: Slot) -> Float32s:
     """Return a texture of a slot in linear light with opacity, (H, W, 4)."""
-    return sheet_of(read_image(texture.data, texture.name), is_data=slot not in COLOUR_SLOTS)
+    return sheet_of(read_texture(texture), is_data=slot not in COLOUR_SLOTS)
 
 
 def light_of(painted: PaintedVertices) -> Float64s:

@@ -10,6 +10,7 @@ import OpenImageIO
 import pytest
 
 from cli.commands import SAMPLES, beltrami
+from formats.image_files import encode
 
 
 def jpeg_of_two_colours(path):
@@ -96,6 +97,18 @@ def test_nothing_is_said_to_be_smoothed_where_nothing_is(tmp_path):
     run = beltrami("smooth", SAMPLES / "tiled-clean.glb", tmp_path / "tiled.glb")
     assert b"left as they are" in run.stderr
     assert b"was smoothed" not in run.stderr
+
+
+def test_where_there_are_no_samples_no_strength_is_advised(tmp_path):
+    pixels = np.full((8, 8, 4), 90, np.uint8)
+    pixels[..., 3] = 0
+    (tmp_path / "a.png").write_bytes(encode(pixels, "png"))
+    run = beltrami("smooth", tmp_path / "a.png", tmp_path / "b.png", "--strength", "strong")
+    assert b"a.png has no pixel but holes, so nothing was smoothed; --alpha smooth takes" in run.stderr
+    assert b"left as they are" in run.stderr
+    shown = beltrami("info", tmp_path / "a.png").stdout
+    assert b"nothing to smooth: there are no samples" in shown
+    assert b"--strength" not in run.stderr + shown
 
 
 def test_iterations_that_are_asked_for_are_run_all_the_same(square, tmp_path):

@@ -39,6 +39,15 @@ def values_of(name, *arguments):
     return command.make_context(name, [*ARGUMENTS.get(name, ["a", "b"]), *arguments])
 
 
+@pytest.mark.parametrize("option", ["--slots", "--channels", "--metric-channels"])
+def test_of_a_list_in_parts_none_is_dropped(option):
+    with pytest.raises(UsageError, match=f"{option} is given 2 times; give one list, with commas"):
+        values_of("smooth", option, "normal", f"{option}=emissive")
+    values_of(
+        "smooth", option, "normal,emissive", "--beta", "2", "--beta", "3", "--guide", "a", "--guide", "b"
+    )
+
+
 def option_for(name, declared):
     command = group.get_command(click.Context(group), name)
     found = [

@@ -91,6 +91,7 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     [
         ("out/there.ply", b"out/there.ply: exists already; choose another name, or --overwrite"),
         ("out", b"out: is a folder; name a file"),
+        ("", b"OUTPUT: its name is empty; name a file, or - for standard output"),
         ("none/x.ply", b"none/x.ply: the folder none does not exist; make it first"),
         ("out/there.ply/x.ply", b"out/there.ply/x.ply: out/there.ply is no folder; choose another place"),
         ("out/" + 300 * "x" + ".ply", b".ply: no file can be called so (File name too long)"),

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import zlib
+from typing import TYPE_CHECKING
 
 import numpy as np
+import OpenImageIO
 import pytest
 
+from beltrami_cli import smooth_file
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import losses, read_image, to_float, write_image
 from beltrami_cli.surface.colour_values import linear_to_srgb
-from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise, png_chunks
+from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, stored
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 RGB = [(known, kind) for known, kind, channels in LOSSLESS if channels == 3]
 
@@ -96,6 +102,39 @@ def test_profile_and_texts_go_along_where_they_still_hold() -> None:
     assert len(name) > 0
     exr = read_image(write_image(picture, picture.pixels, suffix=".exr").data, "x.exr")
     assert exr.spec.getattribute("ICCProfile") is None
+
+
+@pytest.mark.parametrize("target", [".jpg", ".png", ".tif", ".webp"])
+@pytest.mark.parametrize("source", ["jpeg", "png", "tiff"])
+def test_exif_goes_along(source: str, target: str) -> None:
+    data = encode(noise("uint8", 3), source, Orientation=6, ImageDescription="a view", DateTime="")
+    picture = read_image(data, "x" + SUFFIXES[source])
+    spec = read_image(write_image(picture, picture.pixels, suffix=target).data, "x" + target).spec
+    assert spec.get_int_attribute("Orientation") == 6
+    assert spec.get_string_attribute("ImageDescription") == "a view"
+
+
+def test_a_picture_without_exif_gets_none() -> None:
+    picture = picture_of("png", "uint8", 3)
+    assert b"EXIF" not in write_image(picture, picture.pixels, suffix=".webp").data
+
+
+@pytest.mark.parametrize("turned", range(1, 9))
+def test_where_no_tag_turns_a_picture_its_pixels_are_turned(turned: int, tmp_path: Path) -> None:
+    source = tmp_path / "a.tif"
+    source.write_bytes(encode(noise("uint8", 3), "tiff", Orientation=turned))
+    upright = OpenImageIO.ImageBufAlgo.reorient(OpenImageIO.ImageBuf(str(source)))
+    report = smooth_file(source, tmp_path / "b.bmp", iterations=0)
+    np.testing.assert_array_equal(stored(tmp_path / "b.bmp"), upright.get_pixels("uint8"))
+    assert any("pixels are turned" in warning for warning in report.warnings) == (turned > 1)
+    smooth_file(source, tmp_path / "b.png", iterations=0)
+    np.testing.assert_array_equal(stored(tmp_path / "b.png"), noise("uint8", 3))
+
+
+def test_texts_that_are_no_utf_8_do_not_bar_a_conversion() -> None:
+    header, *others = png_chunks(encode(noise("uint8", 3), "png"))
+    picture = read_image(png_file([header, (b"tEXt", b"Author\0Zo\xeb"), *others]), "x.png")
+    assert b"Zo\xeb" in write_image(picture, picture.pixels, suffix=".jpg").data
 
 
 def test_an_unknown_extension_is_refused() -> None:

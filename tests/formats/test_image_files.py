@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +30,7 @@ from formats.repainting import repainted
 if TYPE_CHECKING:
     from pathlib import Path
 
+_DATE = 306  # tag of TIFF
 BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4}
 EXIF = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 
@@ -179,7 +181,11 @@ def test_webp_keeps_its_kind_and_metadata(channels: int, lossless: bool) -> None
     source = riff([extended, metadata[0], *chunks, *metadata[1:]])
     picture = read_image(source, "x.webp")
     assert picture.pixels.shape == pixels.shape
-    written = riff_chunks(write_image(picture, picture.pixels).data)
+    file = write_image(picture, picture.pixels)
+    assert [bool(re.search(r"a PSNR of \d+\.\d dB", notice)) for notice in file.notices] == [True] * (
+        not lossless
+    )
+    written = riff_chunks(file.data)
     assert written[0] == extended
     assert [chunk for chunk in written if chunk[0] in (b"ICCP", b"EXIF", b"XMP ")] == metadata
     assert any(kind == (b"VP8L" if lossless else b"VP8 ") for kind, _ in written)
@@ -209,6 +215,21 @@ def test_tiff_keeps_profile_compression_and_texts_and_gains_nothing() -> None:
         names = {attribute.name for attribute in picture.spec.extra_attribs}
         assert {attribute.name for attribute in again.spec.extra_attribs} <= names
         assert write_image(picture, picture.pixels).data == written.data
+
+
+def test_a_tiff_without_a_date_gets_none() -> None:
+    def tags(data: bytes) -> list[int]:
+        at = int.from_bytes(data[4:8], "little")
+        count = int.from_bytes(data[at : at + 2], "little")
+        return [int.from_bytes(data[at + 2 + 12 * i :][:2], "little") for i in range(count)]
+
+    source = encode(noise("uint8", 3), "png")
+    plain = write_image(read_image(source, "x.png"), noise("uint8", 3), suffix=".tif").data
+    again = write_image(read_image(plain, "x.tif"), noise("uint8", 3)).data
+    dated = encode(noise("uint8", 3), "tiff", DateTime="2003:06:12 00:00:00")
+    kept = write_image(read_image(dated, "x.tif"), noise("uint8", 3)).data
+    assert [_DATE in tags(data) for data in (plain, again, kept)] == [False, False, True]
+    assert b"CreateDate" not in plain + again  # of XMP
 
 
 def test_exr_keeps_compression_types_by_channel_and_attributes() -> None:

@@ -13,7 +13,7 @@ from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
-from formats.image_files import RARER_SUFFIXES, encode, noise
+from formats.image_files import RARER_SUFFIXES, encode, noise, png_chunks, png_file
 from formats.repainting import repainted
 
 if TYPE_CHECKING:
@@ -188,6 +188,16 @@ def test_grey_of_few_bits_is_reported() -> None:
     assert read_image(saved(grey, ".png"), "x.png").notices == (
         "x.png has 1-bit samples, which become 8-bit ones.",
     )
+
+
+@pytest.mark.parametrize(("channels", "colour"), [(1, b"\0\7"), (3, b"\0\7\0\7\0\7")])
+def test_a_transparent_colour_of_png_is_reported(channels: int, colour: bytes) -> None:
+    pixels = np.full((2, 2, channels), 7, np.uint8)
+    pixels[0] = 9
+    header, *others = png_chunks(encode(pixels, "png"))
+    picture = read_image(png_file([header, (b"tRNS", colour), *others]), "x.png")
+    assert picture.pixels[..., -1].tolist() == [[255, 255], [0, 0]]
+    assert picture.notices == ("x.png has a colour that is transparent, which becomes an alpha channel.",)
 
 
 def test_channels_of_several_types_are_each_rounded_to_their_own() -> None:

@@ -148,6 +148,11 @@ def test_a_missing_texture_is_an_error_only_if_there_is_no_other(tmp_path: Path)
         document = model(tmp_path, f"newmtl one\nmap_Kd {name}\n")
         with pytest.raises(InputError, match="missing"):
             document.textured("baseColor")
+    document = model(tmp_path, "newmtl two\nmap_Kd a.png\n")
+    with pytest.raises(
+        InputError, match="because no library has its material 'one'; correct the name at usemtl"
+    ):
+        document.textured("baseColor")
     document = model(tmp_path, "", f"mtllib none.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}")
     assert document.slots() == ()
 

@@ -83,8 +83,9 @@ def test_what_is_not_obvious_is_said():
         (b"x y z r g\n1 2 3 4 5\n", UnpaintedError, "x y z r g have no colours"),
         (b"a b r g b\n1 2 3 4 5\n", InputError, "no x, y and z"),
         (b"x y z r g b\n1 2 3 4\n", InputError, "names 6 columns, but there are 4"),
-        (b"\xff\xfe1\x00 \x002\x00\n1 2 3 4", InputError, "the first line names 2 columns"),
-        (b"\0" * 40, InputError, "no points"),
+        (b"\xff\xfe1\x00 \x002\x00\n1 2 3 4", InputError, "it is no plain text; export"),
+        (b"\0" * 40, InputError, "it is no plain text; export"),
+        (b"[Points]\n1 2 3 4 5 6\n\xc0\0\n", InputError, "it is no plain text; export"),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_one_line(text, error, said):

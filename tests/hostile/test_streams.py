@@ -53,6 +53,12 @@ def test_what_cannot_be_written_to_standard_output_is_said(
     assert b"unexpected" not in done.stderr
 
 
+def test_the_device_of_standard_output_goes_through_a_pipe() -> None:
+    done = run("", "smooth", str(SCAN), "/dev/stdout", *QUICK)
+    assert done.stdout.startswith(b"ply")
+    assert done.stdout == run("", "smooth", str(SCAN), "-", *QUICK).stdout
+
+
 def test_an_input_that_is_closed_is_an_empty_one() -> None:
     done = run("<&-", "info", "-")
     assert (done.returncode, done.stderr.count(b"\n")) == (3, 1)

@@ -190,7 +190,14 @@ def test_an_amount_is_of_255_or_a_fraction():
 
 @pytest.mark.parametrize(
     ("text", "word"),
-    [("0.08", "8%"), ("-1", "from 0"), ("nan", "from 0"), ("much", "amount"), ("1/0", "amount")],
+    [
+        ("0.08", "8%"),
+        ("-1", "from 0"),
+        ("nan", "from 0"),
+        ("much", "amount"),
+        ("300", "is 300, but must be at most 255"),
+        ("1/0", "amount"),
+    ],
 )
 def test_what_is_no_amount_or_could_be_two_is_refused(text, word):
     with pytest.raises(ValueError, match=word):

@@ -11,10 +11,12 @@ import pytest
 from PIL import Image
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.registry import open_bytes
+from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.views import view_of
 from hostile.textured_models import PICTURE, write_model
 
 if TYPE_CHECKING:
@@ -110,3 +112,43 @@ def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path: Path
             source, tmp_path / source.with_stem("new").name, job=Job(dry_run=True)
         ).warnings
         assert "palette" in reported
+
+
+def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path: Path) -> None:
+    model = write_model(tmp_path, "gltf", "skin.png")
+    (tmp_path / "skin.png").write_bytes(PICTURE[:60])
+    for attempt in (
+        lambda: smooth_file(model, tmp_path / "o.gltf", iterations=1),
+        lambda: view_of(open_document(str(model)), RenderSettings()),
+    ):
+        with pytest.raises(
+            InputError, match=r"model\.gltf: skin\.png: the PNG image is damaged .*; export it anew"
+        ):
+            attempt()
+
+
+TEXTURED_OBJ = (
+    "mtllib a.mtl\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nvt 0 0\nvt 1 0\nusemtl m\nf 1/1 2/2 3/1"
+)
+TEXTURED_PLY = (
+    "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\nproperty float x\nproperty float y\n"
+    "property float z\nproperty float s\nproperty float t\nproperty uchar red\nproperty uchar green\n"
+    "property uchar blue\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0 0 0 255 0 0\n1 0 0 1 0 0 255 0\n0 1 0 0 1 0 0 255\n3 0 1 2\n"
+)
+
+
+@pytest.mark.parametrize("target", ["b.obj", "b.ply", "b.glb"])
+@pytest.mark.parametrize(("name", "text"), [("a.obj", TEXTURED_OBJ), ("a.ply", TEXTURED_PLY)])
+def test_vertex_colours_do_not_need_a_missing_texture(
+    name: str, text: str, target: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd gone.png\n")
+    (tmp_path / name).write_text(text)
+    report = smooth_file(tmp_path / name, tmp_path / target, iterations=1, beta=1e-3)
+    assert "'gone.png' is missing, and is left alone." in report.warnings
+    before, after = (open_document(str(tmp_path / each)) for each in (name, target))
+    assert np.abs(after.painted().colours - before.painted().colours).max() > 0.1
+    view_of(before, RenderSettings())
+    with pytest.raises(UnpaintedError, match=r"'gone\.png' is missing; keep the model's files together"):
+        smooth_file(tmp_path / name, tmp_path / f"c{name}", SmoothSettings(on="texture"))

@@ -20,13 +20,13 @@ from beltrami_cli.formats.image.picture import (
     to_float,
     without_alpha,
 )
-from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.formats.image.writing import check_writable, is_exact, losses, write_image
 
 __all__ = [
     "WRITABLE", "ImageDocument", "Picture", "check_writable", "format_of", "format_of_suffix",
-    "is_exact", "is_image", "is_unchanged", "label_of", "losses", "read_image", "suffix_for", "to_float",
-    "without_alpha", "write_image",
+    "is_exact", "is_image", "is_unchanged", "label_of", "losses", "read_image", "read_texture", "suffix_for",
+    "to_float", "without_alpha", "write_image",
 ]  # fmt: skip
 
 

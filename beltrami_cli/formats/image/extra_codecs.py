@@ -89,10 +89,12 @@ def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data:
     return _encoded_avif(pixels, quality, source)
 
 
-def encoding_cost(known: str, pixels: Uint8s, data: bytes, name: str) -> str:
-    """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours of full scale 255."""
-    again = decoded(data, known, name)[0][..., :3]
-    error = float(np.mean((again.astype(np.float32) - pixels[..., :3]) ** 2))
+def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> str:
+    """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours that are seen, full scale 255."""
+    seen = (pixels[..., 3:] > 0).all(axis=2)
+    error = (
+        float(np.square(again[seen, :3].astype(np.float32) - pixels[seen, :3]).mean()) if seen.any() else 0.0
+    )
     psnr = 10 * math.log10(255**2 / error) if error else math.inf
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
     return f"{inexact}: what is written has a PSNR of {psnr:.1f} dB."

@@ -28,7 +28,8 @@ _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
-_COMMENT, _ADOBE, _START_OF_SCAN = 0xFE, 0xEE, 0xDA
+_COMMENT, _EXIF, _ADOBE, _START_OF_SCAN = 0xFE, 0xE1, 0xEE, 0xDA
+_EMPTY_EXIF = 14  # bytes: a header and a directory of nothing
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 _PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
 _MOST_BITS_OF_A_PALETTE = 8
@@ -171,7 +172,23 @@ def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _carry_webp(source: bytes, encoded: bytes) -> bytes:
-    metadata = dict(chunk for chunk in _webp_chunks(source) if chunk[0] in _WEBP_FLAGS)
+    return _webp_with(_webp_metadata(source), encoded)
+
+
+def with_exif_of(jpeg: bytes, webp: bytes) -> bytes:
+    """Return a WebP image with the EXIF data of a JPEG image, if these say anything."""
+    segments = (bytes(segment) for marker, segment in jpeg_segments(jpeg) if marker == _EXIF)
+    found = [segment[10:] for segment in segments if segment[4:10] == b"Exif\0\0"]
+    if not found or len(found[0]) <= _EMPTY_EXIF:
+        return webp
+    return _webp_with(_webp_metadata(webp) | {b"EXIF": found[0]}, webp)
+
+
+def _webp_metadata(data: bytes) -> dict[bytes, bytes]:
+    return dict(chunk for chunk in _webp_chunks(data) if chunk[0] in _WEBP_FLAGS)
+
+
+def _webp_with(metadata: dict[bytes, bytes], encoded: bytes) -> bytes:
     pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
     if not metadata:
         return encoded

@@ -15,9 +15,10 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg
+from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg, png_chunks
 from beltrami_cli.formats.image.picture import READABLE, Picture, format_of, label_of, suffix_for
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
+from beltrami_cli.surface.records import Texture
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
@@ -102,6 +103,15 @@ def read_image(data: bytes, name: str, *, finite: bool = True) -> Picture:
     if key in kept:
         kept[key] = picture
     return picture
+
+
+def read_texture(texture: Texture, data: bytes | None = None) -> Picture:
+    """Decode a texture, or another image in its stead; errors name the model, too."""
+    try:
+        return read_image(texture.data if data is None else data, texture.name)
+    except InputError as error:
+        cause = f"{error.name}: {error.cause}"
+        raise InputError(texture.model or error.name, cause, error.remedy) from error
 
 
 def _decoded(data: bytes, name: str, finite: bool) -> Picture:
@@ -239,6 +249,8 @@ def _changes(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[
     palette = in_tiff or has_palette(data, known)
     if palette and known != "png" and spec.nchannels >= _COLOURED:
         notices.append(f"{name} has a palette, which becomes full colours.")
+    if known == "png" and not palette and any(kind == b"tRNS" for kind, _ in png_chunks(data)):
+        notices.append(f"{name} has a colour that is transparent, which becomes an alpha channel.")
     bits = data[24] if known == "png" else int(spec.get_int_attribute("oiio:BitsPerSample"))  # 0: not said
     if bits and not palette and bits not in _WHOLE_BYTES:
         notices.append(f"{name} has {bits}-bit samples, which become {8 * spec.format.size()}-bit ones.")

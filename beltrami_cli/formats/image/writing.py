@@ -19,7 +19,7 @@ from beltrami_cli.formats.image.picture import (
     label_of,
     without_alpha,
 )
-from beltrami_cli.formats.image.reading import TYPES, scratch_file
+from beltrami_cli.formats.image.reading import TYPES, read_image, scratch_file
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
 
@@ -31,6 +31,8 @@ _TECHNICAL = (
     "rla:", "gif:", "psd:",
 )  # fmt: skip
 _ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "DateTime", "textureformat")
+_SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
+_TURNED_BY_TAGS = (*_SPLICED, "tiff")  # which programs that show pictures obey
 
 
 def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
@@ -67,6 +69,22 @@ def is_exact(picture: Picture) -> bool:
     return picture.spec.get_string_attribute("compression") not in _LOSSY
 
 
+def upright(picture: Picture, pixels: Array, suffix: str | None) -> tuple[Array, list[str]]:
+    """Turn pixels as they are to be seen, if another format has no tag that says so; return also a notice."""
+    known = None if suffix is None else format_of_suffix(suffix)
+    turned = picture.spec.get_int_attribute("Orientation", 1)  # by EXIF, 1 to 8
+    if known in (None, picture.format, *_TURNED_BY_TAGS) or turned not in range(2, 9):
+        return pixels, []
+    if turned in (5, 6, 7, 8):
+        pixels = pixels.swapaxes(0, 1)
+    if turned in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if turned in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    what = "has no tag that says how a picture is turned, so the pixels are turned"
+    return pixels, [f"{picture.name}: {label_of(known)} {what}."]
+
+
 def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
     """Return a notice if noise is written in the image's own format, and that is not exact."""
     if suffix is not None or is_exact(picture):
@@ -94,7 +112,7 @@ def converted(picture: Picture, pixels: Array, known: str, *, as_data: bool) -> 
     if _needs_three(picture, known):
         values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
         names = ["R", "G", "B", *([picture.channels[kept[alpha]]] if alpha is not None else [])]
-    return as_stored(values, stored), _spec(picture, values.shape, names, stored)
+    return as_stored(values, stored), _spec(picture, values.shape, names, stored, known)
 
 
 def _finest(picture: Picture, known: str) -> str:
@@ -128,15 +146,19 @@ def _needs_three(picture: Picture, known: str) -> bool:
     return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
 
 
-def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str) -> Any:
+def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str, known: str) -> Any:
     import OpenImageIO
 
     height, width, channels = shape
     spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
     spec.channelnames = tuple(names)
+    # Copied one by one from Python, integers of 16 bits are lost, and texts that are no UTF-8 cannot be.
+    spec.extra_attribs = picture.spec.extra_attribs
     for attribute in picture.spec.extra_attribs:
-        if not attribute.name.startswith(_TECHNICAL) and attribute.name not in _ALSO_TECHNICAL:
-            spec.attribute(attribute.name, attribute.type, attribute.value)
+        if attribute.name.startswith(_TECHNICAL) or attribute.name in _ALSO_TECHNICAL:
+            spec.erase_attribute(attribute.name)
+    if known not in _TURNED_BY_TAGS:
+        spec.erase_attribute("Orientation")
     profile = picture.spec.getattribute("ICCProfile")
     fits = picture.encoding == "srgb" and stored.startswith("uint")
     if profile is not None and fits and channels - ("A" in names) == len(picture.colour):
@@ -148,7 +170,6 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     return spec
 
 
-_SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
 _OF_MIP_LEVELS = (
     "textureformat", "openexr:levelmode", "openexr:roundingmode", "oiio:AverageColor", "oiio:ConstantColor",
 )  # fmt: skip
@@ -169,6 +190,7 @@ def write_image(
 ) -> ImageFile:
     """Encode pixels like those of a picture as the file that it came from, or in another format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
+    # What came as lossy WebP stays so, since lossless files are several times as large.
     known = check_writable(picture, suffix)
     if known in extra_codecs.EXTRA_CODECS:
         return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
@@ -176,6 +198,8 @@ def write_image(
         values, spec = converted(picture, pixels, known, as_data=as_data)
         _set_options(spec, known, "", jpeg_quality, small=small)
         data = metadata.without_additions(_encode(spec, values, known, picture.name), known)
+        if known == "webp":  # where OpenImageIO writes none
+            data = metadata.with_exif_of(_with_metadata(spec, picture.name), data)
         return ImageFile(data, FORMATS[known].suffixes[0])
     notices = list[str]()
     if known == "png" and metadata.has_palette(picture.source, known):
@@ -187,7 +211,20 @@ def write_image(
     compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)
     data = _encode(spec, pixels, known, picture.name)
+    if known == "webp" and not compression:
+        again = read_image(data, picture.name).pixels
+        notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
     return ImageFile(metadata.carry_over(picture.source, data, known), picture.suffix, tuple(notices))
+
+
+def _with_metadata(spec: Any, name: str) -> bytes:
+    """Encode one pixel as JPEG with the metadata of a spec."""
+    import OpenImageIO
+
+    bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
+    bare.extra_attribs = spec.extra_attribs
+    bare.attribute("compression", "jpeg:90")
+    return _encode(bare, np.zeros((1, 1, 3), np.uint8), "jpeg", name)
 
 
 def check_writable(picture: Picture, suffix: str | None) -> str:
@@ -212,7 +249,8 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
         values, _ = converted(picture, pixels, known, as_data=as_data)
     quality = min(max(quality, 1), 100)
     data = extra_codecs.encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
-    cost = extra_codecs.encoding_cost(known, values, data, picture.name)
+    again = extra_codecs.decoded(data, known, picture.name)[0]
+    cost = extra_codecs.encoding_cost(known, values, again, picture.name)
     return ImageFile(data, FORMATS[known].suffixes[0], (cost,))
 
 
@@ -268,8 +306,9 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
         case "tiff":
             spec.attribute("tiff:half", 1)
     if known in ("tiff", "openexr") and not spec.get_string_attribute("DateTime"):
-        # Otherwise it would be the time of writing, and two runs would differ.
-        spec.attribute("DateTime", "")
+        # Otherwise it would be the time of writing, and two runs would differ. A pair of numbers is not written at all.
+        nothing = ("int[2]", (0, 0)) if known == "tiff" else ("string", "")
+        spec.attribute("DateTime", *nothing)
 
 
 def _encode(spec: Any, pixels: Array, known: str, name: str) -> bytes:

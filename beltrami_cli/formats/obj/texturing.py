@@ -76,7 +76,7 @@ def gather_textured(
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])
     if (texture_of == -1).all():
-        raise palette.shown.refusal(name, is_bare=len(palette.shown) > 0)
+        raise palette.shown.refusal(name, is_bare=len(palette.shown) > 0, why=palette.undefined)
     uv = np.append(coordinates.values, [[0.0, 0.0]], axis=0)[coordinates.corners[cut]]
     with np.errstate(over="ignore", invalid="ignore"):
         uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
@@ -101,12 +101,15 @@ class _Palette:
         self._materials, self._slot = materials, slot
         self.shown = textured_mesh.SlotImages(slot)
         self.texture_of = np.full(count + 1, -1, np.int64)
+        self.undefined = ""  # why a material is not known
         self.scale, self.offset = np.ones((count + 1, 2)), np.zeros((count + 1, 2))
 
     def take(self, number: int, material: str) -> None:
         """Take up what a material has in the slot."""
         painting = self._materials.painting(material, self._slot)
         if painting is None:
+            if material and not any(material in library.materials for library in self._materials.libraries):
+                self.undefined = f"no library has its material '{material}'"
             return
         found, path = painting
         is_tiled = path in self._materials.folder.tiles

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
@@ -90,7 +90,7 @@ def gather_textured(
         missing = [f"'{c.name}' {c.reason}" for c in comments if c.path is None]
         cause = next(iter([*missing, *unreadable]), "no face shows one")
         cause = f"it has no texture that can be shown: {cause.removesuffix(model_folder.LEFT_ALONE)}"
-        raise InputError(name, cause, model_folder.remedy_for(cause))
+        raise UnpaintedError(name, cause, model_folder.remedy_for(cause))
     uv = values[cut] * [1, -1] + [0, 1]
     surface = records.TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
     return surface, notices

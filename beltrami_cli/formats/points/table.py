@@ -55,6 +55,8 @@ class PointTable:
 
 def read_table(data: bytes, name: str) -> PointTable:
     """Read lines of numbers between blanks, tabs, commas or semicolons; InputError with the line if that fails."""
+    if b"\0" in data[:_HEAD]:
+        raise InputError(name, "it is no plain text", "export its points as lines of numbers, or as PLY")
     return _Reader(data, name).read()
 
 

@@ -134,7 +134,7 @@ def require_one_model(documents: Pair, painted: tuple[PaintedVertices, PaintedVe
     if counts[0] != counts[1]:
         cause = f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}"
         raise InputError(names[1], cause, _OTHER_MODEL)
-    require_same_triangles(_triangles(documents[0]), _triangles(documents[1]), names)
+    _require_same_triangles(_triangles(documents[0]), _triangles(documents[1]), names)
     if one.channels != other.channels:
         channels = [", ".join(each.channels) for each in painted]
         cause = f"its colours are {channels[1]}, but those of {names[0]} {channels[0]}"
@@ -150,11 +150,16 @@ def _triangles(document: Document) -> Int32s:
     return document.painted().faces
 
 
-def require_same_triangles(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
-    """Raise InputError if two models have other triangles."""
+def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
+    """Raise InputError if two models have other numbers of triangles."""
     if len(faces) != len(others):
         cause = f"it has {len(others)} triangles, but {names[0]} {len(faces)}"
         raise InputError(names[1], cause, _OTHER_MODEL)
+
+
+def _require_same_triangles(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
+    """Raise InputError if two models have other triangles."""
+    _require_as_many(faces, others, names)
     if not np.array_equal(faces, others):
         first = int((faces != others).any(axis=1).argmax())
         raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
@@ -164,15 +169,23 @@ def same_textures(
     surface: TexturedSurface, other: TexturedSurface, settings: SmoothSettings, names: tuple[str, str]
 ) -> tuple[Texture, ...]:
     """Return the textures of the one surface that are the chosen ones of the other."""
-    require_same_triangles(surface.faces, other.faces, names)
+    # Vertices may be split, and numbered, otherwise: corners are one by their texture coordinates, and their places are
+    # measured as moves.
+    _require_as_many(surface.faces, other.faces, names)
     if len(surface.textures) != len(other.textures):
         cause = f"it has {len(other.textures)} textures, but {names[0]} {len(surface.textures)}"
         raise InputError(names[1], cause, _OTHER_MODEL)
     used = surface.texture_of >= 0
-    same = np.array_equal(surface.texture_of, other.texture_of)
+    number_of = np.arange(
+        -1, len(other.textures)
+    )  # in the other, whose textures may be in another order; -1 first
+    number_of[surface.texture_of + 1] = other.texture_of
+    same = number_of[0] == -1 and len(np.unique(number_of)) == len(number_of)
+    same &= np.array_equal(number_of[surface.texture_of + 1], other.texture_of)
     if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
         cause = f"its texture coordinates are not those of {names[0]}"
         raise InputError(names[1], cause, _OTHER_MODEL)
-    numbered = [dataclasses.replace(texture, key=str(i)) for i, texture in enumerate(surface.textures)]
+    pairs = zip(surface.textures, number_of[1:], strict=True)
+    numbered = [dataclasses.replace(texture, key=str(number)) for texture, number in pairs]
     chosen = choose_textures(dataclasses.replace(surface, textures=tuple(numbered)), settings.textures)
     return tuple(other.textures[int(texture.key)] for texture in chosen.textures)

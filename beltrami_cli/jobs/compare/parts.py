@@ -16,7 +16,7 @@ from beltrami_cli.flow.embedding import to_space
 from beltrami_cli.flow.parameters import Space, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument, Picture, read_image
+from beltrami_cli.formats.image import ImageDocument, Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
@@ -210,7 +210,7 @@ def compare_textures(
         ]
     require_memory(((texture.name, texture.data) for texture in textures), access)
     prepared = TexelSamples(surface, slot, settings)
-    pictures = [read_image(texture.data, texture.name) for texture in textures]
+    pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
     colours = TexelColours(pictures, slot, settings)
