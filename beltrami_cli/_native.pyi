@@ -18,6 +18,8 @@ class AtlasArrays(TypedDict):
     halo_seams: NDArray[np.int32]
     gutter_cells: Indices
     gutter_texels: Indices
+    border_texels: Indices
+    lone_texels: Indices
     chart_of: NDArray[np.int32]
     charts: int
     seams: int

@@ -130,6 +130,10 @@ def _show(comparison: Comparison) -> None:
     worst = comparison.overall["worst"]
     if worst is not None and worst["error"] > 0:
         click.echo(printable(f"worst sample: {_worst(worst)}"))
+    around = comparison.overall["around_charts"]
+    if around is not None and around["worst"] > 0:
+        off = f"PSNR {around['psnr']:.2f}, off by up to {255 * around['worst']:.1f}/255"
+        click.echo(f"around charts: {around['samples']} texels that faces look up, {off}")
     if comparison.geometry is not None and not comparison.has_moved:
         click.echo("geometry: equal")
     for verdict in comparison.limits:

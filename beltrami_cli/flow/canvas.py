@@ -257,6 +257,8 @@ def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
         halo_seams=np.zeros(0, np.int32),
         gutter_cells=nothing,
         gutter_texels=nothing,
+        border_texels=nothing,
+        lone_texels=nothing,
         chart_of=np.zeros(0, np.int32),
     )
 

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
+from beltrami_cli.samples.gutters import Refilled, keep_others
 from beltrami_cli.samples.samples import Change, choose_channels, store
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
@@ -110,6 +112,10 @@ class TexelColours:
         """Return the colours of some texels (row * width + column) of a picture in the working space."""
         table = picture.pixels.reshape(-1, picture.pixels.shape[2])
         return self._working(picture, np.take(table, texels, axis=0))
+
+    def shown(self, picture: Picture, stored: Array) -> Float32s:
+        """Return the channels that are written of some pixels of a picture, shape (K, C), in the working space."""
+        return self._working(picture, stored)[:, self._written]
 
     def _working(self, picture: Picture, stored: Array) -> Float32s:
         """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
@@ -222,6 +228,7 @@ class Repainting:
     pictures: Sequence[Picture]
     colours: TexelColours
     texture_offsets: Int64s
+    looked_up: tuple[Indices, Indices]  # uncovered texels that faces look up: beside charts, and lone ones
     gutter: int | None
     threads: int
     is_dithered: bool = False  # so that smooth changes of colours are no bands in 8 bits
@@ -235,6 +242,9 @@ class Repainting:
             covered, known, rows = self._near_charts(index, pixels.shape[:2], new)
             chosen, values = new.beyond_places[rows], new.beyond[rows]
             self._paint(pixels, index, chosen, lambda block, inside: values[block][inside])
+            refilled = Refilled(picture.pixels, pixels, covered, known, partial(self.colours.shown, picture))
+            border, lone = (self._of_texture(texels, index)[1] for texels in self.looked_up)
+            keep_others(refilled, border, lone)
             opacity, columns = self.colours.opacity(picture), self.colours.columns(index)
             fill_gutter(pixels, covered, None, self.gutter, known, self.threads, columns, opacity)
         return pixels, change

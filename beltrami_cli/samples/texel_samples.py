@@ -325,9 +325,9 @@ class TexelSamples(samples.Samples):
         return samples.Repainted(samples.Change(), images=images, notices=tuple(notices))
 
     def _painter(self, gutter: int | None) -> Repainting:
-        threads = self.settings.kernel.thread_count
-        offsets = self.atlas.texture_offsets
-        return Repainting(self.pictures, self.colours, offsets, gutter, threads, self._is_dithered)
+        atlas, threads = self.atlas, self.settings.kernel.thread_count
+        places = atlas.texture_offsets, (atlas.border_texels, atlas.lone_texels)
+        return Repainting(self.pictures, self.colours, *places, gutter, threads, self._is_dithered)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:

@@ -65,6 +65,11 @@ class Atlas:
     gutter_cells: Indices  # (G,): halo cells (flat indices) that stand on a texel that nothing covers
     # Shape (G,): that texel, each at most once: what a lookup just beyond a chart's border should see.
     gutter_texels: Indices
+    # Shapes (B,) and (L,): texels that nothing covers, but faces look up, ascending: beside texels that the chart of
+    # each such face covers; and those looked up by a face whose chart covers none beside them, so that they show a
+    # part of the surface that may lie far from the charts around them.
+    border_texels: Indices
+    lone_texels: Indices
     chart_of: Int32s  # (T,): chart of each owned cell
     # How many; a seam is a run of seam edges between the same two charts (or of a chart with itself).
     charts: int
@@ -198,7 +203,8 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
         owned_cells=owned,
         owned_texels=np.flatnonzero(filled).astype(np.int64, copy=False),
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
-        cut_cells=nothing, halo_cells=nothing, gutter_cells=nothing, gutter_texels=nothing,
+        cut_cells=nothing, halo_cells=nothing,
+        gutter_cells=nothing, gutter_texels=nothing, border_texels=nothing, lone_texels=nothing,
         halo_taps=np.zeros((0, 4), np.int64),
         halo_weights=np.zeros((0, 4), np.float32),
         halo_seams=np.zeros(0, np.int32),

@@ -105,6 +105,25 @@ def test_background_and_gutter_do_not_count(tmp_path):
     assert compared.overall["samples"] == SIDE**2
 
 
+def test_texels_that_faces_look_up_around_charts_have_figures_of_their_own(tmp_path):
+    one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj")
+    file = OpenImageIO.ImageInput.open(str(one.with_suffix(".png")))
+    pixels = file.read_image("uint16")
+    equal = compare_files(one, other).overall["around_charts"]
+    assert equal["psnr"] is None
+    assert equal["worst"] == 0
+    uncovered = painted(np.ones((SIDE, SIDE, 3), np.uint16)) == 0
+    changed = np.where(uncovered, pixels + 6554, pixels)
+    picture(other.with_suffix(".png"), changed)
+    around = compare_files(one, other).overall["around_charts"]
+    assert 0 < around["samples"] < uncovered[..., 0].sum()
+    assert around["psnr"] == pytest.approx(psnr_of(0.1), abs=1e-3)
+    assert around["worst"] == pytest.approx(0.1, abs=1e-4)
+    shown = beltrami("compare", one, other).stdout.decode()
+    said = f"around charts: {around['samples']} texels that faces look up, PSNR 20.00, off by up to 25.5/255"
+    assert said in shown
+
+
 def test_a_step_at_seams_is_found_where_the_psnr_is_high(tmp_path):
     """Charts 2/255 too bright and too dark by turns are 42 dB, more than mild noise has; but every seam is seen."""
     parity = np.add.outer(np.arange(SIDE) // CHART, np.arange(SIDE) // CHART) % 2
@@ -214,7 +233,7 @@ def test_json_and_map(tmp_path):
         *("reference", "test", "weights", "space", "parts", "overall", "geometry"),
         *("limits", "passed", "map_scale", "notices"),
     }
-    figures = {"samples", "psnr", "ssim", "delta_e", "worst", "near_seams", "seam_jump"}
+    figures = {"samples", "psnr", "ssim", "delta_e", "worst", "near_seams", "seam_jump", "around_charts"}
     assert set(compared["overall"]) == figures
     assert set(compared["parts"][0]) == {"name", "kind", "identical", *figures}
     assert [(limit["limit"], limit["kept"]) for limit in compared["limits"]] == [

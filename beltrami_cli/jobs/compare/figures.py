@@ -74,6 +74,8 @@ class ComparedColours:
     size: tuple[int, int] | None = None  # rows and columns of an image or texture
     # Whether it has the same colours in both, beside a part that is measured; of a texture they are not taken then.
     is_identical: bool = False
+    # (K, N) in both: colours of texels that no face covers, but that faces look up; None: those of no texture.
+    around: tuple[Float32s, Float32s] | None = None
     other_opacity: bool = False  # whether opacity differs, which is not measured
 
     def squares(self) -> Float64s:
@@ -117,7 +119,18 @@ def figures(parts: Sequence[ComparedColours]) -> dict[str, object]:
         "worst": max(worst, key=lambda found: float(str(found["error"])), default=None),
         "near_seams": _near_seams(parts),
         "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
+        "around_charts": _around([part.around for part in parts if part.around is not None]),
     }
+
+
+def _around(pairs: Sequence[tuple[Float32s, Float32s]]) -> dict[str, object] | None:
+    """Return the error of texels that faces look up without covering them; None if there are no such texels."""
+    errors = [np.abs(test.astype(np.float64) - reference) for reference, test in pairs if len(reference)]
+    if not errors:
+        return None
+    squares = np.concatenate([np.square(each).mean(axis=1) for each in errors])
+    worst = max(float(each.max()) for each in errors)
+    return {"samples": len(squares), "psnr": psnr(squares, np.ones(len(squares))), "worst": worst}
 
 
 def psnr(squares: Float64s, weights: Float64s) -> float | None:

@@ -224,7 +224,23 @@ def compare_textures(
     hides = [texture.alpha_hides for texture in prepared.surface.textures]
     differ = [hidden and _differ(old, new) for hidden, old, new in zip(hides, *opacities, strict=True)]
     parts = _parts(prepared, both, counted, slot, prepared.colours.space)
-    return [dataclasses.replace(part, other_opacity=each) for part, each in zip(parts, differ, strict=True)]
+    around = [_around(prepared, colours, pictures, index) for index in range(len(pictures))]
+    return [
+        dataclasses.replace(part, other_opacity=each, around=pair)
+        for part, each, pair in zip(parts, differ, around, strict=True)
+    ]
+
+
+def _around(
+    prepared: TexelSamples, colours: TexelColours, pictures: Sequence[Picture], index: int
+) -> tuple[Float32s, Float32s]:
+    """Return the colours, in both files, of a texture's texels that faces look up, but none covers."""
+    atlas = prepared.atlas
+    begin, end = atlas.texture_offsets[index : index + 2].tolist()
+    every = np.concatenate([atlas.border_texels, atlas.lone_texels]).astype(np.int64)
+    own = every[(every >= begin) & (every < end)] - begin
+    own = own[~prepared.colours.hidden(index, prepared.surface.textures[index], own)]
+    return prepared.colours.working(prepared.pictures[index], own), colours.working(pictures[index], own)
 
 
 def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:

@@ -1,16 +1,19 @@
 #include "atlas/atlas.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <span>
 #include <stdexcept>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "atlas/cells.hpp"
 #include "atlas/charts.hpp"
 #include "atlas/layout.hpp"
 #include "atlas/lengths.hpp"
+#include "atlas/lookers.hpp"
 #include "atlas/ownership.hpp"
 #include "atlas/windows.hpp"
 #include "parallel.hpp"
@@ -30,8 +33,10 @@ struct Run {
 
 class Builder {
  public:
-  Builder(const Plan& plan, unsigned threads, const Allocate& allocate, const Poll& poll)
-      : plan_(plan), threads_(threads), allocate_(allocate), poll_(poll), bands_(make_bands(plan, halo_reach(plan.margin))) {}
+  Builder(const Plan& plan, std::vector<LookedUp> looked_up, unsigned threads, const Allocate& allocate,
+          const Poll& poll)
+      : plan_(plan), looked_up_(std::move(looked_up)), threads_(threads), allocate_(allocate), poll_(poll),
+        bands_(make_bands(plan, halo_reach(plan.margin))) {}
 
   Atlas build() {
     prepare_canvas();
@@ -49,6 +54,7 @@ class Builder {
       for (std::size_t band = begin; band < end; ++band) fill_lists(band);
     }, poll_);
     list_gutter();
+    list_looked_up();
     list_cuts();
     count();
     return std::move(atlas_);
@@ -169,10 +175,18 @@ class Builder {
     halo_[index] = {};
   }
 
-  // Each uncovered texel is given the cell of the nearest chart.
+  bool is_free_for(std::int64_t texel, Index chart) const {
+    const auto found = std::lower_bound(looked_up_.begin(), looked_up_.end(), texel,
+                                        [](const LookedUp& each, std::int64_t wanted) { return each.texel < wanted; });
+    return found == looked_up_.end() || found->texel != texel || found->chart == several || found->chart == chart;
+  }
+
+  // Each uncovered texel is given the cell of the nearest chart; but what one chart looks up, that chart's.
   void list_gutter() {
     std::vector<GutterCell> all;
-    for (auto& part : gutter_) all.insert(all.end(), part.begin(), part.end());
+    for (const auto& part : gutter_)
+      std::copy_if(part.begin(), part.end(), std::back_inserter(all),
+                   [&](const GutterCell& cell) { return is_free_for(cell.texel, cell.chart); });
     gutter_ = {};
     std::sort(all.begin(), all.end(), [](const GutterCell& a, const GutterCell& b) {
       return std::tie(a.texel, a.squared_distance, a.cell) < std::tie(b.texel, b.squared_distance, b.cell);
@@ -186,6 +200,16 @@ class Builder {
       atlas_.gutter_cells[i] = static_cast<Index>(all[i].cell);
       atlas_.gutter_texels[i] = static_cast<Index>(all[i].texel);
     }
+  }
+
+  void list_looked_up() {
+    const auto alone = std::count_if(looked_up_.begin(), looked_up_.end(),
+                                     [](const LookedUp& each) { return each.chart == lone; });
+    atlas_.lone_texels = Array<Index>(static_cast<std::size_t>(alone), allocate_);
+    atlas_.border_texels = Array<Index>(looked_up_.size() - atlas_.lone_texels.size, allocate_);
+    Index *next_lone = atlas_.lone_texels.data(), *next_border = atlas_.border_texels.data();
+    for (const LookedUp& each : looked_up_)
+      *(each.chart == lone ? next_lone : next_border)++ = static_cast<Index>(each.texel);
   }
 
   void list_cuts() {
@@ -206,6 +230,7 @@ class Builder {
   }
 
   const Plan& plan_;
+  std::vector<LookedUp> looked_up_;
   unsigned threads_;
   const Allocate& allocate_;
   const Poll& poll_;
@@ -230,7 +255,9 @@ Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads, 
   const Ownership ownership = make_ownership(mesh, charts, windows, allocate, poll);
   const Layout layout = make_layout(mesh, windows, ownership, margin, poll);
   const NearBorders near_borders(mesh, charts);
-  return Builder({mesh, charts, windows, ownership, layout, near_borders, margin}, threads, allocate, poll).build();
+  auto looked_up = find_looked_up(mesh, charts, windows, ownership, poll);
+  const Plan plan{mesh, charts, windows, ownership, layout, near_borders, margin};
+  return Builder(plan, std::move(looked_up), threads, allocate, poll).build();
 }
 
 }  // namespace beltrami::atlas

@@ -23,6 +23,7 @@ struct Atlas {
   Array<float> halo_weights;
   Array<Index> halo_seams;
   Array<Index> gutter_cells, gutter_texels;
+  Array<Index> border_texels, lone_texels;    // uncovered, but looked up by faces
   std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
 };
 

@@ -288,7 +288,7 @@ void Cells::record_gutter(std::size_t cell, Point2 place, std::int64_t at) {
   if (is_off(x, grid_->width, grid_->wrap_x) || is_off(y, grid_->height, grid_->wrap_y)) return;
   const auto texel = grid_->texel(wrapped(x, grid_->width, grid_->wrap_x), wrapped(y, grid_->height, grid_->wrap_y));
   if (plan_.ownership.window[static_cast<std::size_t>(texel)] != none) return;
-  gutter.push_back({texel, nearest_[cell].squared_distance, at});
+  gutter.push_back({texel, nearest_[cell].squared_distance, at, window_->chart});
 }
 
 }  // namespace beltrami::atlas

@@ -27,6 +27,7 @@ struct GutterCell {
   std::int64_t texel;
   double squared_distance;  // to the chart, in texels
   std::int64_t cell;
+  Index chart;
 };
 
 class Cells {

@@ -92,34 +92,6 @@ double snapped(double x) {
   return std::abs(x - nearest) <= on_centre ? nearest : x;
 }
 
-// Whether the chart of a face covers a place near the face: a walk in the image, within the chart.
-bool is_covered(const Mesh& mesh, Index start, Point2 place) {
-  auto face = static_cast<std::size_t>(start);
-  Edge entry = none;
-  for (int step = 0; step < longest_search; ++step) {
-    const auto& corners = mesh.texels[face];
-    const double orientation = doubled_area(corners) < 0 ? -1 : 1;
-    double farthest = on_centre;
-    Edge exit = none;
-    for (std::size_t k = 0; k < 3; ++k) {
-      const Edge edge = static_cast<Edge>(3 * face + k);
-      const Point2 along = corners[next(k)] - corners[k];
-      const double length = std::sqrt(dot(along, along));
-      if (edge == entry || length == 0) continue;
-      const double outside = -orientation * cross(along, place - corners[k]) / length;
-      if (outside > farthest) {
-        farthest = outside;
-        exit = edge;
-      }
-    }
-    if (exit == none) return true;
-    entry = mesh.twins[static_cast<std::size_t>(exit)];
-    if (entry == none || mesh.seams[static_cast<std::size_t>(exit)] != 0) return false;
-    face = static_cast<std::size_t>(entry / 3);
-  }
-  return false;
-}
-
 class Lookup {
  public:
   Lookup(const Plan& plan, Index face, Point2 place)
@@ -219,6 +191,33 @@ class Lookup {
 };
 
 }  // namespace
+
+bool is_covered(const Mesh& mesh, Index start, Point2 place) {
+  auto face = static_cast<std::size_t>(start);
+  Edge entry = none;
+  for (int step = 0; step < longest_search; ++step) {
+    const auto& corners = mesh.texels[face];
+    const double orientation = doubled_area(corners) < 0 ? -1 : 1;
+    double farthest = on_centre;
+    Edge exit = none;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const Edge edge = static_cast<Edge>(3 * face + k);
+      const Point2 along = corners[next(k)] - corners[k];
+      const double length = std::sqrt(dot(along, along));
+      if (edge == entry || length == 0) continue;
+      const double outside = -orientation * cross(along, place - corners[k]) / length;
+      if (outside > farthest) {
+        farthest = outside;
+        exit = edge;
+      }
+    }
+    if (exit == none) return true;
+    entry = mesh.twins[static_cast<std::size_t>(exit)];
+    if (entry == none || mesh.seams[static_cast<std::size_t>(exit)] != 0) return false;
+    face = static_cast<std::size_t>(entry / 3);
+  }
+  return false;
+}
 
 bool Connections::inside(Index face, Point2 from, Index other, Point2 to) const {
   Touched touched(mesh_, face, from, to);

@@ -27,6 +27,9 @@ class Connections {
   const Charts& charts_;
 };
 
+// Whether the chart of a face covers a place near the face: a walk in the image, within the chart.
+bool is_covered(const Mesh& mesh, Index start, Point2 place);
+
 struct Sample {
   std::array<Index, 4> cells;    // owned
   std::array<float, 4> weights;  // with the sum 1

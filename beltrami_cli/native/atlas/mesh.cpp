@@ -20,10 +20,6 @@ constexpr double same_texel_tolerance = 1.0 / 1024;
 // An edge on which more faces meet is open without looking for pairs among them.
 constexpr std::size_t most_faces_on_an_edge = 16;
 
-bool same(Point2 a, Point2 b) {
-  return std::abs(a.x - b.x) <= same_texel_tolerance && std::abs(a.y - b.y) <= same_texel_tolerance;
-}
-
 std::array<Index, 3> sorted(std::array<Index, 3> triple) {
   std::sort(triple.begin(), triple.end());
   return triple;
@@ -59,7 +55,7 @@ bool is_copy(const Mesh& mesh, std::size_t one, std::size_t other) {
   if (mesh.texture[one] != mesh.texture[other]) return false;
   for (std::size_t i = 0; i < 3; ++i)
     for (std::size_t j = 0; j < 3; ++j)
-      if (mesh.places[one][i] == mesh.places[other][j] && !same(mesh.texels[one][i], mesh.texels[other][j])) return false;
+      if (mesh.places[one][i] == mesh.places[other][j] && !same_texel(mesh.texels[one][i], mesh.texels[other][j])) return false;
   return true;
 }
 
@@ -127,7 +123,7 @@ Ends ends_of(const Mesh& mesh, Edge edge) {
 bool is_inside_chart(const Mesh& mesh, Edge one, Edge other) {
   if (mesh.texture[static_cast<std::size_t>(one / 3)] != mesh.texture[static_cast<std::size_t>(other / 3)]) return false;
   const Ends a = ends_of(mesh, one), b = ends_of(mesh, other);
-  return same(a.at_low, b.at_low) && same(a.at_high, b.at_high) && ((a.side < 0 && b.side > 0) || (a.side > 0 && b.side < 0));
+  return same_texel(a.at_low, b.at_low) && same_texel(a.at_high, b.at_high) && ((a.side < 0 && b.side > 0) || (a.side > 0 && b.side < 0));
 }
 
 void join(Mesh& mesh, Edge one, Edge other, bool seam) {
@@ -217,6 +213,10 @@ void join_faces(Mesh& mesh) {
 }
 
 }  // namespace
+
+bool same_texel(Point2 a, Point2 b) {
+  return std::abs(a.x - b.x) <= same_texel_tolerance && std::abs(a.y - b.y) <= same_texel_tolerance;
+}
 
 Mesh make_mesh(const Surface& surface) {
   if (surface.texture_of.size() > static_cast<std::size_t>(std::numeric_limits<Index>::max()) / 3)

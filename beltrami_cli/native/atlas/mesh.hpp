@@ -164,6 +164,9 @@ class FaceMap {
   double scale_ = 0;
 };
 
+// Whether two corners are one but for rounding.
+bool same_texel(Point2 a, Point2 b);
+
 // Takes the textured faces; of those with equal places and equal texture coordinates the first. Two faces are
 // neighbours inside a chart if they share an edge in space and in the image and lie on its two sides there;
 // otherwise an edge of exactly two faces is a seam, unless they lie on each other. Where more than two faces meet,

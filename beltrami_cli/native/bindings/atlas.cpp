@@ -74,6 +74,8 @@ nb::dict to_dict(const atlas::Atlas& made) {
   result["cut_cells"] = vector_of(made.cut_cells);
   result["gutter_cells"] = vector_of(made.gutter_cells);
   result["gutter_texels"] = vector_of(made.gutter_texels);
+  result["border_texels"] = vector_of(made.border_texels);
+  result["lone_texels"] = vector_of(made.lone_texels);
   result["charts"] = made.charts;
   result["seams"] = made.seams;
   result["seam_edges"] = made.seam_edges;

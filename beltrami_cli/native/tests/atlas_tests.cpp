@@ -4,6 +4,7 @@
 #include <cstring>
 #include <limits>
 #include <random>
+#include <set>
 #include <vector>
 
 #include "atlas/atlas.hpp"
@@ -104,6 +105,18 @@ void check_lists(const Atlas& atlas) {
     CHECK(atlas.kind[static_cast<std::size_t>(atlas.gutter_cells[i])] == 2);
 }
 
+// Each texel that faces look up is listed once, and no face covers it.
+void check_looked_up(const Atlas& atlas) {
+  std::set<Index> covered(atlas.owned_texels.data(), atlas.owned_texels.data() + atlas.owned_texels.size);
+  for (const Array<Index>* list : {&atlas.border_texels, &atlas.lone_texels})
+    for (std::size_t i = 0; i < list->size; ++i) {
+      CHECK(i == 0 || (*list)[i - 1] < (*list)[i]);
+      CHECK(covered.insert((*list)[i]).second);
+    }
+  const std::set<Index> lone(atlas.lone_texels.data(), atlas.lone_texels.data() + atlas.lone_texels.size);
+  for (std::size_t i = 0; i < atlas.gutter_texels.size; ++i) CHECK(lone.count(atlas.gutter_texels[i]) == 0);
+}
+
 // Lengths are finite exactly between cells that are not empty, and never lead out of a rectangle's margin.
 void check_lengths(const Atlas& atlas) {
   const std::int64_t down[] = {0, 1, 1, 1}, right[] = {1, 0, 1, -1};
@@ -126,6 +139,7 @@ void test(const Soup& soup, std::int64_t margin) {
   const Atlas atlas = make_atlas(surface, margin, 1), again = make_atlas(surface, margin, 3);
   check_lists(atlas);
   check_lengths(atlas);
+  check_looked_up(atlas);
   CHECK(same(atlas.kind, again.kind) && same(atlas.squared_lengths, again.squared_lengths));
   CHECK(same(atlas.owned_texels, again.owned_texels) && same(atlas.halo_taps, again.halo_taps));
   CHECK(same(atlas.halo_weights, again.halo_weights) && same(atlas.gutter_texels, again.gutter_texels));
