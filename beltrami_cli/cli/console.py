@@ -34,6 +34,7 @@ printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
 NO_NOISE = "no more than rounding makes"
+NO_NOISE_FOUND = "no noise that can be told from paint"
 ALL_THE_SAME = "to smooth all the same, give --strength strong, or the noise, as in --noise 5"
 
 

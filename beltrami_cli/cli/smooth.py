@@ -14,7 +14,14 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
-from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, counted
+from beltrami_cli.cli.console import (
+    ALL_THE_SAME,
+    NO_NOISE,
+    NO_NOISE_FOUND,
+    Messages,
+    choice_in_words,
+    counted,
+)
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job, show_size
 from beltrami_cli.samples.settings import SmoothSettings
@@ -244,10 +251,12 @@ def _show_done(
         messages.say(f"{what}, so the colours are left as they are")
         return
     strongest = 255 * max(done.noise.values(), default=0)
-    noise = f"{what}, noise {strongest:.1f}/255"
+    noise = f"{what}, noise {strongest:.1f}/255" if strongest else f"{what}, {NO_NOISE_FOUND}"
     if not done.iterations:
-        reason = f"{NO_NOISE} (0.5)" if strongest <= 0.5 else "of which smoothing would take nothing"
-        messages.say(f"{noise}, {reason}, so the colours are left as they are; {ALL_THE_SAME}")
+        reason = "of which smoothing would take nothing, "
+        if strongest <= 0.5:
+            reason = f"{NO_NOISE} (0.5), " if strongest else ""
+        messages.say(f"{noise}, {reason}so the colours are left as they are; {ALL_THE_SAME}")
         return
     iterations = f" on average over {done.iterations} iterations" if done.iterations > 1 else ""
     messages.say(

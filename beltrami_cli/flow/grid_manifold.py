@@ -114,7 +114,7 @@ class GridManifold(GridKernels):
         self._stabilise()
         self.sigma = estimate_sigma_on_grid(planes, filled)
         if differs is not None:  # of quiet places
-            self.sigma = self.sigma * differs[1]
+            self.sigma = np.minimum(self.sigma, differs[2]) * differs[1]
         self.settle_noise(parameters, sigma)
         if self.noise_covariances is not None:
             self.sigma = sigma_of_covariances(self.noise_covariances)

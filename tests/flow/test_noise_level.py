@@ -222,3 +222,22 @@ def test_grey_noise_on_a_plain_picture_is_found_though_channels_share_it():
     grey = np.random.default_rng(8).standard_normal((192, 192, 1)) * 15 / 255
     image = stored(noisy(plain, 5 / 255) + grey)
     assert beltrami_cli.smooth_image(image).noise * 255 == pytest.approx(np.hypot(5, 15), rel=0.06)
+
+
+@pytest.mark.parametrize("side", [4, 12, 17])
+def test_few_samples_are_paint(side):
+    """An icon has too few to tell noise from what is painted."""
+    icon = np.random.default_rng(side).choice([0.1, 0.4, 0.9], (side, side, 3)).astype(np.float32)
+    assert np.array_equal(beltrami_cli.smooth_image(icon).colours, icon)
+    positions, faces = surfaces.icosphere(1)
+    colours = icon.reshape(-1, 3)[np.arange(len(positions)) % side**2]
+    assert (on_mesh(colours, faces) == 0).all()
+
+
+def test_noise_that_is_too_large_for_the_range_of_colours_is_paint():
+    """Four colours without any order, of which each channel has two values."""
+    colours = np.array([[1, 0, 0], [0, 1, 0], [1, 0, 1], [0, 1, 1]], np.float32)
+    random = np.random.default_rng(3)
+    assert (on_grid(0.1 + 0.8 * colours[random.integers(0, 4, (48, 48))]) == 0).all()
+    positions, faces = surfaces.icosphere(3)
+    assert (on_mesh(0.1 + 0.8 * colours[random.integers(0, 4, len(positions))], faces) == 0).all()

@@ -41,6 +41,9 @@ _NOTHING = 1e-12
 # Noise of quiet places that cannot be distinguished from the steps of an 8-bit file, to which nothing can be related.
 _ROUNDING = 0.5 / 255
 
+# Noise of a channel in quiet places, relative to the least of the mean of channels and their differences, at most.
+_MOST_OF_QUIET = 2.0
+
 # The least relative standard deviation: where it is estimated, and where it is given, so that all can be divided by it.
 _LEAST, _LEAST_RELATIVE = 0.2, 0.05
 
@@ -48,10 +51,10 @@ _LEAST, _LEAST_RELATIVE = 0.2, 0.05
 MOST_CUT_OFF = 0.6
 
 
-def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, float] | None:
-    """Find the variance of noise relative to its mean, shape (R, C), and how much larger sigma is than in quiet places.
+def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, float, float] | None:
+    """Find the variance of noise relative to its mean, shape (R, C); None if it is the same everywhere.
 
-    None if it is the same everywhere.
+    Also how much larger sigma is than in quiet places, and what it is there at most.
     """
     if min(filled.shape) < 2 * _TILE * _BLOCK:
         return None
@@ -62,7 +65,7 @@ def find_relative_noise(planes: Float32s, filled: Bools) -> tuple[Float32s, floa
     if found is None:
         return None
     fine, quiet = found
-    return _over_cells(fine, tiles[0].min(axis=0) / quiet, filled)
+    return *_over_cells(fine, tiles[0].min(axis=0) / quiet, filled), _MOST_OF_QUIET * quiet**0.5
 
 
 def louder_blocks(tiles: Float32s, levels: Float32s) -> tuple[Float32s, float] | None:

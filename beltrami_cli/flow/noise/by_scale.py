@@ -40,9 +40,6 @@ _PLAIN_GROWTH = 2.2
 # few colours are cut off. Differences of channels with less noise than the last were perhaps taken from them by JPEG.
 _NOWHERE_FLAT, _FEW_CUT_OFF, _LEAST_DIFFERENCES = 1.2, 0.1, 1 / 255
 
-# What is measured of noise is up to a tenth less than there is, on meshes of some ten thousand samples.
-_SLACK = 1.1
-
 # Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
 _MOST_HUED = 2.0
 
@@ -134,7 +131,7 @@ def _most_independent(sigma: Float64s) -> float:
     most = float(max(np.sqrt(np.mean(sigma[0, 1:] ** 2)), sigma[1, 1:].min()))
     # Where JPEG may have taken noise from the differences, and the finest of the mean, this has to grow further.
     is_texture = middle > _NOWHERE_FLAT * fine and (most > _LEAST_DIFFERENCES or coarse > _EVEN_MEAN * middle)
-    return _SLACK * max(most, _LEAST_DIFFERENCES) if is_texture else float(np.inf)
+    return max(most, _LEAST_DIFFERENCES) if is_texture else float(np.inf)
 
 
 def _doubt(sigma: Float64s) -> float:

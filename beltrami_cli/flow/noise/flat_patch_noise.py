@@ -26,7 +26,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float64s
+from beltrami_cli.arrays import Array, Bools, Float64s
 from beltrami_cli.flow.clipping import sigma_of_clipped, variance_of_clipped
 
 # Patches with at most this share of their samples at a limit lose little of their noise there, and how much is known.
@@ -43,6 +43,10 @@ _CENSORED_SHARES = (0.05, 0.6)
 
 # What has a larger spread, of full scale 1, and is at a limit is line art and no noise.
 _MAX_CENSORED_SIGMA = 1 / 3
+
+# Fewer samples than this do not tell noise from paint, as of an icon. What is as large as this share of the range that
+# colours have is no noise, of which the range is larger.
+FEWEST_SAMPLES, _MOST_OF_RANGE = 300, 1 / 3
 
 # Bound on the remaining variance of clipped noise, which is divided by; below it the noise cannot be estimated.
 _LEAST_REMAINING = 1e-3
@@ -111,6 +115,11 @@ def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> Float64s:
     sigma = np.zeros(len(patches.energy))
     sigma[list(variance)] = np.sqrt(list(variance.values()))
     return sigma
+
+
+def noise_or_paint(sigma: Float64s, ranges: Array) -> Float64s:
+    """Return sigma, 0 for channels that it is too large for; `ranges`: the largest less the least colour of each."""
+    return np.where(sigma < _MOST_OF_RANGE * ranges, sigma, 0.0)
 
 
 def _usable(patches: Patches, channel: int) -> tuple[Bools, list[Float64s]]:

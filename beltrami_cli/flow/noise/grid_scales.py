@@ -23,7 +23,13 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_by
 from beltrami_cli.flow.noise.by_scale import FoundNoise, noise_of_scales
-from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
+from beltrami_cli.flow.noise.flat_patch_noise import (
+    FEWEST_SAMPLES,
+    Patches,
+    WhiteNoise,
+    flat_patch_sigma,
+    noise_or_paint,
+)
 from beltrami_cli.flow.noise.upper_bound import most_noise
 from beltrami_cli.surface import large_arrays
 
@@ -179,20 +185,23 @@ def _some_rows(count: int, columns: int) -> slice | NDArray[np.intp]:
 
 
 def estimate_sigma_on_grid(planes: Float32s, filled: Bools) -> Float64s:
-    """Estimate sigma of independent noise of the filled cells, per channel; 0 where no square is filled."""
+    """Estimate sigma of independent noise of the filled cells, per channel; 0 where there are too few."""
     from beltrami_cli._native import HAAR_TILE_SIDE, measure_haar_tiles
 
     step = max(1, int(np.count_nonzero(filled)) // _ENOUGH_SQUARES)
     first_rows = np.arange(0, len(filled) - 1, HAAR_TILE_SIDE * step)
     count, measures = measure_haar_tiles(planes, filled, first_rows)
     enough = count >= min(_FULL_TILE * HAAR_TILE_SIDE**2, float(count.max(initial=1)))
-    if not enough.any():
+    if not enough.any() or np.count_nonzero(filled) < FEWEST_SAMPLES:
         return np.zeros(len(planes))
     freedom = float(count[enough].mean()) / _HAAR_OVERLAP
     white = WhiteNoise(freedom, _UNEVEN_TILES, _SPREAD_OF_TILES, _TILES_SHARE, _TILES_LEAST)
-    return np.minimum(
-        flat_patch_sigma(Patches(*measures[:, :, enough]), white), _most_of_cells(planes, filled)
-    )
+    sigma = flat_patch_sigma(Patches(*measures[:, :, enough]), white)
+    ranges = [
+        np.max(own, where=filled, initial=-np.inf) - np.min(own, where=filled, initial=np.inf)
+        for own in planes
+    ]
+    return np.minimum(noise_or_paint(sigma, np.array(ranges)), _most_of_cells(planes, filled))
 
 
 def _most_of_cells(planes: Float32s, filled: Bools) -> Float64s:

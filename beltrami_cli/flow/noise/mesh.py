@@ -25,7 +25,13 @@ from beltrami_cli.flow.noise.by_level import (
 )
 from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
 from beltrami_cli.flow.noise.by_scale import SCALES, FoundNoise, noise_of_scales
-from beltrami_cli.flow.noise.flat_patch_noise import Patches, WhiteNoise, flat_patch_sigma
+from beltrami_cli.flow.noise.flat_patch_noise import (
+    FEWEST_SAMPLES,
+    Patches,
+    WhiteNoise,
+    flat_patch_sigma,
+    noise_or_paint,
+)
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 
 # Samples per block, and blocks, that suffice for an estimate.
@@ -63,19 +69,20 @@ _NEIGHBOURS = 3  # fewer: a border or a stray edge, whose mean leans to one side
 
 
 def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None = None) -> Float64s:
-    """Estimate sigma of independent noise, per channel of colours, shape (S, N); 0 without neighbours.
+    """Estimate sigma of independent noise, per channel of colours, shape (S, N); 0 with too few samples.
 
     `relative`: see `Manifold.differing`; sigma is then the root of the mean variance.
     """
     chosen, edges = _some_samples(len(colours), edges)
     variances, colours = _variances(colours, relative)[chosen], colours[chosen]
     inside = _inside(colours, edges)
-    if not inside.any():
+    if len(colours) < FEWEST_SAMPLES or not inside.any():
         return np.zeros(colours.shape[1])
     others = np.hstack([colours <= 0, colours >= 1, colours])
     energy, uneven, _, others = _neighbourhoods(colours, others, variances, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
-    return flat_patch_sigma(Patches(energy, uneven, *others.reshape(3, *energy.shape)), white)
+    sigma = flat_patch_sigma(Patches(energy, uneven, *others.reshape(3, *energy.shape)), white)
+    return noise_or_paint(sigma, np.ptp(colours, axis=0))
 
 
 def _inside(colours: Float32s, edges: Int32s) -> Bools:
