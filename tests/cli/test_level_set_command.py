@@ -17,7 +17,7 @@ from oracles.level_sets import CENTRE, sphere
 def volume(tmp_path_factory):
     """An occupancy whose sphere of radius 1 is at 0.5, in random colours."""
     values, steps, origin = sphere(0.2)
-    colours = np.random.default_rng(1).integers(0, 256, (*values.shape, 3)).astype(np.uint8)
+    colours = np.random.default_rng(1).normal(128, 30, (*values.shape, 3)).clip(0, 255).astype(np.uint8)
     path = tmp_path_factory.mktemp("volume") / "occupancy.npz"
     path.write_bytes(npz(values=0.5 - values, colours=colours, spacing=steps, origin=origin))
     return path

@@ -14,8 +14,8 @@ from formats.image_files import encode
 
 # Given, so that nothing is chosen from the data, which takes longer.
 ONCE = SmoothSettings(KernelParameters(iterations=1, beta=1))
-PICTURE = encode(np.random.default_rng(1).integers(0, 256, (16, 16, 3), np.uint8), "png")
-OTHER = encode(np.random.default_rng(2).integers(0, 256, (16, 16, 3), np.uint8), "png")
+PICTURE = encode(np.random.default_rng(1).integers(0, 256, (20, 20, 3), np.uint8), "png")
+OTHER = encode(np.random.default_rng(2).integers(0, 256, (20, 20, 3), np.uint8), "png")
 
 _SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3 4/4\n"
 _HEADER = """ply

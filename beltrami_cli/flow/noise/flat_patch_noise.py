@@ -46,7 +46,7 @@ _MAX_CENSORED_SIGMA = 1 / 3
 
 # Fewer samples than this do not tell noise from paint, as of an icon. What is as large as this share of the range that
 # colours have is no noise, of which the range is larger.
-FEWEST_SAMPLES, _MOST_OF_RANGE = 300, 1 / 3
+FEWEST_SAMPLES, _MOST_OF_RANGE = 300, 0.4
 
 # Bound on the remaining variance of clipped noise, which is divided by; below it the noise cannot be estimated.
 _LEAST_REMAINING = 1e-3
