@@ -12,7 +12,7 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.compare import show_table
-from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE, Messages, choice_in_words, printable
+from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE_FOUND, Messages, choice_in_words, printable
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.jobs.job import tracked
 from beltrami_cli.samples.settings import SmoothSettings
@@ -161,7 +161,7 @@ def _choice(smooth: dict[str, Any]) -> str | None:
         return choice_in_words(smooth["choice"])
     if smooth["iterations"]:
         return None
-    why = "smoothing would take nothing of the noise" if smooth.get("noise") else f"the noise is {NO_NOISE}"
+    why = "smoothing would take nothing of the noise" if smooth.get("noise") else f"there is {NO_NOISE_FOUND}"
     return f"nothing to smooth: {why}; {ALL_THE_SAME}"
 
 

@@ -16,7 +16,7 @@ from oracles.level_sets import CENTRE, sphere
 @pytest.fixture(scope="module")
 def volume(tmp_path_factory):
     """An occupancy whose sphere of radius 1 is at 0.5, in random colours."""
-    values, steps, origin = sphere(0.2)
+    values, steps, origin = sphere(0.15)
     colours = np.random.default_rng(1).normal(128, 30, (*values.shape, 3)).clip(0, 255).astype(np.uint8)
     path = tmp_path_factory.mktemp("volume") / "occupancy.npz"
     path.write_bytes(npz(values=0.5 - values, colours=colours, spacing=steps, origin=origin))
@@ -33,7 +33,7 @@ def test_the_surface_is_written_in_the_format_of_the_name(extension, volume, tmp
     assert run.returncode == 0, run.stderr
     painted = open_document(str(result)).painted()
     radii = np.linalg.norm(painted.positions - CENTRE, axis=1)
-    np.testing.assert_allclose(radii, 1, atol=0.5 * 0.2**2)
+    np.testing.assert_allclose(radii, 1, atol=0.5 * 0.15**2)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["vertices"]["counts"]["vertices"] == len(radii)
     assert report["parameters"]["level_set"]["level"] == 0.5
