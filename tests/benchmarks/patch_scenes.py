@@ -30,6 +30,7 @@ MATERIALS = ("brick", "grass", "gravel")  # without a flat place, and grey
 LARGEST = 1024  # texels a side; larger images are halved
 FEWEST = 20_000  # covered texels of an image that is judged
 QUADS = 24  # a side of a chart of the sphere
+BAKED_FACES = 60_000  # at least, of a mesh whose vertices show a texture
 SUBDIVISIONS = 6  # of the icosphere: 40,962 vertices
 SEAMS_COUNT = 3  # times as much as other texels, where a part of an image is looked for
 
@@ -158,7 +159,10 @@ def on_cube(uv, side):
 
 
 def write_vertices(folder):
-    """Yield PLY files with coloured vertices: samples, photographs on an icosphere, and those of the extra folder."""
+    """Yield PLY files with coloured vertices: photographs on an icosphere, samples, and those of the extra folder.
+
+    Textures of the extra folder are shown by vertices, too, of finer triangles.
+    """
     for name in PHOTOGRAPHS:
         image = photograph(name)
         sphere = icosphere(SUBDIVISIONS)
@@ -170,9 +174,44 @@ def write_vertices(folder):
         path = Path(folder) / f"{name}.ply"
         write_ply(path, Scene(sphere.positions, sphere.faces, colours, colours))
         yield path
+    for name in map(str, extra_models()):
+        scene = textured(name)
+        for number in [] if scene is None else judged_images(scene):
+            path = Path(folder) / f"{Path(name).stem}-{number}.ply"
+            write_ply(path, baked(scene, number))
+            yield path
     extra = os.environ.get("BELTRAMI_EXTRA_MESHES")
     more = sorted(Path(extra).rglob("*.ply")) if extra else []
     for path in [*sorted((ROOT / "sample_data").glob("*-clean.ply")), *more]:
         document = open_document(str(path))
         if document.has_vertex_colours() and not document.slots():
             yield path
+
+
+def baked(scene, number):
+    """Return the faces that show an image of a textured scene, split until their vertices can show it, too."""
+    own, image = scene.texture_of == number, scene.clean[number]
+    corners, uv = scene.corners[own], scene.uv[own]
+    while len(corners) < BAKED_FACES:
+        corners, uv = split(corners), split(uv)
+    extent = np.ptp(corners.reshape(-1, 3), axis=0).max()
+    _, first, vertex = np.unique(
+        np.round(corners.reshape(-1, 3) / extent * 1e5), axis=0, return_index=True, return_inverse=True
+    )
+    faces = vertex.reshape(-1, 3)
+    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    # Means over what a vertex stands for, so that nothing aliases.
+    side = max(1, round(np.sqrt(scene.covered[number].sum() / len(first))))
+    blurred = uniform_filter(image.astype(np.float64), (side, side, 1))
+    places = (uv.reshape(-1, 2)[first] % 1 * np.array(image.shape[1::-1]) - 0.5).T[::-1]
+    seen = [map_coordinates(blurred[..., k], places, order=1, mode="nearest") for k in range(3)]
+    colours = np.clip(np.stack(seen, axis=-1), 0, 1)
+    return Scene(corners.reshape(-1, 3)[first], faces[whole], colours, colours)
+
+
+def split(corners):
+    """Return four triangles for each, shape (4 F, 3, K)."""
+    a, b, c = corners.swapaxes(0, 1)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(part, axis=1) for part in parts])

@@ -220,7 +220,7 @@ def test_isolated_vertices_and_meshes_without_faces_stay_as_they_are():
     positions, faces = surfaces.plane(4, 4)
     colours = np.random.default_rng(0).random((18, 3)).astype(np.float32)
     lonely = np.concatenate([positions, [[9.0, 9, 9], [8, 8, 8]]])
-    result = beltrami_cli.smooth(lonely, faces, colours, beta=1).colours
+    result = beltrami_cli.smooth(lonely, faces, colours, beta=1, iterations=1).colours
     assert np.array_equal(result[16:], colours[16:])
     assert not np.array_equal(result[:16], colours[:16])
     nothing = beltrami_cli.smooth(lonely, np.empty((0, 3), int), colours)

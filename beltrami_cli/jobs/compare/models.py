@@ -176,9 +176,8 @@ def same_textures(
         cause = f"it has {len(other.textures)} textures, but {names[0]} {len(surface.textures)}"
         raise InputError(names[1], cause, _OTHER_MODEL)
     used = surface.texture_of >= 0
-    number_of = np.arange(
-        -1, len(other.textures)
-    )  # in the other, whose textures may be in another order; -1 first
+    # The numbers that textures have in the other, where they may be in another order; that of no texture first.
+    number_of = np.arange(-1, len(other.textures))
     number_of[surface.texture_of + 1] = other.texture_of
     same = number_of[0] == -1 and len(np.unique(number_of)) == len(number_of)
     same &= np.array_equal(number_of[surface.texture_of + 1], other.texture_of)
