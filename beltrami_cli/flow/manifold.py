@@ -30,9 +30,6 @@ from beltrami_cli.flow.records import Averaged, KernelWork, Mixing, NewColours, 
 from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
 from beltrami_cli.flow.search_range import Rule, SearchRange
 
-# Bounds of noise are up to a tenth less than there is, on meshes of some ten thousand samples.
-_SLACK = 1.1
-
 
 class Manifold(Domain):
     """Samples of an image manifold, or of a part of one, ready to be measured and averaged.
@@ -131,7 +128,7 @@ class Manifold(Domain):
     def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
         """Set the noise of the colours to what is reckoned with; `sigma` is of noise that is given by sample."""
         colours = self.sigma[:COLOURS]
-        colours[colours > _SLACK * self.most_noise] = self.most_noise
+        np.minimum(colours, self.most_noise, out=colours)
         colours[:] = noise_of(parameters, colours, sigma, self.stabiliser)
 
     def given_beta(self, beta: float) -> float:

@@ -40,6 +40,9 @@ _PLAIN_GROWTH = 2.2
 # few colours are cut off. Differences of channels with less noise than the last were perhaps taken from them by JPEG.
 _NOWHERE_FLAT, _FEW_CUT_OFF, _LEAST_DIFFERENCES = 1.2, 0.1, 1 / 255
 
+# What is stronger than this in the mean of channels, and than this factor of what their differences hold, is texture.
+_STRONG, _FAR_ABOVE = 40 / 255, 3.0
+
 # Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
 _MOST_HUED = 2.0
 
@@ -109,8 +112,7 @@ def noise_of_scales(
     doubt = _doubt(found.sigma)
     if not is_shared(found.sigma):
         scale = 1.0 if stabiliser is None else stabiliser.scale
-        is_known = scales[0].cut_off < _FEW_CUT_OFF
-        most = scale * _most_independent(found.sigma) if is_known else float(np.inf)
+        most = scale * _most_independent(found.sigma, scales[0].cut_off)
         return FoundNoise(stabiliser, doubt=doubt, most=most)
     count, independent = len(mixing), alone()
     sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))
@@ -123,7 +125,7 @@ def noise_of_scales(
     return FoundNoise(stabiliser, covariances, doubt)
 
 
-def _most_independent(sigma: Float64s) -> float:
+def _most_independent(sigma: Float64s, cut_off: float) -> float:
     """Return what differences of channels hold of noise, if their mean shows that even quiet places are texture."""
     if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
         return float(np.inf)
@@ -131,6 +133,8 @@ def _most_independent(sigma: Float64s) -> float:
     most = float(max(np.sqrt(np.mean(sigma[0, 1:] ** 2)), sigma[1, 1:].min()))
     # Where JPEG may have taken noise from the differences, and the finest of the mean, this has to grow further.
     is_texture = middle > _NOWHERE_FLAT * fine and (most > _LEAST_DIFFERENCES or coarse > _EVEN_MEAN * middle)
+    is_texture &= cut_off < _FEW_CUT_OFF
+    is_texture |= fine > max(_STRONG, _FAR_ABOVE * most)
     return max(most, _LEAST_DIFFERENCES) if is_texture else float(np.inf)
 
 
