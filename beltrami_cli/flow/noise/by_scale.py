@@ -41,7 +41,7 @@ _PLAIN_GROWTH = 2.2
 _NOWHERE_FLAT, _FEW_CUT_OFF, _LEAST_DIFFERENCES = 1.2, 0.1, 1 / 255
 
 # What is stronger than this in the mean of channels, and than this factor of what their differences hold, is texture.
-_STRONG, _FAR_ABOVE = 40 / 255, 3.0
+_STRONG, _FAR_ABOVE = 40 / 255, 2.0
 
 # Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
 _MOST_HUED = 2.0
