@@ -180,7 +180,7 @@ def mixing_by(details: Array) -> Float64s:
     if differences <= _ONE_HUE * energies[:2].sum():
         return OPPONENTS
     hue = vectors[:, -1] * np.sign(vectors[:, -1] @ OPPONENTS[0] or 1)
-    # The mean of channels and its differences, all turned as that is turned to the hue: reflected twice.
+    # The mean of channels reflected to the hue, and its differences likewise, which stay at right angles to it.
     halfway = OPPONENTS[0] + hue
     reflected: Float64s = OPPONENTS - 2 * np.outer(OPPONENTS @ halfway, halfway) / (halfway @ halfway)
     reflected[0] = -reflected[0]
