@@ -200,6 +200,19 @@ def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
     assert np.sqrt(np.mean(sigma**2)) == pytest.approx(np.sqrt(np.mean((image - clean) ** 2)), rel=0.3)
 
 
+@pytest.mark.parametrize(
+    "true",
+    [np.array([7.4, 14.4, 19.4, 21.7]), np.array([7.2, 17.4, 26.4, 31.1]), np.array([5.0, 15.4, 32.2, 44.0])],
+    ids=["demosaiced", "grain of 2", "grain of 3"],
+)
+def test_texture_at_the_coarsest_scale_is_not_taken_for_noise(true):
+    """Noise that a low-pass filter left grows ever less: within 20 % of what `beltrami noise` makes of grey."""
+    read = np.repeat(true[:, None] / 255, 3, axis=1)
+    read[3] *= 2
+    found = by_scale._bounded(read, true[0] / 255)[3]
+    np.testing.assert_allclose(found, true[3] / 255, rtol=0.2)
+
+
 def test_noise_is_a_number_where_the_coarsest_scale_shows_none():
     sigma = np.array([[10, 3, 3], [10, 6, 6], [10.5, 9, 9], [np.nan] * 3]) / 255
     assert by_scale.is_shared(sigma)

@@ -7,7 +7,7 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.flow import grid_kernels
-from beltrami_cli.flow.noise.by_place import find_relative_noise
+from beltrami_cli.flow.noise.by_place import find_relative_noise, louder_blocks
 from oracles.paintings import flat_paint, line_art, photograph, psnr
 
 SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
@@ -74,6 +74,17 @@ def test_textures_and_even_noise_are_the_same_everywhere(sigma):
     clean = photograph(SIZE)
     noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
     assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
+
+
+def test_what_blocks_of_like_levels_share_and_some_texture_are_no_places():
+    """Noise grows towards the dark by 1.7, texture adds up to a factor of 1.6: each alone is not enough."""
+    down, across = np.mgrid[:8, :8].reshape(2, -1) / 7
+    variances = 2e-4 * 1.7 ** (2 * (1 - across)) * 1.6 ** (2 * down)
+    tiles = np.broadcast_to(variances.astype(np.float32)[:, None], (2, 3, 64, 16))
+    assert louder_blocks(tiles, across.astype(np.float32)) is None
+    twice = np.where(down > 0.5, 4 * variances, variances).astype(np.float32)
+    tiles = np.broadcast_to(twice[:, None], (2, 3, 64, 16))
+    assert louder_blocks(tiles, across.astype(np.float32)) is not None
 
 
 @pytest.mark.slow

@@ -31,6 +31,9 @@ _LOUDER, _COUNTED, _LEAST_SIGMA, _MOST_GROWTH = 1.7, 0.1, 2.5 / 255, 1.6
 # even relative to those that are, at most. On 16 photographs with noise in one half, white noise of 5 or 20, and none.
 _MOST_GROWTH_ALONE, _MOST_UNEVEN, _UNEVEN = 1.3, 1.75, 0.75
 
+# Blocks of like levels, of which the quiet ones show the noise of these levels.
+_ALIKE = 8
+
 # Where groups of blocks of like levels explain the first share of differences, and places less, or the second, noise
 # depends on levels.
 _GROUPS, _BY_LEVEL, _ALL_BY_LEVEL = 6, 0.5, 0.85
@@ -81,7 +84,8 @@ def louder_blocks(tiles: Float32s, levels: Float32s) -> tuple[Float32s, float] |
     if quiet.min() < _ROUNDING**2:
         return None
     fine, coarse = (own / least for own, least in zip(blocks, quiet, strict=True))
-    louder = known & (fine > max(_LOUDER**2, _LEAST_SIGMA**2 / quiet[0]))
+    expected = _quiet_by_level(fine, levels, known)
+    louder = known & (fine > np.maximum(_LOUDER**2 * expected, _LEAST_SIGMA**2 / quiet[0]))
     if np.count_nonzero(louder) < max(1, _COUNTED * np.count_nonzero(known)):
         return None
     if np.median(coarse[louder] / fine[louder]) > _MOST_GROWTH:
@@ -122,6 +126,15 @@ def _is_noise_alone(tiles: Float32s) -> bool:
     even, uneven = (_quantiles(tiles, share) for share in (_EVEN, _UNEVEN))
     is_flat = np.median(even[1] / even[0]) < _MOST_GROWTH_ALONE
     return bool(is_flat and np.median(uneven[0] / even[0]) < _MOST_UNEVEN)
+
+
+def _quiet_by_level(values: Float32s, levels: Float32s, known: Bools) -> Float64s:
+    """Return the values of quiet blocks, at the level of each block; at least 1, as of the quiet ones of all levels."""
+    order = np.argsort(levels[known], kind="stable")
+    groups = np.array_split(order, max(1, len(order) // _ALIKE))
+    quiet = [np.quantile(values[known][group], _QUIET) for group in groups]
+    found: Float64s = np.interp(levels, [levels[known][group].mean() for group in groups], quiet)
+    return np.maximum(found, 1)
 
 
 def _explained_by_level(values: Float32s, levels: Float32s) -> float:
