@@ -87,6 +87,15 @@ def test_what_blocks_of_like_levels_share_and_some_texture_are_no_places():
     assert louder_blocks(tiles, across.astype(np.float32)) is not None
 
 
+def test_blocks_with_uneven_tiles_here_and_there_are_texture():
+    """Tiles of noise have 48 details: the upper quartile is 1.3 times the energy of even ones, of texture 2."""
+    loud = np.where(np.arange(64) % 5 == 0, 6.0, 1.0)[:, None] * np.ones(16)
+    uneven = np.where(np.arange(16) < 8, 1.0, 2.0)
+    for tiles, is_noise in ((loud, True), (np.where(loud > 1, loud * uneven, loud), False)):
+        tiles = np.broadcast_to(2e-4 * tiles.astype(np.float32), (2, 3, 64, 16))
+        assert (louder_blocks(tiles, np.full(64, 0.5, np.float32)) is not None) == is_noise
+
+
 @pytest.mark.slow
 def test_both_halves_are_smoothed_as_their_noise_asks():
     """Nearly as each half by itself; by one noise for both, most of the noise of the louder half stays."""
