@@ -186,7 +186,8 @@ STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 
 def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, valid: Bools) -> Atlas:
-    """Lay out an image, shape (H, W), as one chart without seams, with `margin` empty cells around."""
+    """Lay out an image, shape (H, W), as one chart without seams, with at least `margin` empty cells around."""
+    margin += margin % 2  # as charts are: squares of 2 x 2 cells begin at even pixels
     # Positions, shape (H, W, M), that are not finite are holes, as pixels that are not valid are; without positions
     # pixels lie on the plane, 1 apart. Nothing crosses a hole, and holes that touch at corners are a closed barrier.
     filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)

@@ -57,9 +57,10 @@ def test_a_halo_lies_on_the_surface_where_the_chart_goes_on():
 def test_nothing_is_beyond_an_open_boundary():
     atlas = build_atlas(square(), [(32, 32)], 3)
     assert (atlas.charts, atlas.seams, len(atlas.halo_cells), len(atlas.gutter_cells)) == (1, 0, 0, 0)
-    assert atlas.kind.shape == (22, 22)
-    owned = np.zeros((22, 22), bool)
-    owned[3:19, 3:19] = True
+    # The first texel is at 4 both ways: it lies at an even cell.
+    assert atlas.kind.shape == (23, 23)
+    owned = np.zeros((23, 23), bool)
+    owned[4:20, 4:20] = True
     assert np.array_equal(atlas.kind == OWNED, owned)
     assert not np.isfinite(atlas.squared_lengths[RIGHT][:, 18]).any()
     assert not np.isfinite(atlas.squared_lengths[BELOW][18]).any()
@@ -188,4 +189,4 @@ def test_texel_centres_on_the_border_are_covered():
     surface = textured(positions, faces, positions[faces][..., :2] + 0.5, [(8, 6)])
     atlas = build_atlas(surface, [(8, 6)], 3)
     assert (atlas.covered, atlas.overlapped) == (48, 0)
-    assert np.array_equal(atlas.squared_lengths[RIGHT][3:9, 3:10], np.ones((6, 7), np.float32))
+    assert np.array_equal(atlas.squared_lengths[RIGHT][4:10, 4:11], np.ones((6, 7), np.float32))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter
 
-from beltrami_cli.surface.atlas import EMPTY, build_atlas
-from oracles.textured import quads, textured
+from beltrami_cli.surface.atlas import EMPTY, build_atlas, grid_atlas
+from oracles.textured import cube, quads, textured
 
 
 def stairs(count, length=12, side=8):
@@ -68,3 +68,17 @@ def test_texels_keep_their_neighbours_however_charts_are_packed():
     assert np.array_equal(texels, other_texels)
     assert np.array_equal(lengths, other_lengths)
     assert all(np.ptp(here - there) == 0 for here, there in zip(cells, other_cells, strict=True))
+
+
+@pytest.mark.parametrize("margin", [3, 4])
+def test_even_texels_lie_at_even_cells(margin):
+    """JPEG stores hues of squares of 2 x 2 texels: noise is measured in squares that never straddle them."""
+    surface, sizes = cube(15), [(124, 24)]
+    image = grid_atlas((7, 9), margin, None, np.ones((7, 9), bool))
+    for atlas, (width, _) in ((build_atlas(surface, sizes, margin), sizes[0]), (image, (9, 7))):
+        texels, cells = (
+            np.array(np.divmod(places, columns))
+            for places, columns in ((atlas.owned_texels, width), (atlas.owned_cells, atlas.kind.shape[1]))
+        )
+        assert len(np.unique(texels % 2, axis=1).T) == 4
+        assert np.array_equal(texels % 2, cells % 2)

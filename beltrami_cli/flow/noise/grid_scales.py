@@ -1,6 +1,7 @@
 """The noise of colours on a grid, by level and by scale.
 
-Details of 2 x 2 cells, of 2 x 2 means of such, and so on, are measured in tiles, see `by_level` and `by_scale`.
+Details of 2 x 2 cells, of 2 x 2 means of such, and so on, are measured in tiles, see `by_level` and `by_scale`. Squares
+begin at even texels of a chart or an image, as those in which JPEG stores hues do.
 
 Independent noise alone is estimated from the diagonal Haar coefficients (a - b - c + d) / 2 of all 2 x 2 squares, which
 keep the noise and lose constants and slopes [1]_, in the tiles of 8 x 8 squares in which means of squares are even. On
@@ -180,7 +181,7 @@ def _some_rows(count: int, columns: int) -> slice | NDArray[np.intp]:
     bands = max(2, MOST_CELLS // (_BAND * max(1, columns)))
     if count <= _BAND * bands:
         return slice(None)
-    first = ((np.arange(bands) + 0.5) * count / bands - _BAND / 2).astype(int)
+    first = ((np.arange(bands) + 0.5) * count / bands - _BAND / 2).astype(int) // 2 * 2
     return (first[:, None] + np.arange(_BAND)).reshape(-1)
 
 

@@ -24,11 +24,17 @@ Place place_of(const Window& window, std::int64_t texel, const Texture& grid) {
   return {unwrapped(column, window.x, grid.width, grid.wrap_x), unwrapped(row, window.y, grid.height, grid.wrap_y)};
 }
 
+// Rectangles begin at even texels, and lie at even cells: JPEG stores hues of squares of 2 x 2 texels, and noise is measured
+// in squares of 2 x 2 cells.
+constexpr std::int64_t step = 2;
+
+std::int64_t rounded_down(std::int64_t place) { return place - (place % step + step) % step; }
+
 // Side of the blocks in which rectangles are packed: fine enough to fit charts together, coarse enough to take little time.
 std::int64_t block_side(const std::vector<Rectangle>& rectangles) {
   double area = 0;
   for (const Rectangle& rectangle : rectangles) area += static_cast<double>(rectangle.width * rectangle.height);
-  return std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(std::sqrt(area) / blocks_a_side)));
+  return step * std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(std::sqrt(area) / blocks_a_side / step)));
 }
 
 // Calls visit(begin, end) for the runs of a row that are owned; is_owned(i) for columns i in [0, width).
@@ -122,9 +128,12 @@ Layout make_layout(const Mesh& mesh, const Windows& windows, const Ownership& ow
     const Extent& extent = ownership.extents[window];
     if (extent.empty()) continue;
     layout.rectangle_of[window] = static_cast<Index>(layout.rectangles.size());
-    Rectangle rectangle{static_cast<Index>(window), extent.first_x - margin, extent.first_y - margin, 0, 0, 0, 0};
-    rectangle.width = extent.last_x - extent.first_x + 1 + 2 * margin;
-    rectangle.height = extent.last_y - extent.first_y + 1 + 2 * margin;
+    Rectangle rectangle;
+    rectangle.window = static_cast<Index>(window);
+    rectangle.x = rounded_down(extent.first_x - margin);
+    rectangle.y = rounded_down(extent.first_y - margin);
+    rectangle.width = extent.last_x + 1 + margin - rectangle.x;
+    rectangle.height = extent.last_y + 1 + margin - rectangle.y;
     layout.rectangles.push_back(rectangle);
   }
   const std::int64_t block = block_side(layout.rectangles);

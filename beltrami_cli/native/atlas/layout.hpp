@@ -13,7 +13,7 @@
 
 namespace beltrami::atlas {
 
-// The rectangle of a window: what it owns and a margin on all sides.
+// The rectangle of a window: what it owns and a margin on all sides, a cell wider above and to the left if that is odd.
 struct Rectangle {
   Index window = none;
   std::int64_t x = 0, y = 0;            // its upper left cell, in the texture's plane
