@@ -62,8 +62,8 @@ def test_nothing_is_beyond_an_open_boundary():
     owned = np.zeros((23, 23), bool)
     owned[4:20, 4:20] = True
     assert np.array_equal(atlas.kind == OWNED, owned)
-    assert not np.isfinite(atlas.squared_lengths[RIGHT][:, 18]).any()
-    assert not np.isfinite(atlas.squared_lengths[BELOW][18]).any()
+    assert not np.isfinite(atlas.squared_lengths[RIGHT][:, 19]).any()
+    assert not np.isfinite(atlas.squared_lengths[BELOW][19]).any()
 
 
 def test_a_cylinder_is_periodic():
