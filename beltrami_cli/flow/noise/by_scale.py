@@ -43,6 +43,9 @@ _NOWHERE_FLAT, _FEW_CUT_OFF, _LEAST_DIFFERENCES = 1.2, 0.1, 1 / 255
 # What is stronger than this in the mean of channels, and than this factor of what their differences hold, is texture.
 _STRONG, _FAR_ABOVE = 40 / 255, 2.0
 
+# Independent noise, relative to that of the finest details, at most: both are estimates.
+_SLACK = 1.1
+
 # Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
 _MOST_HUED = 2.0
 
@@ -114,7 +117,9 @@ def noise_of_scales(
     doubt = _doubt(found.sigma)
     if not is_shared(found.sigma):
         scale = 1.0 if stabiliser is None else stabiliser.scale
-        most = scale * _most_independent(found.sigma, scales[0].cut_off)
+        # Where much is cut off, little else than this bound says how much noise there was.
+        finest = _SLACK * float(np.sqrt(np.mean(np.square(found.sigma[0]))))
+        most = scale * min(_most_independent(found.sigma, scales[0].cut_off), finest)
         return FoundNoise(stabiliser, doubt=doubt, most=most)
     count, independent = len(mixing), alone()
     sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))

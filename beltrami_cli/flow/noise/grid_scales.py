@@ -41,6 +41,9 @@ _TILES = (4, 4, 2, 2)
 # fewer than this share of the tiles would be left.
 _MOST_CUT_OFF, _DARK, _ENOUGH_LIT, _PLAIN = 0.3, 0.6, 0.1, 1e-9
 
+# Where fewer than this share of the coarsest tiles are left, as around what lies on white, nearly all of these hold edges.
+_ENOUGH_LEFT = 1 / 3
+
 # If this share of the tiles is plain, the others show paint, or what JPEG left of noise: nobody can tell.
 _MOST_PLAIN = 0.5
 
@@ -97,6 +100,8 @@ def measure_by_scale(
         share = np.where(whole, sums_of_tiles(cut, side) / side**2, 1)
         lit = np.count_nonzero(share < _MOST_CUT_OFF) >= _ENOUGH_LIT * np.count_nonzero(share < 1)
         tiles = share < (_MOST_CUT_OFF if lit else _DARK)
+        if scale == len(_TILES) - 1 and np.count_nonzero(tiles) < _ENOUGH_LEFT * np.count_nonzero(whole):
+            break
         energy, square, level = (
             np.stack([sums_of_tiles(plane, side)[tiles] for plane in of]) / side**2
             for of in (details, np.square(means), means)
