@@ -12,6 +12,7 @@ import pytest
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import losses, read_image, to_float, write_image
+from beltrami_cli.samples.samples import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, stored
 
@@ -141,3 +142,16 @@ def test_an_unknown_extension_is_refused() -> None:
     picture = picture_of("png", "uint8", 3)
     with pytest.raises(UsageError, match=r"\.xyz"):
         write_image(picture, picture.pixels, suffix=".xyz")
+
+
+def test_a_jpeg_that_coding_would_change_more_than_the_result_stays() -> None:
+    """Hues of single pixels, stored for 2 x 2 of them, are lost by far more than a step in one pixel."""
+    hues = np.random.default_rng(0).random((64, 64, 3), np.float32)
+    subsampled = jpeg_file(hues, 90)
+    picture = read_image(subsampled, "in.jpg")
+    nearly = picture.pixels.copy()
+    nearly[0, 0, 0] ^= 1
+    kept = write_image(picture, nearly)
+    assert kept.data == subsampled
+    assert kept.notices[0].startswith("in.jpg stays as it is")
+    assert write_image(picture, picture.pixels // 2).data != subsampled

@@ -46,6 +46,9 @@ _STRONG, _FAR_ABOVE = 40 / 255, 2.0
 # Independent noise, relative to that of the finest details, at most: both are estimates.
 _SLACK = 1.1
 
+# Details that no filter makes of white noise: at the third scale this much larger than at the first, and strong.
+_UNFILTERED, _RELIEF = 9.0, 30 / 255
+
 # Differences of channels, relative to their mean, beyond which they are hues: noise has 0.2 to 1.2 in them.
 _MOST_HUED = 2.0
 
@@ -161,6 +164,8 @@ def is_shared(sigma: Float64s) -> bool:
         return False
     fine, middle, coarse = components[:3].min(axis=1)
     if max(middle / sigma[1, 0], coarse / sigma[2, 0]) > _MOST_HUED:
+        return False
+    if coarse > max(_UNFILTERED * fine, _RELIEF) and not _levels_off(sigma):
         return False
     coarsest = components[3].min() if len(sigma) > 3 and not np.isnan(components[3]).any() else None
     most = _MOST_GROWTH if sigma.shape[1] == 3 else _MOST_ALONE

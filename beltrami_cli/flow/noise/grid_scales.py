@@ -41,7 +41,8 @@ _TILES = (4, 4, 2, 2)
 # fewer than this share of the tiles would be left.
 _MOST_CUT_OFF, _DARK, _ENOUGH_LIT, _PLAIN = 0.3, 0.6, 0.1, 1e-9
 
-# Where fewer than this share of the coarsest tiles are left, as around what lies on white, nearly all of these hold edges.
+# Where fewer than this share of the coarsest tiles are left, as around what lies on white, nearly all of them hold
+# edges.
 _ENOUGH_LEFT = 1 / 3
 
 # If this share of the tiles is plain, the others show paint, or what JPEG left of noise: nobody can tell.

@@ -20,8 +20,12 @@ from beltrami_cli.formats.image.picture import (
     without_alpha,
 )
 from beltrami_cli.formats.image.reading import TYPES, read_image, scratch_file
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
+
+# Rows that are compared at a time.
+_ROWS = 64
 
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much
@@ -211,10 +215,22 @@ def write_image(
     compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
     _set_options(spec, known, compression, jpeg_quality, small=small)
     data = _encode(spec, pixels, known, picture.name)
-    if known == "webp" and not compression:
+    if not is_exact(picture):
         again = read_image(data, picture.name).pixels
-        notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
+        if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:
+            what = f"coded as {label_of(known)} anew, it would be further from the result than it is"
+            notice = f"{picture.name} stays as it is: {what}; a PNG would hold the result."
+            return ImageFile(picture.source, picture.suffix, (notice,))
+        if known == "webp":
+            notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
     return ImageFile(metadata.carry_over(picture.source, data, known), picture.suffix, tuple(notices))
+
+
+def _square_error(some: Array, others: Array) -> float:
+    return sum(
+        float(np.square(full_scale_one(some[rows]) - full_scale_one(others[rows])).sum(dtype=np.float64))
+        for rows in large_arrays.blocks(len(some), _ROWS)
+    )
 
 
 def _with_metadata(spec: Any, name: str) -> bytes:
