@@ -200,6 +200,23 @@ def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
     assert np.sqrt(np.mean(sigma**2)) == pytest.approx(np.sqrt(np.mean((image - clean) ** 2)), rel=0.3)
 
 
+def test_noise_that_is_shared_is_found_around_what_lies_on_white():
+    """Of the coarsest tiles, those without white hold edges of the coins."""
+    down, across = np.mgrid[:512, :512]
+    hues = np.array([[0.8, 0.1, 0.1], [0.1, 0.6, 0.2], [0.2, 0.2, 0.8], [0.9, 0.7, 0.1]])
+    is_coin = (down % 128 - 64) ** 2 + (across % 128 - 64) ** 2 < 24**2
+    clean = np.where(is_coin[..., None], hues[(down // 128 + across // 128) % 4], 1)
+    noisy = np.clip(clean + enlarged(clean.shape[:2], 2, 15 / 255), 0, 1)
+    assert found((np.rint(255 * noisy) / 255).astype(np.float32))[0] is not None
+
+
+def test_the_relief_of_normals_is_no_noise():
+    """Details of a normal map: at the third scale eleven times as strong as at the first, as no filter makes noise."""
+    sigma = np.array([[6, 6, 6], [27, 27, 27], [67, 67, 67], [103, 103, 103]]) / 255
+    assert not by_scale.is_shared(sigma)
+    assert by_scale.is_shared(sigma / [[1], [2], [4], [6]])
+
+
 @pytest.mark.parametrize(
     "true",
     [np.array([7.4, 14.4, 19.4, 21.7]), np.array([7.2, 17.4, 26.4, 31.1]), np.array([5.0, 15.4, 32.2, 44.0])],

@@ -219,7 +219,7 @@ def write_image(
         again = read_image(data, picture.name).pixels
         if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:
             what = f"coded as {label_of(known)} anew, it would be further from the result than it is"
-            notice = f"{picture.name} stays as it is: {what}; a PNG would hold the result."
+            notice = f"{picture.name} stays as it is: {what}; a format without loss would hold the result."
             return ImageFile(picture.source, picture.suffix, (notice,))
         if known == "webp":
             notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
