@@ -51,6 +51,9 @@ class FileError(BeltramiError):
         self.name, self.cause, self.remedy = name, one_line(cause), remedy
         super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
 
+    def __reduce__(self) -> tuple[type[FileError], tuple[str, str, str]]:
+        return type(self), (self.name, self.cause, self.remedy)  # not the message, so that workers can raise it
+
 
 class InputError(FileError):
     """The input cannot be read, is damaged, or contains nothing that can be smoothed."""
