@@ -133,7 +133,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
         ([str(NOISY), "nowhere/out.ply"], 4, b"nowhere"),
         ([str(NOISY), "."], 4, b"folder"),
         ([str(NOISY), "out.abc"], 2, b".abc"),
-        ([str(NOISY), "out.ply", "-t", "0"], 2, b"t is 0"),
+        ([str(NOISY), "out.ply", "-t", "0"], 2, b"--time-step is 0"),
         ([str(NOISY), "out.ply", "--beta", "-1"], 2, b"beta"),
         ([str(NOISY), "out.ply", "--beta", "nan"], 2, b"beta"),
         ([str(NOISY), "out.ply", "--threshold", "1"], 2, b"threshold"),

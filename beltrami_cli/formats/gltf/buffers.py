@@ -76,7 +76,7 @@ def _short(uri: str) -> str:
 
 
 def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[str], list[str]]:
-    """Return the relative paths of named files that exist inside the folder, and a notice for every one that does not."""
+    """Return the relative paths of named files that exist inside the folder, and a notice for each that does not."""
     names: dict[str, None] = {}
     notices: dict[str, None] = {}
     for entry, uri in _external(root):
