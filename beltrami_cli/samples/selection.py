@@ -18,7 +18,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
-from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
@@ -242,8 +242,11 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         name = OUTPUT_FORMATS.get(document.format, "ply")
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
-        cause = f"{target}: no format is known for .{wanted}; end the name in {known}, or say --format"
-        raise UsageError(cause)
+        cause = f"no format is known for .{wanted}"
+        if is_only_read(wanted):
+            why = ": the STL format has no colours" if wanted == "stl" else ""
+            cause = f".{wanted} files are read, but not written{why}"
+        raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
     return OutputFormat(name, name == document.format)
 
 

@@ -205,6 +205,7 @@ def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_pa
         (["bake", "{sphere}", "{out}.glb", "--to", "texture", "--keep-uv"], 3, "texture"),
         (["bake", "{sphere}", "{out}.xyz", "--to", "texture"], 2, "has no textures"),
         (["bake", "{sphere}", "{out}.abc", "--to", "texture"], 2, "no format is known"),
+        (["smooth", "{sphere}", "{out}.stl"], 2, "out.stl: .stl files are read, but not written: the STL format"),
         (["bake", "{sphere}", "-", "--to", "texture", "--format", "obj"], 4, "beside"),
         (["bake", "{sphere}", "{out}.glb"], 2, "--to"),
         (["smooth", "{sphere}", "{out}.glb", "--texture-size", "64"], 2, "--unwrap"),
