@@ -227,7 +227,10 @@ TEXTURES = ("threads", "space", "channels", "on", "slots", "materials", "names")
 COLOURS = (*TEXTURES, "mask", "level", "inside", "colours", "max_voxels")
 ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
 # Averages alone can be taken in Oklab.
-UNMIXED = {"space": {"choices": ("srgb", "linear", "data")}}
+_TAKEN = (
+    "What colours are taken as: display values, linear light, or with data the stored numbers as they are."
+)
+UNMIXED = {"space": {"choices": ("srgb", "linear", "data"), "help": _TAKEN}}
 COMPARED: dict[str, dict[str, Any]] = {
     **UNMIXED,
     "on": {"help": "The vertex colours, the textures, or both; auto takes what there is."},
