@@ -22,7 +22,8 @@ _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 EPILOG = """\b
 Examples:
   beltrami info scan.ply
-  beltrami info scan.glb --json | jq .noise
+  beltrami info scan.ply --json | jq .noise                  of vertex colours
+  beltrami info scan.glb --json | jq '.textures[].noise'     of textures, each slot
   beltrami info scan.obj --json | jq '.textures[].images'    each texture: size, charts, overlap, noise, ...
   beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
   beltrami info scans 'more/**/*.glb' --fast             a table of many files; or lines of JSON
