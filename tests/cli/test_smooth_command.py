@@ -316,6 +316,13 @@ def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
     assert b"%" in shown
 
 
+def test_options_of_the_program_are_said_to_go_before_the_command():
+    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml")
+    assert run.returncode == 2
+    assert b"--config goes before the command: beltrami --config FILE smooth ...\n" in run.stderr
+    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V").stderr
+
+
 @pytest.mark.parametrize(
     ("word", "said"),
     [
