@@ -193,6 +193,9 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
         _show_result(messages, report, dry_run=dry_run)
     elif not settings.level_seams:
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
+    if report.new_texture:
+        unwritten = "not written (dry run), " if dry_run else ""
+        messages.say(f"{report.output}: {unwritten}{report.new_texture}")
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:

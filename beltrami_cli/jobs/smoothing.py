@@ -201,6 +201,8 @@ class SmoothReport:
         Statistics of an image, if it was smoothed.
     levelled : list of LevelReport
         What was done to exposure steps before, if that was asked for.
+    new_texture : str
+        What kind of texture was made, in words; empty if none was.
     """
 
     input: str
@@ -215,6 +217,7 @@ class SmoothReport:
     warnings: list[str]
     image: ImageReport | None = None
     levelled: list[LevelReport] = field(default_factory=list)
+    new_texture: str = ""
 
 
 def is_report(head: bytes) -> bool:

@@ -180,6 +180,7 @@ def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_pa
     source, result = SAMPLES / "mirrored-noisy.obj", tmp_path / "out.obj"
     assert b"several places" in beltrami("smooth", source, result, "-n", 1, "--dry-run").stderr
     run = beltrami("smooth", source, result, "--unwrap", "-n", 1, "--texture-size", 256)
+    assert run.stderr.endswith(b"out.obj: an 8-bit texture of 256 x 256\n")
     assert run.returncode == 0, run.stderr
     assert b"several places" not in beltrami("info", result, "--fast").stdout
     assert b"overlapped 0" in beltrami("info", result, "--fast").stdout
