@@ -156,8 +156,11 @@ class HelpfulCommand(click.Command):
                 else word
                 for place, word in enumerate(args)
             ]
-        self._refuse_repeated_lists(ctx, args)
-        return super().parse_args(ctx, args)
+        try:
+            self._refuse_repeated_lists(ctx, args)
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            raise _misplaced(error.option_name, ctx) or error from None
 
     def _refuse_repeated_lists(self, ctx: click.Context, args: list[str]) -> None:
         """Refuse a list that is given in parts, of which click would take the last."""
@@ -208,6 +211,19 @@ class HelpfulCommand(click.Command):
 
     def _is_full(self, context: click.Context) -> bool:
         return not self._is_long or bool(context.meta.get(_ALL))
+
+
+def _misplaced(name: str, context: click.Context) -> click.UsageError | None:
+    """Return the error that an option of the program stands behind the command; None if it has no such option."""
+    program = context.parent
+    if program is None:
+        return None
+    for option in program.command.params:
+        if name in option.opts:
+            behind = f" {option.metavar} {context.info_name} ..." if option.metavar else ""
+            cause = f"{name} goes before the command: {program.info_name} {name}{behind}"
+            return click.UsageError(cause, context)
+    return None
 
 
 def _is_number(text: str) -> bool:

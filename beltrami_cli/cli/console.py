@@ -35,6 +35,7 @@ printable = one_line
 
 NO_NOISE = "no more than rounding makes"
 NO_NOISE_FOUND = "no noise that can be told from paint"
+NO_AREA = "no face has an area"
 ALL_THE_SAME = "to smooth all the same, give --strength strong, or the noise, as in --noise 5"
 
 

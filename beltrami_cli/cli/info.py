@@ -12,17 +12,26 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.compare import show_table
-from beltrami_cli.cli.console import ALL_THE_SAME, NO_NOISE_FOUND, Messages, choice_in_words, printable
+from beltrami_cli.cli.console import (
+    ALL_THE_SAME,
+    NO_AREA,
+    NO_NOISE_FOUND,
+    Messages,
+    choice_in_words,
+    printable,
+)
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.jobs.job import tracked
 from beltrami_cli.samples.settings import SmoothSettings
 
+_NO_SAMPLES = "there are no samples"
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
 EPILOG = """\b
 Examples:
   beltrami info scan.ply
-  beltrami info scan.glb --json | jq .noise
+  beltrami info scan.ply --json | jq .noise                  of vertex colours
+  beltrami info scan.glb --json | jq '.textures[].noise'     of textures, each slot
   beltrami info scan.obj --json | jq '.textures[].images'    each texture: size, charts, overlap, noise, ...
   beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
   beltrami info scans 'more/**/*.glb' --fast             a table of many files; or lines of JSON
@@ -109,15 +118,16 @@ def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
     slots: Any = facts.get("textures", [])
     image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
     samples = image["width"] * image["height"] - image["holes"]
+    is_flat = facts.get("surface", {}).get("mean_edge_length") == 0 and not facts["smooth"]["iterations"]
     planned: list[Any] = [
-        (facts.get("smooth"), samples),
-        *((slot["smooth"], slot["covered"]) for slot in slots),
+        (facts.get("smooth"), NO_AREA if is_flat else "" if samples else _NO_SAMPLES),
+        *((slot["smooth"], "" if slot["covered"] else _NO_SAMPLES) for slot in slots),
     ]
-    for smooth, count in planned:
+    for smooth, obstacle in planned:
         if not smooth:
             continue
         if settings.kernel.iterations:
-            smooth["choice"] = _choice(smooth) if count else "nothing to smooth: there are no samples"
+            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(smooth)
         if "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
             several = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
             which = several if smooth["iterations"] > 1 else " iteration"

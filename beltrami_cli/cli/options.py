@@ -44,7 +44,8 @@ class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newe
     """What the field of a parameter allows; text that it parses stays text, as configuration files have it."""
 
     def __init__(self, declared: Parameter) -> None:
-        self._declared = declared
+        # Errors name the option, which may be called otherwise than the field.
+        self._declared = dataclasses.replace(declared, name=_flag(declared))
         self.name = {int: "integer", float: "float"}.get(declared.kind, "text")
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -95,6 +96,11 @@ def flags_of(declared: Parameter) -> tuple[str, ...]:
     return declared.flags or ("--" + declared.name.replace("_", "-"),)
 
 
+def _flag(declared: Parameter) -> str:
+    """Return the option of a parameter as users know it."""
+    return next((each for each in flags_of(declared) if each.startswith("--")), flags_of(declared)[0])
+
+
 def option_of(declared: Parameter) -> Decorator:
     """Return the option of a parameter."""
     attributes: dict[str, Any] = {}
@@ -138,8 +144,7 @@ def parsed(declared: Parameter, text: str) -> Any:
     try:
         return declared.parse(text)
     except ValueError as error:
-        flag = next(each for each in flags_of(declared) if each.startswith("--"))
-        raise UsageError(f"{flag} {error}") from None
+        raise UsageError(f"{_flag(declared)} {error}") from None
 
 
 preset = click.option(
@@ -222,7 +227,10 @@ TEXTURES = ("threads", "space", "channels", "on", "slots", "materials", "names")
 COLOURS = (*TEXTURES, "mask", "level", "inside", "colours", "max_voxels")
 ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
 # Averages alone can be taken in Oklab.
-UNMIXED = {"space": {"choices": ("srgb", "linear", "data")}}
+_TAKEN = (
+    "What colours are taken as: display values, linear light, or with data the stored numbers as they are."
+)
+UNMIXED = {"space": {"choices": ("srgb", "linear", "data"), "help": _TAKEN}}
 COMPARED: dict[str, dict[str, Any]] = {
     **UNMIXED,
     "on": {"help": "The vertex colours, the textures, or both; auto takes what there is."},

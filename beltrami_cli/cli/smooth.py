@@ -16,6 +16,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
 from beltrami_cli.cli.console import (
     ALL_THE_SAME,
+    NO_AREA,
     NO_NOISE,
     NO_NOISE_FOUND,
     Messages,
@@ -192,6 +193,9 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
         _show_result(messages, report, dry_run=dry_run)
     elif not settings.level_seams:
         _show_unchanged(messages, report, unwrapped=unwrap is not None, dry_run=dry_run)
+    if report.new_texture:
+        unwritten = "not written (dry run), " if dry_run else ""
+        messages.say(f"{report.output}: {unwritten}{report.new_texture}")
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
@@ -222,7 +226,10 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
     if report.vertices is not None:
         done = report.vertices
         what = counted(int(done.counts["vertices"]), "point" if "outliers" in done.counts else "vertex")
-        _show_done(messages, name + what, done, done.counts["samples_per_kernel"])
+        # A kernel with given parameters averages what lies at one place.
+        is_empty = not (done.spacing or done.iterations) and done.counts.get("triangles", 0) > 0
+        what += f", {NO_AREA}" if is_empty else ""
+        _show_done(messages, name + what, done, done.counts["samples_per_kernel"], is_empty=is_empty)
         if done.geometry is not None:
             messages.say(name + _geometry(done.geometry, done.spacing))
     if report.image is not None:
@@ -247,7 +254,7 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
 def _show_done(
     messages: Messages, what: str, done: SamplesReport, samples: float, *, is_empty: bool = False
 ) -> None:
-    if is_empty:  # A warning says why.
+    if is_empty:  # `what` or a warning says why.
         messages.say(f"{what}, so the colours are left as they are")
         return
     strongest = 255 * max(done.noise.values(), default=0)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
@@ -38,6 +38,9 @@ _ARCHIVES = {
     "tar": (b"ustar", 257),
 }
 """What archives and compressed files start with, and at which offset."""
+
+_CLOUDS = {"LAS or LAZ": (b"LASF", 0), "PCD": (b"# .PCD", 0), "E57": (b"ASTM-E57", 0)}
+"""What point clouds that are not read start with, as `_ARCHIVES`."""
 
 _READABLE = (
     "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .pts and .npz, and the colours of "
@@ -204,17 +207,21 @@ def kind_of(data: bytes, name: str) -> Kind:
 
 def _recognised(data: bytes, name: str, lines: Sequence[Format]) -> Format | None:
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
-    if marked is not None or not data or _archive(data) is not None:
+    if marked is not None or not data or _marked(_ARCHIVES | _CLOUDS, data) is not None:
         return marked
     named = (line for line in lines if line.mark is None and name.lower().endswith(line.suffixes))
     return next(named, None)
 
 
 def _refusal(data: bytes, name: str) -> InputError:
-    archive = _archive(data)
+    archive = _marked(_ARCHIVES, data)
     if archive is not None:
         cause = f"it is a {archive} archive, which is not opened"
         return InputError(name, cause, "unpack it, and give the model")
+    cloud = _marked(_CLOUDS, data)
+    if cloud is not None:
+        cause = f"it is a point cloud in {cloud} format, which is not read"
+        return InputError(name, cause, "convert it to PLY, for example with PDAL or CloudCompare")
     if not data:
         return InputError(name, "the file is empty", _READABLE)
     if _is_image(data, name):
@@ -225,8 +232,15 @@ def _refusal(data: bytes, name: str) -> InputError:
     return InputError(name, "the content is of no known format", _READABLE)
 
 
-def _archive(data: bytes) -> str | None:
-    return next((kind for kind, (mark, at) in _ARCHIVES.items() if data.startswith(mark, at)), None)
+def _marked(marks: dict[str, tuple[bytes, int]], data: bytes) -> str | None:
+    return next((kind for kind, (mark, at) in marks.items() if data.startswith(mark, at)), None)
+
+
+def is_only_read(suffix: str) -> bool:
+    """Whether models with a suffix, without its dot, are read but not written."""
+    from beltrami_cli.formats.read_only.document import Kind
+
+    return suffix in get_args(Kind)
 
 
 def write_contents(contents: MeshContents, name: str, stem: str) -> Written:

@@ -65,8 +65,7 @@ def bake_file(
     if to == "texture":
         made = texture_from_vertices(document, settings, job.progress)
         counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
-        height, width, _ = made.pixels.shape
-        texture = f"{'an 8-bit' if made.pixels.itemsize == 1 else 'a 16-bit'} texture of {width} x {height}"
+        texture = made.in_words
         written, notices = write_textured(made.mesh(made.encoded()), kind, stem), made.notices
     else:
         require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, access)

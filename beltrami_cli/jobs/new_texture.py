@@ -51,6 +51,12 @@ class NewTexture:
     charts: int | None  # how many, if it was unwrapped
     notices: tuple[str, ...]
 
+    @property
+    def in_words(self) -> str:
+        """What kind of texture it is, and its size."""
+        height, width = self.pixels.shape[:2]
+        return f"{'an 8-bit' if self.pixels.itemsize == 1 else 'a 16-bit'} texture of {width} x {height}"
+
     def encoded(self, suffix: str | None = None, jpeg_quality: int = 98, *, small: bool = False) -> ImageFile:
         """Return the texture as a file, PNG by default; options as for `write_image`."""
         picture = new_picture(self.pixels, "the new texture")

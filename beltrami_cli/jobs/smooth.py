@@ -126,7 +126,8 @@ def _smooth_unwrapped(
     names = [] if output is None else [target, *written.sidecars]
     late = [warning for each in done.smoothed for warning in each.warnings]
     warnings = [*document.notices, *done.notices, *written.notices, *late]
-    return make_report((source, target), kind, settings, done.smoothed, watch.stages, names, warnings)
+    report = make_report((source, target), kind, settings, done.smoothed, watch.stages, names, warnings)
+    return dataclasses.replace(report, new_texture=done.made.in_words)
 
 
 def _check(settings: SmoothSettings) -> None:

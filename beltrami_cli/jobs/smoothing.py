@@ -10,6 +10,7 @@ from itertools import count
 from typing import Any
 
 from beltrami_cli.arrays import Int64s
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.job import Job, peak_memory
 from beltrami_cli.samples.levelled_charts import photographs_of
@@ -66,8 +67,11 @@ class Levelling:
         self.done: list[LevelReport] = []
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Raise InputError if vertex colours do not say which photograph they are from."""
+        """Raise errors if it is an image, or vertex colours do not say which photograph they are from."""
         del target
+        if selection.image:
+            cause = "an image has no charts that could differ in exposure; give a model with textures"
+            raise UsageError(f"{document.name}: {cause}")
         if selection.vertices:
             self._photographs = photographs_of(document, self._wanted.photographs)
 
@@ -197,6 +201,8 @@ class SmoothReport:
         Statistics of an image, if it was smoothed.
     levelled : list of LevelReport
         What was done to exposure steps before, if that was asked for.
+    new_texture : str
+        What kind of texture was made, in words; empty if none was.
     """
 
     input: str
@@ -211,6 +217,7 @@ class SmoothReport:
     warnings: list[str]
     image: ImageReport | None = None
     levelled: list[LevelReport] = field(default_factory=list)
+    new_texture: str = ""
 
 
 def is_report(head: bytes) -> bool:

@@ -178,7 +178,9 @@ class Samples(ABC):
     def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         """Take exposure steps out of the colours, before flows are made of them; `photographs`: of all vertices."""
         del wanted, photographs
-        cause = f"{self.label}: they have no charts that could differ in exposure; textures of models have"
+        cause = (
+            f"{self.label}: there are no charts that could differ in exposure; textures of models have them"
+        )
         raise UsageError(cause)
 
     def levelled(self) -> NewColours:

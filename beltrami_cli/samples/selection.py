@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats.access import Access
@@ -17,8 +18,9 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
-from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
 from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
 
 if TYPE_CHECKING:
@@ -174,13 +176,17 @@ def require_geometry(
 
 
 def require_scale(document: Document, selection: Selection) -> None:
-    """Raise InputError if distances on the selected samples cannot be computed."""
+    """Raise InputError if distances on the selected samples cannot be computed; say if positions are too coarse."""
+    meshes = list[tuple[Float64s, Int32s]]()
     if selection.vertices:
         painted = document.painted()
-        check_scale(painted.positions, painted.faces, document.name)
+        meshes.append((painted.positions, painted.faces))
     for slot in selection.slots:
         surface = document.textured(slot)
-        check_scale(surface.positions, surface.faces[surface.texture_of >= 0], document.name)
+        meshes.append((surface.positions, surface.faces[surface.texture_of >= 0]))
+    for mesh in meshes:
+        check_scale(*mesh, document.name)
+        document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
 
 
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
@@ -236,8 +242,11 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         name = OUTPUT_FORMATS.get(document.format, "ply")
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
-        cause = f"{target}: no format is known for .{wanted}; end the name in {known}, or say --format"
-        raise UsageError(cause)
+        cause = f"no format is known for .{wanted}"
+        if is_only_read(wanted):
+            why = ": the STL format has no colours" if wanted == "stl" else ""
+            cause = f".{wanted} files are read, but not written{why}"
+        raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
     return OutputFormat(name, name == document.format)
 
 

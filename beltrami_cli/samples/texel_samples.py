@@ -345,5 +345,5 @@ def _notices_of(atlas: Atlas) -> list[str]:
         return []
     return [
         f"{share:.0f} % of the covered texels lie at several places of the surface (mirrored, tiled or overlapping "
-        "charts); each was smoothed at one of them",
+        "charts); each is taken at one of them",
     ]

@@ -17,6 +17,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.records import typical_edge, upper_median
 
 
 def bounds(positions: Float64s) -> list[list[float]]:
@@ -41,6 +42,28 @@ def shortest_type(positions: Float64s) -> Float32s | Float64s:
     with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.
         single = positions.astype(np.float32)
     return single if bool((single == positions).all()) else positions
+
+
+# Steps of stored positions as wide as this part of an edge bend the surface; half of a step each is rounded away.
+_COARSE = 0.25
+
+
+def coarse_rounding(positions: Float64s, faces: Int32s) -> list[str]:
+    """Return the notice of positions that single precision has rounded about as coarsely as vertices lie, or nothing.
+
+    The stored type is told from the numbers: others than those of single precision have more digits.
+    """
+    edge = typical_edge(positions, faces)
+    if edge == 0 or shortest_type(positions).dtype != np.float32:
+        return []
+    # Half of the vertices are as far out as this: a single one may lie anywhere.
+    step = float(np.spacing(np.float32(upper_median(np.abs(positions).max(axis=1)))))
+    if step < _COARSE * edge:
+        return []
+    return [
+        f"Positions are rounded to steps of {step:.2g} in single precision, {step / edge:.2g} times the median edge: "
+        "store them in double precision, or subtract an offset before they are stored."
+    ]
 
 
 def triangle_areas(positions: Float64s, faces: Int32s) -> Float64s:

@@ -236,6 +236,18 @@ def require_finite(rows: Array, name: str, what: str, numbers: Int64s | None = N
 
 def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
     """Refuse a surface whose median edge is too small or too large to be squared in single precision."""
+    typical = typical_edge(positions, faces)
+    if typical == 0 or _LEAST <= typical <= _MOST:
+        return
+    shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
+    what = "edges are" if len(faces) else "points are apart"
+    kind = "small" if typical < _LEAST else "large"
+    cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
+    raise InputError(name, cause, "scale it, for example to metres")
+
+
+def typical_edge(positions: Float64s, faces: Int32s) -> float:
+    """Return the median of the edges that have a length, along their longest axes; 0 if none has."""
     with np.errstate(over="ignore", invalid="ignore"):
         if len(faces):
             # The longest coordinates of the edges of some, whose squares could overflow here already.
@@ -246,15 +258,10 @@ def check_scale(positions: Float64s, faces: Int32s, name: str) -> None:
             # Points count as if they were spread evenly over a surface as wide as they are.
             there = positions[np.isfinite(positions).all(axis=1)]
             steps = np.ptp(there, axis=0).max(keepdims=True) / np.sqrt(len(there)) if len(there) else there
-    steps = steps[steps > 0]
-    if not len(steps):
-        return
-    # The upper median: numpy.median imports more of NumPy than a small mesh takes to be smoothed.
-    typical = float(np.partition(steps, len(steps) // 2)[len(steps) // 2])
-    if _LEAST <= typical <= _MOST:
-        return
-    shown = f"{typical:.0e}" if np.isfinite(typical) else "more than 1e+308"
-    what = "edges are" if len(faces) else "points are apart"
-    kind = "small" if typical < _LEAST else "large"
-    cause = f"its {what} {shown} units, which is too {kind} to be squared in single precision"
-    raise InputError(name, cause, "scale it, for example to metres")
+    return upper_median(steps[steps > 0])
+
+
+def upper_median(values: Float64s) -> float:
+    """Return the median of numbers, or the greater of the two in the middle; 0 if there are none."""
+    # numpy.median imports more of NumPy than a small mesh takes to be smoothed.
+    return float(np.partition(values, len(values) // 2)[len(values) // 2]) if len(values) else 0.0

@@ -180,6 +180,7 @@ def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_pa
     source, result = SAMPLES / "mirrored-noisy.obj", tmp_path / "out.obj"
     assert b"several places" in beltrami("smooth", source, result, "-n", 1, "--dry-run").stderr
     run = beltrami("smooth", source, result, "--unwrap", "-n", 1, "--texture-size", 256)
+    assert run.stderr.endswith(b"out.obj: an 8-bit texture of 256 x 256\n")
     assert run.returncode == 0, run.stderr
     assert b"several places" not in beltrami("info", result, "--fast").stdout
     assert b"overlapped 0" in beltrami("info", result, "--fast").stdout
@@ -205,6 +206,7 @@ def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_pa
         (["bake", "{sphere}", "{out}.glb", "--to", "texture", "--keep-uv"], 3, "texture"),
         (["bake", "{sphere}", "{out}.xyz", "--to", "texture"], 2, "has no textures"),
         (["bake", "{sphere}", "{out}.abc", "--to", "texture"], 2, "no format is known"),
+        (["smooth", "{sphere}", "{out}.stl"], 2, "out.stl: .stl files are read, but not written: the STL format"),
         (["bake", "{sphere}", "-", "--to", "texture", "--format", "obj"], 4, "beside"),
         (["bake", "{sphere}", "{out}.glb"], 2, "--to"),
         (["smooth", "{sphere}", "{out}.glb", "--texture-size", "64"], 2, "--unwrap"),

@@ -187,7 +187,7 @@ def test_positions_may_go_into_another_format(tmp_path):
         ([NOISY, "out.ply", "--guide", "hollow.npy"], 3, b"its row 7 is not finite"),
         ([NOISY, "out.ply", "--guide", "words.npy"], 3, b"not of real numbers"),
         ([NOISY, "out.ply", "--guide", "damaged.npy"], 3, b"too few numbers"),
-        ([NOISY, "out.ply", "--guide", CLEAN, "--guide-beta", "-1"], 2, b"guide_betas is -1.0"),
+        ([NOISY, "out.ply", "--guide", CLEAN, "--guide-beta", "-1"], 2, b"one of --guide-beta is -1.0"),
         ([NOISY, "out.ply", "--guide", CLEAN, "--guide-beta", "1", "--guide-beta", "2"], 2, b"guide_beta has 2 values"),
         ([NOISY, "out.ply", "--guide-beta", "1"], 2, b"add --guide"),
         ([NOISY, "out.ply", "--metric-channels", "x"], 2, b"no channel x"),

@@ -71,6 +71,13 @@ def test_the_commands_with_many_options_have_them_in_groups():
     assert {"Textures", "Images", "Level sets"} < set(groups_of("smooth"))
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_describes_oklab_only_where_it_can_be_chosen(name):
+    for option in command(name).params:
+        if option.name == "space":
+            assert ("Oklab" in option.help) == ("oklab" in option.type.choices)
+
+
 @pytest.mark.parametrize("name", LONG)
 def test_help_shows_what_matters_daily_and_names_the_other_groups(name):
     text = shown(name, "--help")

@@ -9,6 +9,7 @@ import shutil
 import pytest
 
 from beltrami_cli import SmoothSettings, inspect_file
+from beltrami_cli.cli.info import EPILOG
 from beltrami_cli.fields import override
 from cli.commands import SAMPLES, beltrami
 
@@ -17,6 +18,19 @@ def info(name, *options):
     run = beltrami("info", SAMPLES / name, "--json", *options)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
+
+
+def test_the_keys_in_the_examples_of_help_are_there():
+    samples = {"ply": "head-noisy.ply", "glb": "head-tex-noisy.glb", "obj": "head-tex-noisy.obj"}
+    examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", EPILOG)
+    assert len(examples) == 3
+    for suffix, path in examples:
+        values = [info(samples[suffix], "--fast")]
+        for key in path.split("."):
+            values = [each[key.removesuffix("[]")] for each in values]
+            values = [each for value in values for each in value] if key.endswith("[]") else values
+        assert values
+        assert all(values)
 
 
 def test_a_non_manifold_mesh_is_described():

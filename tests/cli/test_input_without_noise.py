@@ -38,6 +38,20 @@ def square(tmp_path):
     return folder / "square.obj"
 
 
+def test_a_mesh_at_one_place_is_said_to_have_no_area(tmp_path):
+    colours = np.random.default_rng(2).random((30, 3)).round(3).tolist()
+    lines = [f"v 1 2 3 {' '.join(map(str, colour))}" for colour in colours]
+    lines += [f"f {i} {i + 1} {i + 2}" for i in range(1, 29)]
+    (tmp_path / "point.obj").write_text("\n".join(lines) + "\n")
+    run = beltrami("smooth", tmp_path / "point.obj", tmp_path / "out.obj", text=True)
+    assert run.stderr.endswith("30 vertices, no face has an area, so the colours are left as they are\n")
+    assert (tmp_path / "out.obj").read_bytes() == (tmp_path / "point.obj").read_bytes()
+    assert (
+        "nothing to smooth: no face has an area\n"
+        in beltrami("info", tmp_path / "point.obj", text=True).stdout
+    )
+
+
 def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
     result = tmp_path / "result" / "square.obj"
     result.parent.mkdir()

@@ -117,6 +117,8 @@ def test_what_is_out_of_range_is_refused_as_an_option_and_as_a_keyword_in_the_sa
         if declared.parse is None:
             with pytest.raises(UsageError) as typed:
                 values_of(name, f"{option.opts[-1]}={value}")
+            flag = next(each for each in option.opts if each.startswith("--"))
+            assert str(typed.value).startswith((f"{flag} is", f"one of {flag} is"))
             assert str(typed.value).partition(" must ")[2] == str(refused.value).partition(" must ")[2]
 
 
@@ -142,16 +144,17 @@ def test_overrides_reach_the_records_within_and_leave_the_rest_to_be_chosen():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--threads", "0"], "threads is 0, but must be between 1 and 1024"),
+        (["--threads", "0"], "--threads is 0, but must be between 1 and 1024"),
         (["--window", "4"], "odd"),
         (["--gutter", "²"], "gutter"),
         (["--gutter", "-1"], "gutter"),
         (["--gutter", "9" * 5000], "gutter"),
-        (["--metric-scale", "1e-9"], "metric_scale"),
+        (["--metric-scale", "1e-9"], "--metric-scale is "),
         (["--channels", ""], "--channels names nothing"),
         (["--channels", " , "], "--channels names nothing"),
         (["--slots", ""], "--slots names nothing"),
-        (["--slots", "paint"], "one of slots is paint, but must be baseColor"),
+        (["--texture-format", "gif"], "--texture-format is .gif, but must be .png"),
+        (["--slots", "paint"], "one of --slots is paint, but must be baseColor"),
         (["--units", "world"], "--units world needs -t"),
         (["--units", "world", "--preset", "paper"], "--units world needs -t"),
     ],

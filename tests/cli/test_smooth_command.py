@@ -133,7 +133,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
         ([str(NOISY), "nowhere/out.ply"], 4, b"nowhere"),
         ([str(NOISY), "."], 4, b"folder"),
         ([str(NOISY), "out.abc"], 2, b".abc"),
-        ([str(NOISY), "out.ply", "-t", "0"], 2, b"t is 0"),
+        ([str(NOISY), "out.ply", "-t", "0"], 2, b"--time-step is 0"),
         ([str(NOISY), "out.ply", "--beta", "-1"], 2, b"beta"),
         ([str(NOISY), "out.ply", "--beta", "nan"], 2, b"beta"),
         ([str(NOISY), "out.ply", "--threshold", "1"], 2, b"threshold"),
@@ -314,6 +314,13 @@ def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
     assert process.returncode == 0
     assert b"\x1b" in shown
     assert b"%" in shown
+
+
+def test_options_of_the_program_are_said_to_go_before_the_command():
+    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml")
+    assert run.returncode == 2
+    assert b"--config goes before the command: beltrami --config FILE smooth ...\n" in run.stderr
+    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V").stderr
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,8 @@ def test_truncated_files_raise_input_errors(cut, text):
         (b"[]", "not an object"),
         (b'{"asset": {"version": "2.0"}, "asset": {}}', "twice"),
         (b'{"asset": NaN}', "NaN"),
+        (b'{"asset": {"version": 1}}', "asset.version: is 1, but only glTF 2 can be read; export the model"),
+        (b'{"asset": {"version": "1.0"}}', "asset.version: is '1.0', but only glTF 2"),
         (b'{"a":' * 5000 + b"1" + b"}" * 5000, "nested"),
         (b'{"a":' * 150 + b"1" + b"}" * 150, "nested"),
         (b'{"a": ' + b"9" * 5000 + b"}", "damaged"),

@@ -132,7 +132,8 @@ def test_when_allowed_they_are_read_and_new_ones_written_inside(
     target = (world / "out" if moved else world / "in") / f"result.{kind}"
     target.parent.mkdir(exist_ok=True)
     before = snapshot(world)
-    smooth_file(model, target, ONCE, job=Job(access=OUTSIDE))
+    report = smooth_file(model, target, ONCE, job=Job(access=OUTSIDE))
+    assert report.warnings == []
     after = snapshot(world)
     assert {path: after[path] for path in before} == before
     new = sorted(set(after) - set(before))
@@ -145,6 +146,18 @@ def test_when_allowed_they_are_read_and_new_ones_written_inside(
 
 
 @pytest.mark.parametrize("moved", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_stays_outside_is_told_if_the_output_is_elsewhere(kind: str, moved: bool, world: Path) -> None:
+    model = write_model(world / "in", kind, "../secret/key.png")
+    target = (world / "out" if moved else world / "in") / f"result.{kind}"
+    target.parent.mkdir(exist_ok=True)
+    report = smooth_file(model, target, ONCE, job=Job(access=OUTSIDE), iterations=0)
+    told = [text for text in report.warnings if "lies outside the model's folder" in text]
+    assert [text.split("'")[1] for text in told] == ["../secret/key.png"] * moved
+    assert sorted(path.name for path in target.parent.glob("result*png")) == []
+
+
+@pytest.mark.parametrize("moved", [True, False])
 def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, world: Path) -> None:
     (world / "secret" / "m.mtl").write_text(
         "newmtl m\nmap_Kd key.png\nmap_Bump other.png\nnewmtl n\nmap_Kd ../in/own.png\n"
@@ -154,7 +167,8 @@ def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, wo
     target = (world / "out" if moved else world / "in") / "result.obj"
     target.parent.mkdir(exist_ok=True)
     before = snapshot(world)
-    smooth_file(model, target, ONCE, job=Job(access=OUTSIDE))
+    report = smooth_file(model, target, ONCE, job=Job(access=OUTSIDE))
+    assert report.warnings == []
     after = snapshot(world)
     assert {path: after[path] for path in before} == before
     document = open_document(str(target))

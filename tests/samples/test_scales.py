@@ -25,12 +25,12 @@ FAIR = [2.0**k for k in (-45, -20, 0, 20, 45)]
 EXTREME = [1e-310, 1e-160, 1e-45, 1e-38, 1e-22, 1e22, 1e38, 1e150, 1e200, 1e307]
 
 
-def obj(folder, scale, kind):
+def obj(folder, scale, kind, placed=float):
     """Write a plane of SIDE x SIDE squares, with colours at its vertices or with a texture."""
     y, x = np.mgrid[: SIDE + 1, : SIDE + 1].reshape(2, -1)
     shades = np.random.default_rng(3).random((len(x), 3)) if kind == "vertices" else np.empty((len(x), 0))
     lines = [
-        f"v {i * scale!r} {j * scale!r} 0 {' '.join(map(str, c))}"
+        f"v {placed(i * scale)!r} {placed(j * scale)!r} 0 {' '.join(map(str, c))}"
         for i, j, c in zip(x.tolist(), y.tolist(), shades.tolist(), strict=True)
     ]
     if kind == "texture":
@@ -82,6 +82,25 @@ def test_what_cannot_be_measured_is_refused(kind, scale, tmp_path):
     with pytest.raises(InputError, match=said):
         kernel_file(source, tmp_path / "kernel.png", "3" if kind == "vertices" else "0.5,0.5", SETTINGS)
     assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("kind", ["vertices", "texture"])
+def test_positions_rounded_as_coarsely_as_vertices_lie_are_told(kind, tmp_path):
+    northing = 5_200_000.0
+    coarse = obj(tmp_path, 0.1, kind, lambda x: float(np.float32(northing + x)))
+    report = smooth_file(coarse, tmp_path / "out.obj", SETTINGS)
+    (said,) = (text for text in report.warnings if "rounded to steps" in text)
+    assert said.startswith("Positions are rounded to steps of 0.5 in single precision, ")
+    assert said in inspect_file(coarse, SETTINGS)["notices"]
+    for placed in (
+        lambda x: northing + x,
+        lambda x: float(np.float32(x)),
+        lambda x: float(np.float32(1000 + x)),
+    ):
+        report = smooth_file(
+            obj(tmp_path, 0.02, kind, placed), tmp_path / "out.obj", SETTINGS, job=Job(overwrite=True)
+        )
+        assert not [text for text in report.warnings if "rounded" in text]
 
 
 @pytest.mark.parametrize("scale", EXTREME)

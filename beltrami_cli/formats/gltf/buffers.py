@@ -76,15 +76,13 @@ def _short(uri: str) -> str:
 
 
 def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[str], list[str]]:
-    """Return the relative paths of named files that exist inside the folder, and a notice for every other."""
+    """Return the relative paths of named files that exist inside the folder, and a notice for each that does not."""
     names: dict[str, None] = {}
     notices: dict[str, None] = {}
     for entry, uri in _external(root):
         try:
             path = _located(uri, folder)
-            if model_folder.is_outside(path):
-                notices[f"{entry.place}: {uri!r} {model_folder.LEFT_OUTSIDE}"] = None
-            else:
+            if not model_folder.is_outside(path):
                 names[path] = None
         except model_folder.UnfitReferenceError as error:
             notices[f"{entry.place}: {error}."] = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.json_text import parsed, revised
-from beltrami_cli.formats.gltf.json_tree import Entry, Tree
+from beltrami_cli.formats.gltf.json_tree import Entry, Tree, spelled
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
@@ -80,9 +80,12 @@ def read_container(data: bytes, name: str) -> Container:
     """Take a glTF file apart: binary if it starts with the GLB magic, otherwise JSON text."""
     container = _glb(data, name) if data[:4] == MAGIC else _container("gltf", data, data, name)
     asset = container.root.entry("asset")
-    version = asset.text("version") or ""
+    stored = asset.value.get("version")
+    # glTF 1 had it as a number, too.
+    is_old = isinstance(stored, int | float) and stored < 2
+    version = spelled(stored) if is_old else asset.text("version") or ""
     if version.split(".")[0] != "2":
-        cause = f"is {version!r}" if version else "is missing"
+        cause = f"is {spelled(stored)}" if version else "is missing"
         raise asset.fault("version", f"{cause}, but only glTF 2 can be read", "export the model as glTF 2.0")
     least = asset.text("minVersion")
     if least not in (None, "2.0"):

@@ -41,7 +41,7 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
         main = [container.data]
     else:
         main = container.rebuilt(edit.tree, edit.buffers.get(0) if _source(edit, 0) == "chunk" else None)
-    return Written(main, sidecars, tuple(edit.notices), copies)
+    return Written(main, sidecars, (*edit.notices, *names.notices), copies)
 
 
 def _place_chunk(edit: Edit, names: NewNames) -> dict[str, Bytes]:
@@ -123,6 +123,7 @@ def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str,
             except UnfitReferenceError:
                 continue
             if is_outside(path):
+                names.leave(uri)
                 continue
             if path not in new_of:
                 new_of[path] = names.image(path) if kind == "images" else names.other(path, ".bin")

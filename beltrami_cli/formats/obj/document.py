@@ -106,7 +106,7 @@ class ObjDocument(Document):
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
         notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
         main = renumbered(data, parts) if parts else [data]
-        return dataclasses.replace(beside, main=main, notices=notices)
+        return dataclasses.replace(beside, main=main, notices=(*beside.notices, *notices))
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""
@@ -248,6 +248,8 @@ def _repainted(materials: Materials, images: NewImages, source: str, naming: Nam
         outside = is_outside(library.path)
         is_new = bool(own) and (outside or exchange_spans(library.data, own) != library.data)
         if not is_new and (outside or not names.copies):
+            for name, _, _ in library.mentions if outside else ():
+                names.leave(name)
             continue
         if outside:
             _take_along(materials, library, own, sidecars, names)
@@ -258,7 +260,7 @@ def _repainted(materials: Materials, images: NewImages, source: str, naming: Nam
             sidecars[new] = exchange_spans(library.data, own)
         else:
             copies[new] = library.path
-    return Written([], sidecars, copies=copies), spans
+    return Written([], sidecars, tuple(names.notices), copies), spans
 
 
 def _take_images(
@@ -291,10 +293,14 @@ def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans])
     new_of: dict[str, str] = {}
     for library in materials.libraries:
         for found, path in library.maps:
-            if path is None or is_outside(path) or is_outside(library.path):
+            if path is None or is_outside(library.path):
                 continue
             own = edits.setdefault(library.path, {})
-            if (found.start, found.end) not in own:
+            if (found.start, found.end) in own:
+                continue
+            if is_outside(path):
+                names.leave(found.name)
+            else:
                 if path not in new_of:
                     new_of[path] = names.image(path, tiles=materials.folder.tiles.get(path, ()))
                 own[found.start, found.end] = _spelled(found, path, new_of[path], library)

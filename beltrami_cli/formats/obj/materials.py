@@ -121,7 +121,7 @@ class Materials:
 
     def __init__(self, folder: model_folder.ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
-        self.notices: list[str] = []  # one sentence for each file that is missing or lies elsewhere
+        self.notices: list[str] = []  # one sentence for each file that is missing
         self.folder = folder
         self._reasons: dict[str, str] = {}
         self._listed: set[str] = set()
@@ -210,7 +210,6 @@ class Materials:
             self._notice(name, str(error), model_folder.LEFT_ALONE)
             return None
         if model_folder.is_outside(path):
-            self._notice(name, model_folder.LEFT_OUTSIDE)
             return path
         for file in self.folder.files(path):
             if file not in self._listed:

@@ -98,16 +98,20 @@ def renamed_images(
     for (_, path), image in images.items():
         new_of[path] = names.image(path, image.suffix)
         sidecars[new_of[path]] = image.data
-    for path in present if names.copies else ():
-        if path not in new_of and not is_outside(path):
-            new_of[path] = names.image(path)
-            copies[new_of[path]] = path
+    for comment in comments if names.copies else ():
+        if comment.path is None or comment.path in new_of:
+            continue
+        if is_outside(comment.path):
+            names.leave(comment.name)
+        else:
+            new_of[comment.path] = names.image(comment.path)
+            copies[new_of[comment.path]] = comment.path
     spans: tokens.Spans = {}
     for comment in comments:
         if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
             new = new_reference(comment.name, comment.path, new_of[comment.path])
             spans[comment.start, comment.end] = new
-    return Written([], sidecars, copies=copies), spans
+    return Written([], sidecars, tuple(names.notices), copies), spans
 
 
 def take_apart(

@@ -38,7 +38,7 @@ class TextureComment:
     path: str | None  # relative to the model's folder, if it can be used
     start: int  # where the name stands in the PLY file
     end: int
-    reason: str = ""  # why it is not used or not copied, to be put behind its name; or empty
+    reason: str = ""  # why it is not used, to be put behind its name; or empty
 
 
 def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[TextureComment]:
@@ -48,7 +48,7 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
         name = os.fsdecode(match[1])
         try:
             path: str | None = folder.locate(name)
-            reason = model_folder.LEFT_OUTSIDE if model_folder.is_outside(folder.locate(name)) else ""
+            reason = ""
         except model_folder.UnfitReferenceError as error:
             path, reason = None, f"{error}{model_folder.LEFT_ALONE}"
         found.append(TextureComment(name, path, *match.span(1), reason))
