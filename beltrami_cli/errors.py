@@ -52,7 +52,11 @@ class FileError(BeltramiError):
         super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
 
     def __reduce__(self) -> tuple[type[FileError], tuple[str, str, str]]:
-        return type(self), (self.name, self.cause, self.remedy)  # not the message, so that workers can raise it
+        return type(self), (
+            self.name,
+            self.cause,
+            self.remedy,
+        )  # not the message, so that workers can raise it
 
 
 class InputError(FileError):

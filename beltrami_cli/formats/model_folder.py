@@ -265,9 +265,8 @@ class NewNames:
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
         """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
         self.copies = naming.copies
-        self.notices: dict[
-            str, None
-        ] = {}  # in order, of files that the output, in another folder, names where they are
+        # In order, of files that the output, in another folder, names where they are.
+        self.notices: dict[str, None] = {}
         self._naming, self._source = naming, Path(source).stem
         # In another folder what is present gets other names, and references to what is missing stay.
         self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
