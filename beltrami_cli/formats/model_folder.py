@@ -49,9 +49,7 @@ _NUMBER = re.compile(r"[1-9]\d{3}")
 _PAIR = re.compile(r"[uU](\d{1,3})_[vV](\d{1,3})")
 
 LEFT_ALONE = ", and is left alone."  # behind the reason why a file is not read
-_LEFT_OUTSIDE = (
-    "lies outside the model's folder; the output names it as the input does, and it is not copied."
-)
+_STAYS = "lies outside the model's folder; the output names it as the input does, and it is not copied."
 
 
 class UnfitReferenceError(Exception):
@@ -265,8 +263,7 @@ class NewNames:
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
         """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
         self.copies = naming.copies
-        # In order, of files that the output, in another folder, names where they are.
-        self.notices: dict[str, None] = {}
+        self.notices: dict[str, None] = {}  # of files that stay where they are, for another folder
         self._naming, self._source = naming, Path(source).stem
         # In another folder what is present gets other names, and references to what is missing stay.
         self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
@@ -296,7 +293,7 @@ class NewNames:
     def leave(self, name: str) -> None:
         """Leave a file outside the folder where it is, and have the output name it as before."""
         if self.copies:
-            self.notices[f"'{name}' {_LEFT_OUTSIDE}"] = None
+            self.notices[f"'{name}' {_STAYS}"] = None
 
     def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:
         whole, number = PurePosixPath(path), 2

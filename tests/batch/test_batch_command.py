@@ -280,7 +280,7 @@ def test_files_in_manifests_lie_beside_them(scans, tmp_path):
     [
         ('[[files]]\ninput = "a.ply"\nbetta = 8', "file 1: betta is no option there"),
         ('[[files]]\ninput = "a.ply"\nbeta = true', "file 1: beta can be no truth value"),
-        ('[[files]]\ninput = "a.ply"\nwindow = 4', "file 1: window is 4"),
+        ('[[files]]\ninput = "a.ply"\nwindow = 4', "file 1: --window is 4"),
         ('[[files]]\ninput = "a.ply"\nspace = "pink"', "file 1: Invalid value for '--space'"),
         ('[[files]]\ninput = "missing.ply"', "there is no such file"),
         ("[[files]]\nbeta = 8", "it has no input"),
