@@ -47,6 +47,8 @@ _STRICTER = (0.3, 0.5)
 _LEAST_AGREED = 0.25
 # A step of so many deviations is none of exposure, if gains and offsets of cameras deviate by these.
 _LARGEST, _USUAL = 2.0, (0.1, 0.03)
+# Exposures are at all seams: where less than this share of their length agrees, paint decides what is fitted.
+_LEAST_EXPLAINED = 0.53
 # Neighbouring texels of a seam share errors: so many say as much as one, and a whole seam as so many of these.
 _ALIKE, _MOST = 15.0, 8.0
 _GAINS = (-0.45, 0.8)
@@ -128,6 +130,16 @@ def may_be_exposure(steps: Steps) -> Bools:
     step = steps.colours[:, 1] - steps.colours[:, 0]
     expected = 2 * (np.square(_USUAL[0] * steps.colours.max(axis=1)) + _USUAL[1] ** 2)
     return np.asarray((np.mean(np.square(step) / expected, axis=1) <= _LARGEST**2) & ~steps.is_paint)
+
+
+def may_be_of_cameras(steps: Steps, found: Exposures) -> bool:
+    """Return whether most of the length of seams agrees with a fit, and its gains deviate no more than cameras' do."""
+    explained = np.average(found.weights, weights=steps.counts)
+    gains = found.terms[:, steps.ends, GAIN]
+    # What is common to all charts tells nothing: charts that stay as they are may have any exposure.
+    gains = gains - np.average(gains.mean(axis=2), axis=1, weights=steps.counts)[:, None, None]
+    deviation = np.sqrt(np.average(np.square(gains).mean(axis=(0, 2)), weights=steps.counts))
+    return bool(explained >= _LEAST_EXPLAINED and deviation <= _LARGEST * _USUAL[GAIN])
 
 
 class _System:

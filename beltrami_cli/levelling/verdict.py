@@ -33,9 +33,11 @@ _NEARLY_ALL = 0.95  # nor, if so well, with gains that change over charts, of wh
 # What is left must fall to this for another kind than the first: others have more terms, or fainter ones. Less will do
 # where it falls by more than so many standard errors over the seams.
 _BETTER, _CLEARLY_BETTER, _CLEAR = 0.85, 0.95, 4.0
-# Shares of the energy of steps that must be foretold, and in how many standard errors over the seams: where it is more,
-# one will do, as there may be few seams.
-_ENOUGH = ((0.12, 2.7), (0.25, 0.9))
+# Shares of the energy of steps that must be foretold, and in how many standard errors over the seams: a smaller share
+# in more of them. Of few seams errors cannot be many, and a larger share makes up for it. That share must not come of
+# few among many seams: errors are at most the root of the number of seams that tell anything.
+_ENOUGH = ((0.12, 2.7), (0.08, 4.0))
+_ENOUGH_OF_FEW, _LEAST_ERRORS, _TELLING = 0.25, 0.9, 0.18
 # Painted models have faint steps of which some is foretold, by shading that was painted too: unless most is, what is
 # foretold must be larger.
 _LEAST_REMOVED, _MOST = 3.2 / 255, 0.5
@@ -49,13 +51,17 @@ class Verdict:
     share: float
     errors: float
     removed: float  # root mean square of what is foretold of the steps
+    seams: int  # between different charts
     left: Float64s = field(repr=False, compare=False)  # of their energy, for each seam
 
     @property
     def is_sure(self) -> bool:
         """Whether there are exposure steps."""
         is_large = self.removed >= _LEAST_REMOVED or self.share >= _MOST
-        return is_large and any(self.share >= share and self.errors >= errors for share, errors in _ENOUGH)
+        few = _ENOUGH_OF_FEW, max(_LEAST_ERRORS, _TELLING * np.sqrt(self.seams))
+        return is_large and any(
+            self.share >= share and self.errors >= errors for share, errors in (*_ENOUGH, few)
+        )
 
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
@@ -141,11 +147,12 @@ def _foretold(
     before, left = (_energy(steps, sides, groups, part) for sides in (steps.colours, after))
     units = seam_of if len(np.unique(seam_of)) >= _FEWEST_SEAMS else np.arange(len(seam_of))
     each, kept = (np.bincount(units, energy).astype(np.float64) for energy in (before - left, left))
+    seams = len(np.unique(steps.seams[steps.ends[:, 0] != steps.ends[:, 1]]))
     error, gained, total = float(np.sqrt(np.square(each).sum())), float(each.sum()), float(before.sum())
     if not total or not error:
-        return Verdict(spread, 0.0, 0.0, 0.0, kept)
+        return Verdict(spread, 0.0, 0.0, 0.0, seams, kept)
     removed = float(np.sqrt(max(0.0, gained) / part.sum()))
-    return Verdict(spread, gained / total, gained / error, removed, kept)
+    return Verdict(spread, gained / total, gained / error, removed, seams, kept)
 
 
 def _energy(steps: Steps, sides: Float64s, groups: Int64s, counts: Float64s) -> Float64s:

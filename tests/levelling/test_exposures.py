@@ -10,11 +10,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts
+from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts, find_exposures
 from beltrami_cli.levelling.fit import Exposures, fit_exposures, known_steps
 from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median, with_noise
-from beltrami_cli.levelling.verdict import STRONG, bridges, judge
+from beltrami_cli.levelling.verdict import STRONG, Verdict, bridges, judge
 from benchmarks.exposure_scene import ExposureScene, error, fall
 from cli.commands import SAMPLES
 
@@ -257,6 +257,47 @@ def test_a_chart_with_one_seam_is_told_by_the_pattern_that_goes_on_over_it():
     assert len(verdict.left) == 12  # each seam is evidence of its own, however long
     # Of colours without a pattern nobody knows whether these are painted.
     assert not judge(star(0.0)).is_sure
+
+
+def grid(gains, paint=0.0):
+    """Return seams, of 20 stretches, between neighbours of 8 x 8 charts of these gains, some with a step of paint."""
+    random, charts = np.random.default_rng(10), np.arange(64).reshape(8, 8)
+    ends = np.concatenate([np.column_stack([a.ravel(), b.ravel()]) for a, b in (
+        (charts[:, :-1], charts[:, 1:]), (charts[:-1], charts[1:]))])  # fmt: skip
+    is_painted = random.uniform(size=len(ends)) < paint
+    step = np.where(is_painted, random.choice([-0.3, 0.3], len(ends)), 0)
+    ends, step, seams = (np.repeat(each, 20, axis=0) for each in (ends, step, np.arange(len(ends))))
+    colours = random.uniform(0.25, 0.55, (len(seams), 1))
+    sides = gains[ends] * (colours + np.column_stack([0 * step, step])) + random.normal(0, 0.002, ends.shape)
+    return steps_of(ends, sides[:, :, None], seams, 2 / 255)
+
+
+# The gains of the benchmark; and those of a surface painted from dark to bright, of which neighbours differ by 17 %, as
+# photographs do, but all of them by a deviation of 36 %.
+USUAL_GAINS = np.random.default_rng(11).uniform(0.82, 1.12, 64)
+GAINS_BEYOND_CAMERAS = np.tile(np.exp(np.linspace(-0.55, 0.55, 8)), 8)
+
+
+def test_exposures_are_found_beside_some_painted_seams():
+    assert find_exposures(grid(USUAL_GAINS, 0.2), 1.0).exposures is not None
+
+
+@pytest.mark.parametrize(
+    "seams", [grid(USUAL_GAINS, 0.5), grid(GAINS_BEYOND_CAMERAS)], ids=["paint", "gains"]
+)
+def test_painted_seams_and_gains_beyond_those_of_cameras_are_no_exposures(seams):
+    found = find_exposures(seams, 1.0)
+    assert found.verdict.is_sure
+    assert found.exposures is None
+    assert found.facts.after == found.facts.before
+
+
+@pytest.mark.parametrize(
+    ("share", "errors", "seams", "is_sure"),
+    [(0.5, 1.5, 9, True), (0.5, 1.5, 120, False), (0.1, 3, 300, False), (0.1, 4.5, 300, True)],
+)
+def test_a_share_that_few_of_many_seams_foretell_is_not_enough(share, errors, seams, is_sure):
+    assert Verdict(STRONG, share, errors, 5 / 255, seams, np.zeros(0)).is_sure == is_sure
 
 
 def test_bridges_are_the_seams_without_which_a_part_is_alone():
