@@ -166,22 +166,24 @@ def tile_of(values, filled, row, column):
         for x in range(column, min(column + 8, filled.shape[1] - 1)):
             if filled[y : y + 2, x : x + 2].all():
                 (a, b), (c, d) = values[y : y + 2, x : x + 2].astype(float)
-                found.append(((a - b - c + d) / 2, (a + b + c + d) / 4, a))
+                found.append(((a - b - c + d) / 2, (a + b + c + d) / 4, a, a == b == c == d))
     if not found:
-        return 0, np.zeros(5)
-    detail, mean, first = np.array(found).T
+        return 0, np.zeros(6)
+    detail, mean, first, plain = np.array(found, float).T
     return len(found), [
         np.mean(detail**2),
         mean.var(),
         np.mean(first <= 0),
         np.mean(first >= 1),
         first.mean(),
+        plain.mean(),
     ]
 
 
 def test_tiles_are_measured_as_they_are_defined():
     random = np.random.default_rng(3)
     planes = np.clip(0.5 + random.standard_normal((2, 29, 37)), 0, 1).astype(np.float32)
+    planes[:, 10:13] = 0.25
     filled = random.random((29, 37)) < 0.9
     filled[:9, :10] = False
     first_rows = np.array([0, 8, 24])
@@ -251,3 +253,16 @@ def test_the_noise_around_what_lies_on_black_is_read_right():
     clean = gaussian_filter(np.where(is_disc[..., None], photograph(256), 0), (0.6, 0.6, 0))
     read = beltrami_cli.smooth_image(stored(noisy(clean, 5 / 255, seed=2))).noise
     assert 255 * np.asarray(read) == pytest.approx(np.full(3, 5.0), rel=0.15)
+
+
+def test_writing_on_plain_paper_stays():
+    """Soft strokes nearly everywhere, and equal neighbours between them, as noise leaves none."""
+    random, page = np.random.default_rng(0), np.zeros((256, 256))
+    for top, left in np.argwhere(np.ones((16, 30))) * [15, 8] + 2:
+        for row, column, is_high in random.integers(0, [9, 5, 2], (3, 3)):
+            place = page[top + row :, left + column :]
+            place[: 6 if is_high else 1, : 1 if is_high else 4] = 1
+    soft = gaussian_filter(page, 0.5, truncate=2.0)[..., None]
+    writing = stored(np.repeat(0.94 - 0.86 * soft / soft.max(), 3, axis=2))
+    assert np.array_equal(beltrami_cli.smooth_image(writing).colours, writing)
+    assert on_grid(stored(noisy(writing, 5 / 255))) == pytest.approx(5, rel=0.1)

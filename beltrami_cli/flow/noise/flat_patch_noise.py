@@ -35,8 +35,9 @@ _NEARLY_UNCLIPPED = 0.2
 _ENOUGH_SHARE, _ENOUGH_PATCHES = 0.02, 20
 
 # A patch without any spread holds no noise. If this share of the patches is plain, there is no noise; fewer are plain
-# areas that were painted after the noise came in, masked, or overexposed.
-_PLAIN = 0.5
+# areas that were painted after the noise came in, masked, or overexposed. In the other patches noise leaves no equal
+# neighbours: if so many samples have such, as beside text, there is none.
+_PLAIN, MOST_EQUAL = 0.5, 0.4
 
 # Shares of samples at a limit for which the censored normal distribution gives the noise of a clipped colour.
 _CENSORED_SHARES = (0.05, 0.6)
@@ -86,6 +87,7 @@ class Patches:
     low: Float64s  # share of samples at 0
     high: Float64s  # share of samples at 1
     mean: Float64s  # mean colour
+    equal: Float64s  # share of samples whose neighbours are all equal to them
 
     @cached_property
     def remaining(self) -> Float64s:
@@ -99,7 +101,9 @@ def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> Float64s:
         return np.zeros(len(patches.energy))
     usable, estimates = {}, {}
     for channel in range(len(patches.energy)):
-        if np.count_nonzero(patches.energy[channel]) > _PLAIN * patches.energy.shape[1]:
+        varied = patches.energy[channel] > 0
+        is_plain = np.count_nonzero(varied) <= _PLAIN * len(varied)
+        if not is_plain and patches.equal[channel, varied].mean() < MOST_EQUAL:
             chosen, energies = _usable(patches, channel)
             if chosen.any():
                 usable[channel], estimates[channel] = chosen, energies

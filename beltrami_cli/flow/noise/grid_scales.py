@@ -26,6 +26,7 @@ from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_by
 from beltrami_cli.flow.noise.by_scale import FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import (
     FEWEST_SAMPLES,
+    MOST_EQUAL,
     Patches,
     WhiteNoise,
     flat_patch_sigma,
@@ -111,7 +112,7 @@ def measure_by_scale(
         if louder is not None:
             remaining = remaining * sums_of_tiles(louder, side)[tiles] / side**2
         plain = energy.min(axis=0, initial=np.inf) <= _PLAIN
-        if scale == 0 and np.count_nonzero(plain) > _MOST_PLAIN * len(plain):
+        if scale == 0 and (np.count_nonzero(plain) > _MOST_PLAIN * len(plain) or _is_paint(details, tiles)):
             return None, mixing
         scales.append(
             Neighbourhoods(
@@ -124,6 +125,13 @@ def measure_by_scale(
             )
         )
     return scales, mixing
+
+
+def _is_paint(details: Float32s, tiles: Bools) -> bool:
+    """Whether many squares are plain in the tiles that are not, as noise leaves hardly any."""
+    equal = sums_of_tiles(details.max(axis=0) <= _PLAIN, _TILES[0])[tiles] / _TILES[0] ** 2
+    varied = equal[equal < 1]
+    return bool(varied.sum() > MOST_EQUAL * len(varied))
 
 
 def _mixing_of(colours: Float32s, filled: Bools) -> Float64s:

@@ -84,7 +84,9 @@ def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None =
     others = np.hstack([colours <= 0, colours >= 1, colours])
     energy, uneven, _, others = _neighbourhoods(colours, others, variances, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
-    sigma = flat_patch_sigma(Patches(energy, uneven, *others.reshape(3, *energy.shape)), white)
+    low, high, mean = others.reshape(3, *energy.shape)
+    patches = Patches(energy, uneven, low, high, mean, (energy == 0).astype(np.float64))
+    sigma = flat_patch_sigma(patches, white)
     return noise_or_paint(sigma, np.ptp(colours, axis=0))
 
 

@@ -56,7 +56,7 @@ struct Counting {
 };
 
 std::array<double, tile_measures> measure(const Patch<float>& patch, const Counting& counting) {
-  Sums details{}, squares{}, means{}, low{}, high{}, first{};
+  Sums details{}, squares{}, means{}, low{}, high{}, first{}, plain{};
   const double level = patch[0][0];  // taken off the means: small numbers, whose squares lose no digits
   for (std::size_t y = 0; y < tile_side; ++y)
     for (std::size_t x = 0; x < tile_side; ++x) {
@@ -69,10 +69,11 @@ std::array<double, tile_measures> measure(const Patch<float>& patch, const Count
       low[x] += a <= 0 ? counts : 0.0;
       high[x] += a >= 1 ? counts : 0.0;
       first[x] += counts * a;
+      plain[x] += a == b && b == c && c == d ? counts : 0.0;
     }
   const double count = counting.count, mean = total(means) / count;
   return {total(details) / count, std::max(total(squares) / count - mean * mean, 0.0), total(low) / count,
-          total(high) / count, total(first) / count};
+          total(high) / count, total(first) / count, total(plain) / count};
 }
 
 }  // namespace
