@@ -52,11 +52,8 @@ class FileError(BeltramiError):
         super().__init__(one_line(f"{name}: {cause}" + (f"; {remedy}" if remedy else "")))
 
     def __reduce__(self) -> tuple[type[FileError], tuple[str, str, str]]:
-        return type(self), (
-            self.name,
-            self.cause,
-            self.remedy,
-        )  # not the message, so that workers can raise it
+        # Not by the message, which Exception would take: other processes make the error again.
+        return type(self), (self.name, self.cause, self.remedy)
 
 
 class InputError(FileError):

@@ -38,9 +38,9 @@ _ALIKE = 8
 # depends on levels.
 _GROUPS, _BY_LEVEL, _ALL_BY_LEVEL = 6, 0.5, 0.85
 
-# Textures are uneven within blocks, and differ from block to block, where noise is even, or that of places. Of 240
-# photographs with even noise of cameras or grain, three of four that were taken for others pass these bounds; of 120
-# with noise that was stronger in one half, or in every second square of a chessboard, none does.
+# Textures are uneven within blocks, and differ from block to block; noise is even, or differs from place to place. Of
+# 240 pictures with even noise, of cameras or grain, four passed as uneven: these bounds refuse three of them, and none
+# of some 40 with more camera noise in one half, or in every second square of a chessboard.
 _UNEVEN_TILES, _PLACES = 1.5, 0.8
 
 # Less variance than any stored colour can show.
