@@ -245,6 +245,28 @@ def test_the_noise_of_an_enlarged_picture_is_found(factor):
     assert (least < 0.7 * noise.std()).all()  # or nothing had to be found
 
 
+def soft_noise(sigma, seed=3):
+    """Return noise, 256 x 256, that some 2 x 2 cells share."""
+    noise = gaussian_filter(np.random.default_rng(seed).standard_normal((256, 256, 3)), (1, 1, 0))
+    return noise / noise.std(axis=(0, 1)) * sigma
+
+
+def test_the_channel_with_more_of_the_noise_is_known():
+    """To a fifth, as of a blue sky with a camera; differences alone would give red and blue the same."""
+    sigma = np.array([11, 8, 5]) / 255
+    sky = np.array([0.3, 0.45, 0.6]) + 0.1 * np.linspace(0, 1, 256)[:, None, None]
+    covariances, _ = found(sky + soft_noise(sigma))
+    assert sigma_of_covariances(covariances) == pytest.approx(sigma, rel=0.2)
+
+
+def test_shared_noise_of_plain_pictures_is_not_read_as_weaker_than_it_is():
+    """What is missing is left in them: at most a twentieth in any channel, and at most a fifth too much."""
+    covariances, _ = found(0.5 + soft_noise(np.full(3, 8 / 255)))
+    ratio = sigma_of_covariances(covariances) * 255 / 8
+    assert ratio.min() > 0.95
+    assert ratio.max() < 1.2
+
+
 def test_the_noise_of_a_large_picture_is_estimated_from_bands(monkeypatch):
     """About as all of it does, though they are an eighth."""
     noise = enlarged((2048, 512), 1.5, 10 / 255)

@@ -59,6 +59,16 @@ def test_noise_that_vertices_share_is_found(sphere, size):
     assert (alone < 0.6 * SIGMA).all()
 
 
+def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere):
+    """To a fifth; by differences of channels alone, red and blue would have the same."""
+    positions, faces = sphere
+    plain = np.full(positions.shape, 0.5)
+    noise = (with_grain(positions, plain, 2.0) - 0.5) * [1.4, 1.0, 0.6]
+    manifold = manifold_of(positions, faces, (0.5 + noise).astype(np.float32))
+    assert manifold.shares_noise
+    assert manifold.noise == pytest.approx(noise.std(axis=0), rel=0.2)
+
+
 @pytest.mark.parametrize("sigma", [5, 20])
 def test_independent_noise_of_vertices_is_not_taken_for_shared_noise(sphere, sigma):
     positions, faces = sphere

@@ -72,6 +72,7 @@ class Neighbourhoods:
     values: int  # details in each
     cut_off: float = 0.0  # share of colours at a limit, in these and in others that were left out
     most: Float64s | float = np.inf  # standard deviation of noise at most, by component, shape (K,)
+    by_channel: Float64s | None = None  # the energy by channel, shape (K, M), where that is measured
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,7 @@ def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
                 seen[number], total[number] = len(members), own.level[members].sum()
             if len(members) < _LEAST:
                 continue
-            count = min(len(members), max(_FEWEST, int(_SHARE * len(members))))
-            even = members[np.argsort(own.unevenness[members], kind="stable")[:count]]
+            even = members[most_even(own.unevenness[members])]
             even = even[: _free_of_texture(own.energy[:, even])]
             for component, energy in enumerate(own.energy[:, even].mean(axis=1)):
                 numbers.append((scale, component, number))
@@ -122,6 +122,12 @@ def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
     middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
     sigma = np.exp((fitted[: shape[0] * shape[1]].reshape(shape) + middle) / 2)
     return NoiseByLevel(np.where(known, sigma, np.nan), levels, np.exp((relative - middle) / 2), seen)
+
+
+def most_even(unevenness: Float64s) -> Int64s:
+    """Return which neighbourhoods are the most even ones, the first of them first."""
+    count = min(len(unevenness), max(_FEWEST, int(_SHARE * len(unevenness))))
+    return np.argsort(unevenness, kind="stable")[:count]
 
 
 def _free_of_texture(energy: Float64s) -> int:
@@ -160,6 +166,12 @@ def stabiliser_of(found: NoiseByLevel) -> VarianceStabiliser | None:
         return None
     relative = np.clip(relative, 1 / _MOST_RELATIVE, _MOST_RELATIVE)
     return VarianceStabiliser(found.levels[counted], relative, found.seen[counted])
+
+
+def by_channel(details: Array, mixing: Float64s) -> Array:
+    """Return details of channels, shape (K, ...), by those of components."""
+    channels: Array = np.einsum("ki,k...->i...", mixing.astype(np.float32), details)
+    return channels
 
 
 def mixing_for(channels: int) -> Float64s:

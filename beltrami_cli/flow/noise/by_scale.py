@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
-from beltrami_cli.flow.noise.by_level import OPPONENTS, Neighbourhoods, fit_by_level, stabiliser_of
+from beltrami_cli.flow.noise.by_level import OPPONENTS, Neighbourhoods, fit_by_level, most_even, stabiliser_of
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 
 # Scales that are measured; in the last, and in coarser ones, noise is as strong.
@@ -73,6 +73,19 @@ _LEFT, _MOST_ABOVE = 0.2, 3.0
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
 _MOST_APART = 1.2
 
+# A mosaic has twice as many greens, between which less is interpolated: of the finest noise, what green differs by from
+# red and blue holds more, by this factor.
+_OF_GREEN = 1.35
+
+# The scale at which channels are compared, where noise has little of a mosaic's pattern; and their noise, relative to
+# that of the mean of channels and their differences, at most.
+SCALE_OF_CHANNELS, _MOST_OF_CHANNEL = 1, 2.0
+
+# Where more than the first share of all neighbourhoods, fully from the second, hold nothing but noise in the mean of
+# channels, with up to so many times its energy, noise is taken to be stronger by the last factor. In plain pictures
+# what is left costs more than what is lost.
+_PLAIN, _PLAIN_THROUGHOUT, _NOTHING_ELSE, _STRONGER = 0.4, 0.6, 2.0, 1.1
+
 # Growth of noise in differences of channels from single cells to the second scale, beyond which JPEG has taken it.
 _MOST_AT_SECOND = 2.5
 
@@ -126,13 +139,40 @@ def noise_of_scales(
         return FoundNoise(stabiliser, doubt=doubt, most=most)
     count, independent = len(mixing), alone()
     sigma = _bounded(found.sigma, float(np.sqrt(np.mean(independent[:count] ** 2))))
+    sigma *= _allowance(scales, sigma)
     if stabiliser is not None:
         sigma = sigma * stabiliser.scale
     covariances = np.zeros((SCALES, channels, channels))
     covariances[:, :count, :count] = np.einsum("ki,lk,kj->lij", mixing, sigma**2, mixing)
+    if stabiliser is None:
+        factors = _of_channels(scales, np.diag(covariances[SCALE_OF_CHANNELS])[:count])
+        covariances[:, :count, :count] *= factors[:, None] * factors
     rest = np.arange(count, channels)  # other channels have noise of their own
     covariances[:, rest, rest] = independent[count:] ** 2
     return FoundNoise(stabiliser, covariances, doubt)
+
+
+def _allowance(scales: Sequence[Neighbourhoods], sigma: Float64s) -> float:
+    """Return by what factor noise is taken to be stronger, for the neighbourhoods that hold nothing else."""
+    if len(scales) <= SCALE_OF_CHANNELS or sigma.shape[1] < len(OPPONENTS):
+        return 1.0
+    noise = sigma[SCALE_OF_CHANNELS, 1:].min() ** 2
+    share = float(np.mean(scales[SCALE_OF_CHANNELS].energy[0] < _NOTHING_ELSE * noise))
+    return float(np.interp(share, (_PLAIN, _PLAIN_THROUGHOUT), (1, _STRONGER)))
+
+
+def _of_channels(scales: Sequence[Neighbourhoods], variances: Float64s) -> Float64s:
+    """Return by what factor the noise of each channel differs from what its components say, which keep its size.
+
+    Differences of channels say nothing of which of both is noisier.
+    """
+    own = scales[SCALE_OF_CHANNELS] if len(scales) > SCALE_OF_CHANNELS else None
+    if own is None or own.by_channel is None:
+        return np.ones(len(variances))
+    measured = own.by_channel[:, most_even(own.unevenness)].mean(axis=1)
+    measured *= variances.sum() / measured.sum()
+    factors: Float64s = np.sqrt(measured / variances)
+    return factors.clip(1 / _MOST_OF_CHANNEL, _MOST_OF_CHANNEL)
 
 
 def _most_independent(sigma: Float64s, cut_off: float) -> float:
@@ -227,7 +267,9 @@ def _bounded(sigma: Float64s, diagonal: float) -> Float64s:
     known[-1] = np.minimum(known[-1], growth * known[-2])
     if sigma.shape[1] == 3:
         differences = known[:, 1:].min(axis=1)
-        known[:, 1:] = np.minimum(known[:, 1:], _MOST_APART * differences[:, None])
+        most = np.broadcast_to(_MOST_APART * differences[:, None], (SCALES, 2)).copy()
+        most[0, -1] *= _OF_GREEN
+        known[:, 1:] = np.minimum(known[:, 1:], most)
         # JPEG takes the finest noise from the differences, and not from the mean, which shows if it is no texture.
         bounds = differences.copy()
         if differences[1] > _MOST_AT_SECOND * differences[0]:

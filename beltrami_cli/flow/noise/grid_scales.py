@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.noise.by_level import Neighbourhoods, mixing_by
-from beltrami_cli.flow.noise.by_scale import FoundNoise, noise_of_scales
+from beltrami_cli.flow.noise.by_level import Neighbourhoods, by_channel, mixing_by
+from beltrami_cli.flow.noise.by_scale import SCALE_OF_CHANNELS, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import (
     FEWEST_SAMPLES,
     MOST_EQUAL,
@@ -90,7 +90,8 @@ def measure_by_scale(
     for scale, side in enumerate(_TILES):
         corners = corners_of(means)
         means = corners.mean(axis=0)
-        details = np.square(corners - means).sum(axis=0) / 3
+        differences = corners - means
+        details = np.square(differences).sum(axis=0) / 3
         cut, filled = corners_of(cut[None]).mean(axis=0)[0], all_filled(filled)
         whole = sums_of_tiles(filled, side) == side**2
         if not whole.any():
@@ -114,6 +115,10 @@ def measure_by_scale(
         plain = energy.min(axis=0, initial=np.inf) <= _PLAIN
         if scale == 0 and (np.count_nonzero(plain) > _MOST_PLAIN * len(plain) or _is_paint(details, tiles)):
             return None, mixing
+        of_channels = None
+        if scale == SCALE_OF_CHANNELS:
+            squares = np.square(by_channel(differences.swapaxes(0, 1), mixing)).sum(axis=1) / 3
+            of_channels = np.stack([sums_of_tiles(plane, side)[tiles] for plane in squares])[:, ~plain]
         scales.append(
             Neighbourhoods(
                 (4**scale * energy / remaining)[:, ~plain],
@@ -122,6 +127,7 @@ def measure_by_scale(
                 3 * side**2,
                 float(share[whole].mean()),
                 most,
+                of_channels,
             )
         )
     return scales, mixing

@@ -18,6 +18,7 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import (
     Neighbourhoods,
+    by_channel,
     fit_by_level,
     mixing_by,
     mixing_for,
@@ -260,7 +261,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
         scales = []
         for fine, parents, tiles in zip(clusters, clusters[1:], clusters[2:], strict=False):
             if tiles.graph.size >= _FEWEST_TILES:
-                scales.append(_details(columns, fine, parents, tiles))
+                scales.append(_details(columns, mixing, fine, parents, tiles))
         alone = partial(estimate_sigma, colours, samples.edges, relative)
         found = noise_of_scales(scales, mixing, colours.shape[1], alone, by_level=by_level)
         if found.covariances is not None:
@@ -289,7 +290,9 @@ def _residuals(columns: Float32s, edges: Int32s, inside: Bools) -> Neighbourhood
     return Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], level[-1, used], round(_FREEDOM_AROUND))
 
 
-def _details(columns: Float32s, fine: Level, parents: Level, tiles: Level) -> Neighbourhoods:
+def _details(
+    columns: Float32s, mixing: Float64s, fine: Level, parents: Level, tiles: Level
+) -> Neighbourhoods:
     """Measure how means differ from those of their clusters, like Haar details, in clusters of these.
 
     Columns are components of colours; the last three: their level, the share of channels that were cut off, and the
@@ -297,7 +300,8 @@ def _details(columns: Float32s, fine: Level, parents: Level, tiles: Level) -> Ne
     """
     (means, around), within = (level.means(columns[:, :-3]) for level in (fine, parents)), tiles.graph.size
     parent, tile = parents.members[fine.centres], tiles.members[fine.centres]
-    details = np.square(means - around[parent]) * fine.counts[:, None]
+    differences = (means - around[parent]) * np.sqrt(fine.counts)[:, None]
+    details = np.hstack([np.square(differences), np.square(by_channel(differences.T, mixing)).T])
     free = np.bincount(tile, 1 - fine.counts / parents.counts[parent], within)
     level, tile_of_parent = tiles.means(columns).astype(np.float64), tiles.members[parents.centres]
     apart = np.square(around - level[tile_of_parent, :-3]).sum(axis=1) * parents.counts
@@ -306,5 +310,13 @@ def _details(columns: Float32s, fine: Level, parents: Level, tiles: Level) -> Ne
     variances = (level[:, -1] * variance_of_clipped(cut))[used]
     energy = np.stack([np.bincount(tile, own, within)[used] for own in details.T]) / (free[used] * variances)
     uneven = np.bincount(tile_of_parent, apart, within)[used] / (tiles.counts[used] * variances)
+    energy, channels = np.split(energy, 2)
     seen = energy.min(axis=0, initial=np.inf) > _PLAIN
-    return Neighbourhoods(energy[:, seen], uneven[seen], level[used][seen, -3], _DETAILS, float(cut.mean()))
+    return Neighbourhoods(
+        energy[:, seen],
+        uneven[seen],
+        level[used][seen, -3],
+        _DETAILS,
+        float(cut.mean()),
+        by_channel=channels[:, seen],
+    )
