@@ -15,7 +15,10 @@ from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covaria
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.flow.tuning.sure import RiskEstimate
-from beltrami_cli.samples.samples import as_jpeg, describe_choice
+from beltrami_cli.jobs.noise import seen_by_camera
+from beltrami_cli.jobs.settings import NoiseSettings
+from beltrami_cli.samples.samples import Grains, as_jpeg, describe_choice
+from beltrami_cli.surface.baking import Cells
 from formats.image_files import encode
 
 LUMA = np.full((3, 3), 1 / 3)
@@ -259,10 +262,16 @@ def test_the_channel_with_more_of_the_noise_is_known():
     assert sigma_of_covariances(covariances) == pytest.approx(sigma, rel=0.2)
 
 
-def test_shared_noise_of_plain_pictures_is_not_read_as_weaker_than_it_is():
+@pytest.mark.parametrize("colour", [(0.4, 0.4, 0.4), (0.3, 0.45, 0.6), (0.6, 0.2, 0.3)])
+def test_the_noise_of_a_camera_in_plain_pictures_is_not_read_as_weaker_than_it_is(colour):
     """What is missing is left in them: at most a twentieth in any channel, and at most a fifth too much."""
-    covariances, _ = found(0.5 + soft_noise(np.full(3, 8 / 255)))
-    ratio = sigma_of_covariances(covariances) * 255 / 8
+    plain = np.broadcast_to(np.float32(colour), (256, 256, 3))
+    row, column = np.indices(plain.shape[:2]).reshape(2, -1)
+    grains = Grains(plain.reshape(-1, 3), np.arange(row.size))
+    cells = Cells([plain.shape[:2]], np.zeros_like(row), row, column, np.zeros_like(row))
+    noisy = seen_by_camera(grains, cells, NoiseSettings(kind="camera", shot=0.01, read=0.01))
+    covariances, _ = found(noisy.reshape(plain.shape))
+    ratio = sigma_of_covariances(covariances) / (noisy - grains.colours).std(axis=0)
     assert ratio.min() > 0.95
     assert ratio.max() < 1.2
 
