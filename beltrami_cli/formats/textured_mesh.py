@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import NewNames, remedy_for, tile_name
@@ -27,6 +29,9 @@ from beltrami_cli.surface.records import (
     Wrap,
 )
 from beltrami_cli.surface.tiling import Tile, tiles_under
+
+TileSets = Mapping[str, Mapping[Tile, str]]
+"""The files of sets of tiles, by the path of the set."""
 
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
@@ -67,6 +72,36 @@ class SlotImages:
         """Take an image that is not known yet."""
         self._shown[key] = _Shown(len(self._shown), name, content)
 
+    def show_files(
+        self,
+        path: str,
+        sets: TileSets,
+        material: str,
+        wrap: tuple[Wrap, Wrap],
+        read: Callable[[str], bytes],
+        left_out: tuple[type[Exception], ...] = (),
+    ) -> int | None:
+        """Note that a material shows the file of a path, or those of a set of tiles; return its texture's number.
+
+        Files that cannot be read are left out where `read` raises one of some errors; None if all are.
+        """
+        tiles, number_of = sets.get(path), {}
+        for file in tiles.values() if tiles else [path]:
+            if file not in self:
+                try:
+                    data = read(file)
+                except left_out:
+                    continue
+                content = partial(read, file) if tiles or len(data) >= LARGE else data
+                self.take(file, file.rpartition("/")[2], content)
+            number_of[file] = self.show(file, material, ("clamp", "clamp") if tiles else wrap)
+        if not tiles or not number_of:
+            return number_of.get(path)
+        own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
+        if own not in self.sets:
+            self.sets.append(own)
+        return -2 - self.sets.index(own)
+
     def show(self, key: str, material: str, wrap: tuple[Wrap, Wrap], *, alpha_hides: bool = True) -> int:
         """Note that a material shows an image; return the number of its texture."""
         shown = self._shown[key]
@@ -81,12 +116,6 @@ class SlotImages:
         materials = self._missing.setdefault(reason, [])
         if material not in materials:
             materials.append(material)
-
-    def show_set(self, tiles: dict[Tile, int]) -> int:
-        """Return the number of a set of tiles."""
-        if tiles not in self.sets:
-            self.sets.append(tiles)
-        return -2 - self.sets.index(tiles)
 
     def textures(self) -> tuple[Texture, ...]:
         """Return the images as textures, in the order of their numbers."""
@@ -134,9 +163,7 @@ class MeshImages:
             self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
         return self._index_of[key]
 
-    def take_file(
-        self, path: str, sets: Mapping[str, Mapping[Tile, str]], read: Callable[[str], bytes]
-    ) -> int:
+    def take_file(self, path: str, sets: TileSets, read: Callable[[str], bytes]) -> int:
         """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
         if path in self._index_of or path not in sets:
             return self.take(path, path.rpartition("/")[2], lambda: read(path))
@@ -159,7 +186,7 @@ def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[st
     return slots
 
 
-def new_files(path: str, new: str, sets: Mapping[str, Mapping[Tile, str]]) -> dict[str, str]:
+def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
     """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
     tiles = sets[path].items() if path in sets else ()
     return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}

@@ -31,11 +31,20 @@ def data_uri(old: str, data: Bytes) -> str:
 
 def relative_name(uri: str, *, outside: bool = False) -> str:
     """Return the path that a URI names, percent-decoded, with "/"; UnfitReferenceError if it must not be followed."""
+    return _checked(uri, lambda name: model_folder.checked_path(name, outside=outside))
+
+
+def located(uri: str, folder: model_folder.ModelFolder) -> str:
+    """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if there is none."""
+    return _checked(uri, folder.locate)
+
+
+def _checked(uri: str, check: Callable[[str], str]) -> str:
     name = unquote(uri)
     try:
         if "\\" in name or "\0" in name:
             raise model_folder.UnfitReferenceError("is not a path as glTF spells it")
-        return model_folder.checked_path(name, outside=outside)
+        return check(name)
     except model_folder.UnfitReferenceError as error:
         raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
 
@@ -45,7 +54,7 @@ def read(uri: str, folder: model_folder.ModelFolder) -> bytes:
     if is_data(uri):
         return _embedded(uri)
     try:
-        return folder.read(_located(uri, folder))
+        return folder.read(located(uri, folder))
     except OSError as error:
         raise model_folder.UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
 
@@ -63,14 +72,6 @@ def _embedded(uri: str) -> bytes:
         raise model_folder.UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
 
 
-def _located(uri: str, folder: model_folder.ModelFolder) -> str:
-    name = relative_name(uri, outside=folder.access.outside)
-    try:
-        return folder.locate(name)
-    except model_folder.UnfitReferenceError as error:
-        raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
-
-
 def _short(uri: str) -> str:
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
@@ -81,7 +82,7 @@ def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[st
     notices: dict[str, None] = {}
     for entry, uri in _external(root):
         try:
-            path = _located(uri, folder)
+            path = located(uri, folder)
             if not model_folder.is_outside(path):
                 names[path] = None
         except model_folder.UnfitReferenceError as error:
@@ -109,7 +110,7 @@ def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
 
 
 Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
-"""Where the bytes of a buffer are: in the BIN chunk, in a data URI, in a file, nowhere, or decoded from others."""
+"""Where the bytes of a buffer are: in the BIN chunk, a data URI or a file, nowhere, or decoded from others."""
 
 
 class Buffers:
@@ -150,7 +151,6 @@ class Buffers:
         return self._canonical[index] if index < len(self) else index
 
     def source(self, index: int) -> Source:
-        """Return where a buffer's bytes are."""
         if index >= len(self):
             return "decoded"
         uri = self.uris[index]
@@ -161,8 +161,8 @@ class Buffers:
     def stored(self, index: int) -> Bytes:
         """Return all bytes of a buffer, at least as many as its byteLength says (padding may follow)."""
         if index not in self._loaded:
-            made = self.source(index) == "decoded"
-            self._loaded[index] = self._decoded[index - len(self)][1]() if made else self._read(index)
+            is_made = index >= len(self)
+            self._loaded[index] = self._decoded[index - len(self)][1]() if is_made else self._read(index)
         return self._loaded[index]
 
     def _read(self, index: int) -> Bytes:
@@ -204,7 +204,6 @@ class View:
 
     @property
     def end(self) -> int:
-        """The byte after the last."""
         return self.offset + self.length
 
 
@@ -221,13 +220,9 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
         if packed is None:
             views.append(View(buffer, offset, length, stride))
         else:
-            decoded = buffers.add(length, partial(_decompressed, packed, buffers))
+            decoded = buffers.add(length, partial(unpacked, packed, buffers.stored))
             views.append(View(decoded, 0, length, stride, packed, (buffer, offset)))
     return views
-
-
-def _decompressed(packed: Packed, buffers: Buffers) -> bytes:
-    return unpacked(packed, buffers.stored(packed.buffer))
 
 
 def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:

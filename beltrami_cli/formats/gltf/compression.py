@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,7 +40,8 @@ _STRIDES = {
 }
 """Bytes of an element that each mode and each filter allows."""
 
-_FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
+_FILTERS = {"NONE": "", "OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp", "COLOR": ""}
+"""What was done to elements before they were compressed, by the library's names for undoing it."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +85,9 @@ def read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | No
     return Packed(entry, extension, buffer, offset, packed, count, stride, mode, kind)
 
 
-def unpacked(packed: Packed, data: Bytes) -> bytes:
-    """Decompress the bytes of a view from those of its buffer."""
-    library = _library(packed)
+def unpacked(packed: Packed, stored: Callable[[int], Bytes]) -> bytes:
+    """Decompress the bytes of a view; `stored` gives those of a buffer."""
+    library, data = _library(packed), stored(packed.buffer)
     source = bytes(data[packed.offset : packed.offset + packed.length])
     try:
         if packed.mode == "ATTRIBUTES":
@@ -109,8 +110,7 @@ def repacked(packed: Packed, data: Bytes, old: Bytes) -> bytes:
     library = _library(packed)
     library.encode_vertex_version(old[packed.offset] & 0x0F)
     elements = np.frombuffer(data, np.uint8).reshape(packed.count, packed.stride)
-    found: bytes = library.encode_vertex_buffer(elements, packed.count, packed.stride)
-    return found
+    return bytes(library.encode_vertex_buffer(elements, packed.count, packed.stride))
 
 
 def _library(packed: Packed) -> Any:
@@ -127,10 +127,8 @@ def _unfiltered(library: Any, packed: Packed, octets: Uint8s) -> Array:
         return octets
     if packed.filter == "COLOR":
         return _colours(octets.view("<u1" if packed.stride == 4 else "<u2").reshape(-1, 4))
-    names = {"OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp"}
-    decode = getattr(library, f"decode_filter_{names[packed.filter]}")
-    found: Array = decode(octets, packed.count, packed.stride)
-    return found
+    decode = getattr(library, f"decode_filter_{_FILTERS[packed.filter]}")
+    return np.asarray(decode(octets, packed.count, packed.stride))
 
 
 def _colours(stored: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
-from beltrami_cli.formats.gltf.buffers import data_uri, is_data, named_files, read, relative_name
+from beltrami_cli.formats.gltf.buffers import data_uri, is_data, located, named_files, read, relative_name
 from beltrami_cli.formats.gltf.compression import MESHOPT
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.edit import Edit
@@ -119,7 +119,7 @@ def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str,
             if uri is None or is_data(uri) or _is_changed(edit, kind, index):
                 continue
             try:
-                path = folder.locate(relative_name(uri, outside=folder.access.outside))
+                path = located(uri, folder)
             except UnfitReferenceError:
                 continue
             if is_outside(path):

@@ -18,9 +18,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.tokens import exchange_tokens, most_decimals
+from beltrami_cli.formats.tokens import colour_decimals, exchange_tokens, most_decimals
 from beltrami_cli.surface.geometry import unit_vectors
 
 _SIZES = (3, 4, 5, 6, 7, 8)
@@ -34,9 +35,7 @@ _UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABC
 _VALUES = np.full(256, 255, np.uint8)
 _VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
 
-# Of new numbers.
-_DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
-_DIGITS = 8  # of the largest coordinate, at least: a little more than float32 has
+_DIGITS = 8  # of the largest new coordinate, at least: a little more than float32 has
 _MOST_DECIMALS = 17
 
 
@@ -84,7 +83,6 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
 
 
 def _weights(values: Float64s, offsets: Int64s, sizes: Int64s) -> tuple[bool, str]:
-    """Return whether the fourth of seven numbers is a weight, and a notice about it."""
     firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
     if not firsts.size:
         return False, ""
@@ -139,7 +137,7 @@ def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: B
     written = text[starts[:, None] + np.arange(_ENTRY)]
     digits = _LOWER if (written >= ord("a")).any() else _UPPER
     rows, channels = np.nonzero(changed)
-    values = np.rint(np.clip(colours[rows, channels].astype(np.float64), 0, 1) * 255).astype(np.uint8)
+    values = quantised(colours[rows, channels], np.uint8)
     places = starts[rows] + 2 + 2 * channels
     text[places], text[places + 1] = digits[values >> 4], digits[values & 15]
     return text.tobytes()
@@ -160,14 +158,10 @@ def new_colours(
 ) -> NewNumbers:
     """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
     values = colours[changed].astype(np.float64) * scale
-    decimals = 0
-    found = most_decimals(data, starts, ends) if len(values) else 0
-    if found < 0 and scale != 1:
+    decimals = colour_decimals(data, starts, ends, scale) if len(values) else 0
+    if decimals < 0:
         values = np.clip(np.rint(values), 0, scale)
-    else:
-        least, most = _DECIMALS[scale]
-        decimals = min(max(found, least), most)
-    return NewNumbers(starts[changed], ends[changed], values, decimals)
+    return NewNumbers(starts[changed], ends[changed], values, max(decimals, 0))
 
 
 def new_positions(

@@ -14,13 +14,11 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale, quantised
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.formats.points.table import Columns, PointTable, find_columns, read_table
-from beltrami_cli.formats.tokens import exchange_tokens, most_decimals, number_lines, without_tokens
+from beltrami_cli.formats.tokens import colour_decimals, exchange_tokens, number_lines, without_tokens
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.records import MeshContents, require_finite
 
-_WHOLE = b"%.0f"
-_DIGITS = 6  # of full scale at least: as fine as 20 bits
-_MOST_DIGITS = 9  # of full scale: all that single precision has
+_WHOLE, _WITH_EXPONENT = b"%.0f", b"%.9g"
 
 
 class TextPointsDocument(Document):
@@ -149,14 +147,11 @@ def _with_colours(
 
 
 def _number_format(data: bytes, starts: Int64s, ends: Int64s, scale: float) -> bytes:
-    decimals = most_decimals(data, starts, ends)
     exponents = np.append(np.flatnonzero((np.frombuffer(data, np.uint8) | 0x20) == ord("e")), len(data))
     if (exponents[np.searchsorted(exponents, starts)] < ends).any():
-        return b"%%.%dg" % _MOST_DIGITS
-    if decimals < 0 and scale > 1:
-        return _WHOLE
-    left = int(np.floor(np.log10(scale)))  # digits before the point, but for one
-    return b"%%.%df" % min(max(decimals, _DIGITS - left, 0), max(_MOST_DIGITS - left, 0))
+        return _WITH_EXPONENT
+    decimals = colour_decimals(data, starts, ends, scale)
+    return _WHOLE if decimals < 0 else b"%%.%df" % decimals
 
 
 def write_xyz(contents: MeshContents, stem: str) -> Written:

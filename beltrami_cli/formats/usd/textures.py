@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import posixpath
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, get_args
 
 import numpy as np
@@ -12,7 +10,6 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
-from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
@@ -104,7 +101,8 @@ class Textures:
         for number in dict.fromkeys(self._uses(slot)):
             use, path = self._words["uses"][number], self._path_of[number]
             if path is not None:
-                texture_of_use[number] = self._take(shown, path, use)
+                known = path, self._layers.folder.tiles, use["material"], tuple(use["wrap"])
+                texture_of_use[number] = shown.show_files(*known, self._layers.image)
             else:
                 shown.miss(self._reasons[number], use["material"])
         texture_of = texture_of_use[self._arrays[f"use {slot}"][polygon]]
@@ -119,21 +117,6 @@ class Textures:
         if shown.sets:
             surface = tiling.on_tiles(surface, shown.sets, self._name)
         return surface, shown.notices()
-
-    def _take(self, shown: textured_mesh.SlotImages, path: str, use: dict[str, Any]) -> int:
-        """Take what a material shows; return the number of its texture, or of its set."""
-        tiles, number_of = self._layers.folder.tiles.get(path), {}
-        for file in self._layers.folder.files(path):
-            if file not in shown:
-                is_tile = any(file in files.values() for files in self._layers.folder.tiles.values())
-                data = self._layers.image(file)
-                content = partial(self._layers.image, file) if is_tile or len(data) >= LARGE else data
-                shown.take(file, posixpath.basename(file), content)
-            wrap = ("clamp", "clamp") if tiles else tuple(use["wrap"])
-            number_of[file] = shown.show(file, use["material"], wrap)
-        if not tiles:
-            return number_of[path]
-        return shown.show_set({tile: number_of[file] for tile, file in tiles.items()})
 
     @property
     def _triangles(self) -> tuple[Float64s, Int64s, Int64s]:
