@@ -21,8 +21,7 @@ from beltrami_cli.formats.gltf.geometry import placements
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of, require_structure
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
-from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
-from beltrami_cli.formats.gltf.textured_surface import gather_textured
+from beltrami_cli.formats.gltf.textured import gather_textured, read_textured_mesh
 from beltrami_cli.formats.gltf.textures import Images, present_slots
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedMesh, TexturedSurface

@@ -11,6 +11,7 @@ from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.compression import draco_extension
 from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.surface.geometry import unit_vectors
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Drawing modes with faces; 0 to 3 are points and lines."""
@@ -145,9 +146,7 @@ def turned(normals: Float64s, matrix: Float64s) -> Float64s:
     # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
-    moved: Float64s = normals @ (sign * cofactors).T
-    length = np.linalg.norm(moved, axis=1, keepdims=True)
-    return moved / np.where(length > 0, length, 1)
+    return unit_vectors(normals @ (sign * cofactors).T)
 
 
 def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:
@@ -201,6 +200,18 @@ def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placeme
     if np.linalg.det(placement.matrix[:3, :3]) < 0:
         faces = faces[:, ::-1]  # a mirrored node turns its triangles inside out
     return faces
+
+
+def textured_triangles(
+    primitive: Entry, accessors: Accessors, placement: Placement
+) -> tuple[int, int, Int64s] | None:
+    """Return the accessor of positions, their number, and the triangles; None if none are drawn."""
+    if drawing_mode(primitive) < TRIANGLES or "POSITION" not in primitive.entry("attributes"):
+        return None
+    position = position_accessor(primitive, accessors)
+    count = accessors[position].count
+    faces = drawn(primitive, accessors, count, placement)
+    return (position, count, faces) if len(faces) else None
 
 
 def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:

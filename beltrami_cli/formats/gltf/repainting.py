@@ -16,13 +16,13 @@ from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.edit import Edit, ImageStorage
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, objects_within
-from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
     MEDIA,
     SLOT_PATHS,
     WEBP,
     Images,
+    image_key,
     kind_of,
     media_type,
     named_images,

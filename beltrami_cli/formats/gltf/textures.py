@@ -154,6 +154,11 @@ class Images:
         return data
 
 
+def image_key(image: int) -> str:
+    """Return the key of an image's texture, under which a new image is handed back."""
+    return f"image {image}"
+
+
 def media_type(data: bytes) -> str | None:
     """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
     known = format_of(data, "")
