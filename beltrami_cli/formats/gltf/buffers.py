@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -101,6 +101,16 @@ def named_files(root: Entry) -> set[str]:
     return names
 
 
+def file_key(uri: str | None, index: int, folder: model_folder.ModelFolder) -> Hashable:
+    """Return the same for all that one file is named for; what has bytes of its own is known by its index."""
+    try:
+        if uri is not None and not is_data(uri):
+            return relative_name(uri, outside=folder.access.outside)
+    except model_folder.UnfitReferenceError:
+        pass  # an error when its bytes are asked for
+    return index
+
+
 def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
     """Give the buffers and images that are files of their own, with their URIs."""
     for entry in [*root.entries("buffers"), *root.entries("images")]:
@@ -123,8 +133,9 @@ class Buffers:
         self._decoded: list[tuple[int, Callable[[], Bytes]]] = []
         self.lengths = [entry.integer("byteLength", least=0) for entry in self._entries]
         self.uris = [entry.text("uri") for entry in self._entries]
-        first: dict[str, int] = {}
-        self._canonical = [first.setdefault(self._key(index), index) for index in range(len(self))]
+        first: dict[Hashable, int] = {}
+        keys = (file_key(uri, index, folder) for index, uri in enumerate(self.uris))
+        self._canonical = [first.setdefault(key, index) for index, key in enumerate(keys)]
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -136,15 +147,6 @@ class Buffers:
 
     def length(self, index: int) -> int:
         return self.lengths[index] if index < len(self) else self._decoded[index - len(self)][0]
-
-    def _key(self, index: int) -> str:
-        uri = self.uris[index]
-        try:
-            if uri is not None and not is_data(uri):
-                return relative_name(uri, outside=self._folder.access.outside)
-        except model_folder.UnfitReferenceError:
-            pass  # an error when its bytes are asked for
-        return f"\0{index}"
 
     def canonical(self, index: int) -> int:
         """Return the first buffer that is the same file as this one, usually itself."""

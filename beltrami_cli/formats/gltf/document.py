@@ -53,9 +53,8 @@ class GltfDocument(Document):
 
     @cached_property
     def surface(self) -> painted.Surface:
-        """Painted primitives; notices say what was left out of them when this is first asked for."""
         surface = painted.gather(self.root, self.accessors, self.places)
-        self.notices += surface.notices
+        self.notices += surface.notices()
         return surface
 
     @cached_property
@@ -181,7 +180,6 @@ class GltfDocument(Document):
 
 
 def _opacity(colours: Sequence[Stored]) -> Float32s | None:
-    """Return the opacity of all rows in [0, 1], None if no block has any."""
     if all(numbers.shape[1] == 3 for numbers in colours):
         return None
     opaque = [np.ones(len(numbers), np.float32) for numbers in colours]
@@ -192,7 +190,6 @@ def _opacity(colours: Sequence[Stored]) -> Float32s | None:
 
 
 def _left_out(tree: Tree) -> list[str]:
-    """Return what conversion to another format leaves out."""
     primitives = [primitive for _, primitive in primitives_of(tree)]
     held = [primitive.get("attributes", {}) for primitive in primitives]
     attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))

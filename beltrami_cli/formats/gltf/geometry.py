@@ -185,10 +185,10 @@ def drawing_mode(primitive: Entry) -> int:
     return mode if draco_extension(primitive) is None else TRIANGLES
 
 
-def drawing(primitive: Entry, accessors: Accessors) -> tuple[int, Hashable]:
+def drawing(primitive: Entry, accessors: Accessors) -> Hashable:
     """Return the same for primitives that draw their vertices in the same way."""
-    mode, index = drawing_mode(primitive), _index_accessor(primitive, accessors)
-    return mode, None if index is None else accessors.identity(index)
+    index = _index_accessor(primitive, accessors)
+    return drawing_mode(primitive), None if index is None else accessors.identity(index)
 
 
 def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placement) -> Int64s:
@@ -245,5 +245,4 @@ def _triangles(mode: int, corners: Int64s) -> Int64s:
     faces = corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
     a, b, c = faces.T
     # Triangles that repeat a corner only join parts of the strip.
-    whole: Int64s = faces[(a != b) & (b != c) & (c != a)]
-    return whole
+    return np.asarray(faces[(a != b) & (b != c) & (c != a)])

@@ -42,25 +42,100 @@ class Block:
     users: list[tuple[int, int]] = field(default_factory=list)
 
 
-@dataclass
 class Surface:
-    """All blocks, their triangles as rows (F, 3), and what the user should know about what was left out."""
+    """All blocks and their triangles, which grow as primitives are taken one by one."""
 
-    blocks: list[Block]
-    faces: Int32s
-    notices: list[str]
+    def __init__(self, accessors: Accessors) -> None:
+        self.accessors = accessors
+        self.blocks: list[Block] = []
+        self._block_of: dict[Hashable, Block] = {}
+        self._faces: dict[Hashable, Int32s] = {}
+        self._rows = 0
+        self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
+
+    def take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
+        if "COLOR_0" not in primitive.entry("attributes"):
+            self._counts["uncoloured"] += 1
+            return
+        self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
+        block = self._block(primitive, placement, number)
+        if block is None:
+            return
+        key = block.first_row, geometry.drawing(primitive, self.accessors)
+        if key not in self._faces:
+            faces = geometry.drawn(primitive, self.accessors, block.count, placement)
+            self._faces[key] = (faces + block.first_row).astype(np.int32)
+
+    def _block(
+        self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]
+    ) -> Block | None:
+        """Return the block of a primitive; None if its colours already have rows at other positions."""
+        attributes = primitive.entry("attributes")
+        position, colour = geometry.position_accessor(primitive, self.accessors), self._colour(primitive)
+        count = self.accessors[colour].count
+        if self.accessors[position].count != count:
+            cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
+            raise attributes.fault("COLOR_0", cause)
+        key, place = self.accessors.identity(colour), self.accessors.identity(position)
+        if key not in self._block_of:
+            normal = None
+            if "NORMAL" in attributes:
+                normal = geometry.fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
+            block = Block(position, colour, placement, self._rows, count, normal)
+            self._block_of[key] = block
+            self.blocks.append(block)
+            self._rows += count
+            if self._rows > _MOST_ROWS:
+                raise attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
+            self._counts["instanced"] += placement.nodes > 1
+        block = self._block_of[key]
+        block.members.add(colour)
+        block.users.append(number)
+        if self.accessors.identity(block.position) != place:
+            self._counts["elsewhere"] += 1
+            return None
+        if block.placement is not placement:
+            same = np.array_equal(block.placement.matrix, placement.matrix)
+            self._counts["instanced"] += not same or block.placement.space != placement.space
+        return block
+
+    def _colour(self, primitive: Entry) -> int:
+        index = geometry.attribute_accessor(primitive, "COLOR_0", self.accessors)
+        accessor = self.accessors[index]
+        if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
+            cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
+            raise primitive.entry("attributes").fault("COLOR_0", cause)
+        self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
+        return index
+
+    @property
+    def faces(self) -> Int32s:
+        return np.concatenate([np.empty((0, 3), np.int32), *self._faces.values()])
+
+    def notices(self) -> list[str]:
+        """Return what the user should know about what was left out."""
+        sentences = {
+            "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
+            "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
+            "they occur first.",
+            "instanced": "{} painted part(s) are shown by several nodes; each is smoothed once, at its first place.",
+            "morphed": "{} primitive(s) have morph targets of COLOR_0, which are left as they are.",
+            "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
+            "they were.",
+        }
+        return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
 
 
 def gather(root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> Surface:
     """Gather all primitives that have COLOR_0, in file order; UnpaintedError if there are none."""
-    gathering = _Gathering(accessors)
+    surface = Surface(accessors)
     for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
         for part, primitive in enumerate(mesh.entries("primitives")):
-            gathering.take(primitive, placement, (number, part))
-    if not gathering.blocks:
+            surface.take(primitive, placement, (number, part))
+    if not surface.blocks:
         remedy = "paint the vertices first, or bake the texture into them"
         raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
-    return gathering.surface()
+    return surface
 
 
 def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[Stored]) -> PaintedVertices:
@@ -120,88 +195,6 @@ def _first_user(root: Entry, block: Block) -> Entry:
     return root.entries("meshes")[mesh].entries("primitives")[part]
 
 
-class _Gathering:
-    """Blocks while primitives are being taken one by one."""
-
-    def __init__(self, accessors: Accessors) -> None:
-        self.accessors = accessors
-        self.blocks: list[Block] = []
-        self._block_of: dict[Hashable, Block] = {}
-        self._faces: dict[Hashable, Int32s] = {}
-        self._rows = 0
-        self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
-
-    def take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
-        """Take one primitive: its rows if they are new, and its triangles."""
-        if "COLOR_0" not in primitive.entry("attributes"):
-            self._counts["uncoloured"] += 1
-            return
-        self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
-        block = self._block(primitive, placement, number)
-        if block is None:
-            return
-        key = block.first_row, geometry.drawing(primitive, self.accessors)
-        if key not in self._faces:
-            faces = geometry.drawn(primitive, self.accessors, block.count, placement)
-            self._faces[key] = (faces + block.first_row).astype(np.int32)
-
-    def _block(
-        self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]
-    ) -> Block | None:
-        """Return the block of a primitive; None if its colours already have rows at other positions."""
-        attributes = primitive.entry("attributes")
-        position, colour = geometry.position_accessor(primitive, self.accessors), self._colour(primitive)
-        count = self.accessors[colour].count
-        if self.accessors[position].count != count:
-            cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
-            raise attributes.fault("COLOR_0", cause)
-        key, place = self.accessors.identity(colour), self.accessors.identity(position)
-        if key not in self._block_of:
-            normal = None
-            if "NORMAL" in attributes:
-                normal = geometry.fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
-            block = Block(position, colour, placement, self._rows, count, normal)
-            self._block_of[key] = block
-            self.blocks.append(block)
-            self._rows += count
-            if self._rows > _MOST_ROWS:
-                raise attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
-            self._counts["instanced"] += placement.nodes > 1
-        block = self._block_of[key]
-        block.members.add(colour)
-        block.users.append(number)
-        if self.accessors.identity(block.position) != place:
-            self._counts["elsewhere"] += 1
-            return None
-        if block.placement is not placement:
-            same = np.array_equal(block.placement.matrix, placement.matrix)
-            self._counts["instanced"] += not same or block.placement.space != placement.space
-        return block
-
-    def _colour(self, primitive: Entry) -> int:
-        index = geometry.attribute_accessor(primitive, "COLOR_0", self.accessors)
-        accessor = self.accessors[index]
-        if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
-            cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
-            raise primitive.entry("attributes").fault("COLOR_0", cause)
-        self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
-        return index
-
-    def surface(self) -> Surface:
-        faces = [np.empty((0, 3), np.int32), *self._faces.values()]
-        sentences = {
-            "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
-            "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
-            "they occur first.",
-            "instanced": "{} painted part(s) are shown by several nodes; each is smoothed once, at its first place.",
-            "morphed": "{} primitive(s) have morph targets of COLOR_0, which are left as they are.",
-            "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
-            "they were.",
-        }
-        notices = [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
-        return Surface(self.blocks, np.concatenate(faces), notices)
-
-
 _STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
 
 
@@ -217,13 +210,9 @@ def recolour(
         after = before.copy()
         differs = new[rows] != old[rows]
         after[:, :3][differs] = quantised(new[rows][differs], before.dtype)
-        columns.append(_column("COLOR_0", block.colour, block.members, block))
+        columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
         numbers.append((before, after))
     exchange(edit, columns, numbers)
-
-
-def _column(attribute: str, index: int, members: set[int], block: Block) -> Column:
-    return Column(attribute, index, frozenset(members), tuple(block.users), block.position)
 
 
 def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
@@ -290,14 +279,21 @@ def _exchange_shared(
     edit: Edit, attribute: str, held: Sequence[tuple[Block, int]], renew: Callable[[Block, Stored], Stored]
 ) -> None:
     """Exchange an attribute of all blocks, which may share its numbers."""
-    accessors, root = edit.accessors, edit.container.root
+    accessors = edit.accessors
+    # By primitives, painted or not.
+    named = {
+        primitive.entry("attributes").integer(attribute, below=len(accessors.all))
+        for mesh in edit.container.root.entries("meshes")
+        for primitive in mesh.entries("primitives")
+        if attribute in primitive.entry("attributes")
+    }
     columns: dict[Hashable, tuple[Column, Stored, Stored]] = {}
     for block, index in held:
         before = accessors.stored(index)
         after, key = renew(block, before), accessors.identity(index)
         if key not in columns:
-            members = _members(root, accessors, attribute, key)
-            columns[key] = _column(attribute, index, members, block), before, after
+            same = {other for other in named if accessors.identity(other) == key}
+            columns[key] = Column(attribute, index, same, block.users, block.position), before, after
             continue
         _, _, earlier = columns[key]
         mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
@@ -307,14 +303,3 @@ def _exchange_shared(
         earlier[mine] = after[mine]
     found = list(columns.values())
     exchange(edit, [column for column, _, _ in found], [(before, after) for _, before, after in found])
-
-
-def _members(root: Entry, accessors: Accessors, attribute: str, key: Hashable) -> set[int]:
-    """Return all accessors over certain numbers that primitives, painted or not, name as an attribute."""
-    named = {
-        primitive.entry("attributes").integer(attribute, below=len(accessors.all))
-        for mesh in root.entries("meshes")
-        for primitive in mesh.entries("primitives")
-        if attribute in primitive.entry("attributes")
-    }
-    return {index for index in named if accessors.identity(index) == key}

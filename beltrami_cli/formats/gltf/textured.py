@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import get_args
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, fractions
 from beltrami_cli.formats.gltf.json_tree import Entry
-from beltrami_cli.formats.gltf.textures import Images, TextureUse, image_key, looks, texture_uses
+from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, TextureUse, image_key, looks, texture_uses
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.textured_mesh import MeshImages, SlotImages, shown_materials, usable_coordinates
@@ -186,12 +185,11 @@ class _Materials:
     def __init__(self, root: Entry, images: Images) -> None:
         self.images, self.shown = images, MeshImages()
         self.left_out: list[str] = []
-        slots: tuple[Slot, ...] = get_args(Slot)
-        uses = {slot: texture_uses(root, slot) for slot in slots}
+        uses = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
         entries = root.entries("materials")
         self.placed: list[TextureUse | None] = []
         self.materials = [
-            self._material(entry, {slot: uses[slot][index][0] for slot in slots if uses[slot][index]})
+            self._material(entry, {slot: uses[slot][index][0] for slot in SLOT_PATHS if uses[slot][index]})
             for index, entry in enumerate(entries)
         ]
         self.materials.append(records.Material(metalness=1.0))
