@@ -40,10 +40,11 @@ class Archive:
         if len(self._file.infolist()) > _MOST_MEMBERS:
             raise InputError(name, f"the archive has more than {_MOST_MEMBERS} members", _DAMAGED)
         self.entries = [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]
-        self.members = {entry.filename: entry for entry in self.entries}
+        self._known = {entry.filename: entry for entry in self.entries}
+        self.members = list(self._known)
 
     def read(self, member: str) -> bytes:
-        known = self.members.get(member)
+        known = self._known.get(member)
         if known is None:
             raise InputError(self._name, f"the archive has no {member}", _DAMAGED)
         if known.file_size > self._most:
@@ -127,7 +128,6 @@ class NpzArchive:
         return data[30 : 30 + int.from_bytes(data[26:28], "little")].endswith(b".npy")
 
     def kind(self) -> Literal["level set", "points"] | None:
-        """Return what the archive holds, by the names of its arrays."""
         if self.first(LEVEL_SET_KEYS):
             return "level set"
         return "points" if self.first(POSITION_KEYS) else None
@@ -166,7 +166,6 @@ class NpzArchive:
         return header.array(data)
 
     def require_ratio(self, key: str) -> None:
-        """Raise InputError if an array of places is packed more densely than places that differ can be."""
         member = self._archive.getinfo(f"{key}.npy")
         require_ratio(self._name, f"the array {key}", member.compress_size, member.file_size)
 

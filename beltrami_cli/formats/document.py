@@ -101,7 +101,6 @@ class NamedImage:
 
     @property
     def data(self) -> bytes:
-        """The image file as it is stored."""
         return self.content if isinstance(self.content, bytes) else self.content()
 
 

@@ -118,7 +118,6 @@ class SlotImages:
             materials.append(material)
 
     def textures(self) -> tuple[Texture, ...]:
-        """Return the images as textures, in the order of their numbers."""
         return tuple(
             Texture(key, each.name, each.content, tuple(each.materials), each.wraps[0], each.alpha_hides)
             for key, each in self._shown.items()

@@ -92,16 +92,13 @@ class Lines:
         return values
 
     def word(self, token: int | np.int64) -> bytes:
-        """Return a token."""
         return self.data[int(self.starts[token]) : int(self.ends[token])]
 
     def error(self, token: int | np.int64, cause: str) -> InputError:
-        """Return an error about a token, with its line."""
         shown = self.word(token)[:_MOST_SHOWN].decode("ascii", "backslashreplace")
         return InputError(self.name, f"line {self.line(token)}: '{shown}' {cause}")
 
     def line(self, token: int | np.int64) -> int:
-        """Return the number of the line that a token stands on, from 1."""
         before = self.data[: int(self.starts[token])]
         return max(before.count(b"\n"), before.count(b"\r")) + 1
 

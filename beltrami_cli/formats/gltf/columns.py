@@ -153,7 +153,6 @@ def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
 
 
 def _update_bounds(accessor: Tree, before: Stored, after: Stored) -> None:
-    """Renew those components of min and max, if they are there, whose true value changes."""
     for key, reduce in (("min", np.min), ("max", np.max)):
         bounds: Any = accessor.get(key)
         if isinstance(bounds, list) and len(bounds) == after.shape[1]:

@@ -132,7 +132,6 @@ def _unfiltered(library: Any, packed: Packed, octets: Uint8s) -> Array:
 
 
 def _colours(stored: Array) -> Array:
-    """Return red, green, blue and opacity of luma, two chromas and opacity, shape (n, 4)."""
     # All four have K bits; the highest bit of opacity says what K is, and stands for no opacity itself.
     bits = 8 * stored.dtype.itemsize
     luma, alpha = stored[:, 0].astype(np.int64), stored[:, 3].astype(np.int64)

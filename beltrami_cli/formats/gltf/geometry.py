@@ -215,7 +215,6 @@ def textured_triangles(
 
 
 def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
-    """Return the accessor of indices, None where vertices are drawn in their order."""
     packed = draco_extension(primitive)
     if packed is not None:
         return accessors.decoded_indices(packed, primitive.integer("indices", below=len(accessors)))

@@ -240,13 +240,11 @@ def _described(texture: Tree, extensions: Tree, images: Images, image: int) -> i
 
 
 def _extensions(tree: Tree) -> set[str]:
-    """Return which of the extensions that hold images the textures use."""
     used = {name for texture in objects(tree.get("textures")) for name in texture.get("extensions", {})}
     return used & IMAGE_EXTENSIONS.keys()
 
 
 def _declare(tree: Tree, before: set[str]) -> None:
-    """Bring the lists of extensions up to date with the textures."""
     after = _extensions(tree)
     known = {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
     for extension in sorted(after & known):

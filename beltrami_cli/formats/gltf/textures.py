@@ -109,7 +109,6 @@ class Images:
         raise UnfitReferenceError("has no image")
 
     def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
-        """Return what lies beyond 0 and 1 along u and v."""
         entry = self.textures[texture]
         if "sampler" not in entry:
             return "repeat", "repeat"

@@ -120,7 +120,6 @@ class Arrays:
         return self.add(faces.reshape(-1, 1).astype("<u2" if narrow else "<u4"), target=INDEX_DATA)
 
     def add_bytes(self, content: bytes) -> int:
-        """Add the bytes of a view, and return it."""
         self.binary += bytes(-len(self.binary) % 4)
         self.views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content)})
         self.binary += content

@@ -16,10 +16,11 @@ _START, _TABLES, _ADOBE = b"\xff\xd8", 0xDB, 0xEE
 
 # Frames of 8-bit samples that are coded by Huffman's code: baseline, extended and progressive ones.
 _FRAMES = 0xC0, 0xC1, 0xC2
+_RGB = [*b"RGB"]  # components that are no luma and chroma
 
-# Components that are red, green and blue, and not luma and chroma.
-_RGB = [*b"RGB"]
-
+# The places of coefficients, row * 8 + column, in the order in which tables store them: along the diagonals, of which
+# every second one is gone up.
+_ZIGZAG = sorted(range(64), key=lambda at: (at // 8 + at % 8, at // 8 if (at // 8 + at % 8) % 2 else at % 8))
 
 CODED_TOGETHER = 16
 """Blocks of all planes begin at rows and columns that are multiples of this."""
@@ -61,25 +62,13 @@ def _tables(body: bytes | memoryview) -> dict[int, Float64s]:
     while at < len(body):
         kind = ">u2" if body[at] >> 4 else "u1"
         table = np.empty(64)
-        table[_zigzag()] = np.frombuffer(body, kind, 64, at + 1)
+        table[_ZIGZAG] = np.frombuffer(body, kind, 64, at + 1)
         found[body[at] & 15] = table.reshape(8, 8)
         at += 1 + 64 * np.dtype(kind).itemsize
     return found
 
 
-def _zigzag() -> list[int]:
-    """Return the places of coefficients, row * 8 + column, in the order in which tables store them."""
-    return sorted(range(64), key=lambda at: _along_diagonals(*divmod(at, 8)))
-
-
-def _along_diagonals(row: int, column: int) -> tuple[int, int]:
-    """Return the diagonal that a coefficient is on, and its place there; every second one is gone up."""
-    diagonal = row + column
-    return diagonal, row if diagonal % 2 else column
-
-
 def _of_frame(frame: bytes, tables: dict[int, Float64s], transform: int) -> JpegTables | None:
-    """Join the tables of the components."""
     components = [frame[at : at + 3] for at in range(6, 6 + 3 * frame[5], 3)]
     if len(components) == 1:
         return JpegTables(tables[components[0][2]][None], (1, 1))

@@ -28,7 +28,12 @@ _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
-_COMMENT, _EXIF, _ADOBE, _START_OF_SCAN = 0xFE, 0xE1, 0xEE, 0xDA
+_EXIF, _START_OF_SCAN = 0xE1, 0xDA
+_METADATA = (
+    0xFE,
+    *range(0xE0, 0xEE),
+    0xEF,
+)  # but Adobe's segment, which says how these very samples are coded
 _EMPTY_EXIF = 14  # bytes: a header and a directory of nothing
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 _PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
@@ -49,7 +54,7 @@ def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
         case "jpeg":
             return _carry_jpeg(source, encoded)
         case "webp":
-            return _carry_webp(source, encoded)
+            return _webp_with(_webp_metadata(source), encoded)
     return encoded
 
 
@@ -148,15 +153,12 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
     return b"".join([PNG_START, *header, *before, *palette, *of_entries, *body, *behind, *end])
 
 
-def _is_jpeg_metadata(marker: int) -> bool:
-    return marker == _COMMENT or (0xE0 <= marker <= 0xEF and marker != _ADOBE)
-
-
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
-    # Adobe's segment says how these very samples are coded; MPF gives places of further images in the file.
-    found = [segment for marker, segment in jpeg_segments(source) if _is_jpeg_metadata(marker)]
-    metadata = [segment for segment in found if segment[4:8] != b"MPF\0"]
-    pixels = [segment for marker, segment in jpeg_segments(encoded) if not _is_jpeg_metadata(marker)]
+    found = [segment for marker, segment in jpeg_segments(source) if marker in _METADATA]
+    metadata = [
+        segment for segment in found if segment[4:8] != b"MPF\0"
+    ]  # places of further images in the file
+    pixels = [segment for marker, segment in jpeg_segments(encoded) if marker not in _METADATA]
     return encoded[:2] + b"".join([*metadata, *pixels])
 
 
@@ -169,10 +171,6 @@ def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
             return
         yield data[at : at + 4], data[at + 8 : at + 8 + size]
         at += 8 + size + size % 2
-
-
-def _carry_webp(source: bytes, encoded: bytes) -> bytes:
-    return _webp_with(_webp_metadata(source), encoded)
 
 
 def with_exif_of(jpeg: bytes, webp: bytes) -> bytes:
@@ -189,9 +187,9 @@ def _webp_metadata(data: bytes) -> dict[bytes, bytes]:
 
 
 def _webp_with(metadata: dict[bytes, bytes], encoded: bytes) -> bytes:
-    pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
     if not metadata:
         return encoded
+    pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
     width, height, alpha = _webp_size(*pixels[-1])
     flags = sum(_WEBP_FLAGS[kind] for kind in metadata)
     flags |= _WEBP_ALPHA if alpha or len(pixels) > 1 else 0
@@ -232,7 +230,6 @@ def encode_with_palette(pixels: Array, source: bytes, *, small: bool) -> bytes |
 
 
 def _palette_of(source: bytes) -> NDArray[np.uint32]:
-    """Return the entries of a palette, as `_as_numbers`."""
     chunks = {kind: bytes(chunk[8:-4]) for kind, chunk in png_chunks(source) if kind in (b"PLTE", b"tRNS")}
     colours = np.frombuffer(chunks.get(b"PLTE", b""), np.uint8)
     colours = colours[: len(colours) // 3 * 3].reshape(-1, 3)[:_MOST]
@@ -263,16 +260,15 @@ def _encoded(indices: Uint8s, palette: NDArray[np.uint32], depth: int, level: in
     packed = np.bitwise_or.reduce(padded << shifts, axis=2, dtype=np.uint8)
     lines = np.pad(packed, ((0, 0), (1, 0)))  # in front of each line, that it has no filter
     header = struct.pack(">IIBBBBB", width, height, depth, _INDICES, 0, 0, 0)
-    transparency = [_chunk(b"tRNS", alpha[: last + 1].tobytes())] if last >= 0 else []
-    return b"".join([
-        PNG_START,
-        _chunk(b"IHDR", header),
-        _chunk(b"PLTE", entries[:, :3].tobytes()),
-        *transparency,
-        _chunk(b"IDAT", zlib.compress(lines.tobytes(), level)),
-        _chunk(b"IEND", b""),
-    ])  # fmt: skip
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    chunks = {
+        b"IHDR": header,
+        b"PLTE": entries[:, :3].tobytes(),
+        **({b"tRNS": alpha[: last + 1].tobytes()} if last >= 0 else {}),
+        b"IDAT": zlib.compress(lines.tobytes(), level),
+        b"IEND": b"",
+    }
+    whole = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks.items()
+    )
+    return PNG_START + b"".join(whole)

@@ -207,7 +207,6 @@ class ObjDocument(Document):
 
 
 def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Materials) -> Fingerprint:
-    """Take an OBJ file apart: its text, that of each library, and the images that these name; colours if it has any."""
     if scan.polypaint is not None:
         data = zeroed(data, scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)
     mentions: Spans = {(a, b): PLACEHOLDER for library in materials.libraries for _, a, b in library.mentions}

@@ -27,7 +27,7 @@ from beltrami_cli.surface.geometry import unit_vectors
 _SIZES = (3, 4, 5, 6, 7, 8)
 _PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
 
-MARK = b"#MRGB"
+_MARK = b"#MRGB"
 _LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
 _ENTRY = 8  # digits of an entry of polypaint
 _UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABCDEF", b"0123456789abcdef"))
@@ -52,7 +52,7 @@ class Vertices:
     notice: str  # how numbers were understood that can mean two things, or empty
 
 
-def read_vertices(statements: Statements, name: str) -> Vertices:
+def _read_vertices(statements: Statements, name: str) -> Vertices:
     """Read all vertices; InputError names the line of one that is not made of 3 to 8 finite numbers."""
     chosen = statements.select(b"v")
     if not chosen.size:
@@ -65,7 +65,12 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
         line = statements.line(statements.heads[chosen[bad]])
         raise InputError(name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
     values = statements.finite_numbers(tokens)
-    weights, notice = _weights(values, offsets, sizes)
+    weights, notice = False, ""  # whether the fourth of seven numbers is a weight
+    firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
+    if firsts.size:
+        weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
+        meaning = "x y z w r g b" if weights else "x y z r g b a"
+        notice = f"Vertices of seven numbers are taken for {meaning}."
     coloured = np.flatnonzero(sizes >= _PLAIN)
     weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
     colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
@@ -82,15 +87,6 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
     )
 
 
-def _weights(values: Float64s, offsets: Int64s, sizes: Int64s) -> tuple[bool, str]:
-    firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
-    if not firsts.size:
-        return False, ""
-    weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
-    meaning = "x y z w r g b" if weights else "x y z r g b a"
-    return weights, f"Vertices of seven numbers are taken for {meaning}."
-
-
 @dataclass(frozen=True)
 class Polypaint:
     """The entries of a file."""
@@ -99,8 +95,7 @@ class Polypaint:
     starts: Int64s  # (N,) where the first digit of every entry stands in the file
 
 
-def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
-    """Read all entries of an OBJ file; None if it has none."""
+def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     lines = [match.span(1) for match in _LINE.finditer(data)]
     if not lines:
         return None
@@ -118,7 +113,7 @@ def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
 
 
-def painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
+def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
     """Return vertices without colours of their own with those of the polypaint; only positions have tokens."""
     tokens, offsets = statements.arguments(statements.select(b"v"))
     places = tokens[offsets[:-1, None] + np.arange(3)]
@@ -220,14 +215,14 @@ class Scan:
 def scan_file(data: bytes, name: str) -> Scan:
     """Read an OBJ file; InputError names the line of a statement that is damaged."""
     statements = Statements(data, name)
-    vertices, polypaint = read_vertices(statements, name), None
+    vertices, polypaint = _read_vertices(statements, name), None
     notices = []
     if not vertices.coloured.size:
-        polypaint = read_polypaint(data, len(vertices.positions), name)
-    elif MARK in data:
+        polypaint = _read_polypaint(data, len(vertices.positions), name)
+    elif _MARK in data:
         notices.append(_TWICE)
     if polypaint is not None:
-        vertices = painted_by(polypaint, vertices, statements)
+        vertices = _painted_by(polypaint, vertices, statements)
     corners, _, offsets = statements.corners(b"v")
     libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
     dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]

@@ -98,7 +98,6 @@ def _corners(rows: Sequence[Sequence[bytes]], name: str) -> tuple[Int64s, Int64s
 
 
 def _of_faces(rows: Sequence[Sequence[bytes]], sizes: Int64s, name: str) -> tuple[Float32s, float]:
-    """Return colours of faces, shape (P, 4), and their full scale in the file."""
     found = np.full((len(rows), 4), np.nan)
     for number, (row, size) in enumerate(zip(rows, sizes.tolist(), strict=True)):
         words = row[1 + size :]  # one number is an index of a map that is not in the file

@@ -92,7 +92,6 @@ def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]
 
 
 def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[Array], list[str]]:
-    """Return the stored values of the colours and names that an order is about."""
     colours = [np.array(stage.GetAttributeAtPath(block["attribute"]).Get()) for block in order["blocks"]]
     return colours, [stage.GetAttributeAtPath(path).Get().path for path in order["files"]]
 
@@ -246,7 +245,6 @@ def _spelled(colour: Array) -> bytes:
 
 
 def _are_equal(layer: Any, data: bytes, suffix: str) -> bool:
-    """Return whether a stored layer holds what another one does."""
     path = Path(f"patched{suffix}").absolute()
     path.write_bytes(data)
     made = Sdf.Layer.FindOrOpen(str(path))

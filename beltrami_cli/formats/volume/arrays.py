@@ -105,7 +105,6 @@ def _lattice(archive: NpzArchive, name: str) -> Lattice:
 
 
 def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) -> Float64s | None:
-    """Read a few finite numbers; None if there is no such array."""
     if key not in archive.names:
         return None
     wanted = " or ".join(map(str, counts))
