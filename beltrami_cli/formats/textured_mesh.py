@@ -46,7 +46,7 @@ class _Shown:
     number: int
     name: str
     content: bytes | Callable[[], bytes]  # as in `Texture`
-    materials: list[str] = field(default_factory=list)
+    materials: dict[str, None] = field(default_factory=dict)
     wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
     alpha_hides: bool = False
 
@@ -59,7 +59,7 @@ class SlotImages:
     def __init__(self, slot: Slot) -> None:
         self._slot = slot
         self._shown: dict[str, _Shown] = {}
-        self._missing: dict[str, list[str]] = {}  # materials by the reason why they show no image
+        self._missing: dict[str, dict[str, None]] = {}  # materials by the reason why they show no image
         self.sets: list[dict[Tile, int]] = []
 
     def __len__(self) -> int:
@@ -81,10 +81,7 @@ class SlotImages:
         read: Callable[[str], bytes],
         left_out: tuple[type[Exception], ...] = (),
     ) -> int | None:
-        """Note that a material shows the file of a path, or those of a set of tiles; return its texture's number.
-
-        Files that cannot be read are left out where `read` raises one of some errors; None if all are.
-        """
+        """Show the file of a path, or a set of tiles; return its texture, None if all files raise what is `left_out`."""
         tiles, number_of = sets.get(path), {}
         for file in tiles.values() if tiles else [path]:
             if file not in self:
@@ -107,15 +104,12 @@ class SlotImages:
         shown = self._shown[key]
         shown.wraps.append(wrap)
         shown.alpha_hides |= alpha_hides
-        if material not in shown.materials:
-            shown.materials.append(material)
+        shown.materials[material] = None
         return shown.number
 
     def miss(self, reason: str, material: str) -> None:
         """Note why a material shows no image; the reason names that."""
-        materials = self._missing.setdefault(reason, [])
-        if material not in materials:
-            materials.append(material)
+        self._missing.setdefault(reason, {})[material] = None
 
     def textures(self) -> tuple[Texture, ...]:
         return tuple(
@@ -243,13 +237,12 @@ def with_images(mesh: TexturedMesh, images: NewImages) -> TexturedMesh:
         maps = dict(material.maps)
         for slot, shown in material.maps.items():
             old = mesh.images[shown.image]
-            new = images.get((slot, old.key))
-            if new is None:
-                continue
-            if (slot, old.key) not in index_of:
-                index_of[slot, old.key] = len(known)
-                known.append(dataclasses.replace(old, file=new))
-            maps[slot] = dataclasses.replace(shown, image=index_of[slot, old.key])
+            place = slot, old.key
+            if place in images and place not in index_of:
+                index_of[place] = len(known)
+                known.append(dataclasses.replace(old, file=images[place]))
+            if place in index_of:
+                maps[slot] = dataclasses.replace(shown, image=index_of[place])
         materials.append(dataclasses.replace(material, maps=maps))
     return _without_unused(dataclasses.replace(mesh, materials=tuple(materials), images=tuple(known)))
 
@@ -294,10 +287,9 @@ def as_if_with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> Textur
 
 def _without_unused(mesh: TexturedMesh) -> TexturedMesh:
     used = sorted({shown.image for material in mesh.materials for shown in material.maps.values()})
-    number_of = {old: new for new, old in enumerate(used)}
     materials = []
     for each in mesh.materials:
-        maps = {slot: MaterialMap(number_of[shown.image], shown.wrap) for slot, shown in each.maps.items()}
+        maps = {slot: MaterialMap(used.index(shown.image), shown.wrap) for slot, shown in each.maps.items()}
         materials.append(dataclasses.replace(each, maps=maps))
     images = tuple(mesh.images[old] for old in used)
     return dataclasses.replace(mesh, materials=tuple(materials), images=images)

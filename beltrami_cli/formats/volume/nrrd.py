@@ -45,11 +45,9 @@ def read_nrrd(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
     if kind is None:
         return Volume(lattice, samples)
     if samples.shape[3] not in _VALUE_AND_COLOURS or kind.endswith("color"):
-        raise InputError(
-            name,
-            f"each sample is a list of {samples.shape[3]} numbers ({kind}), and not a value, or a value and its colour",
-            "give the values as INPUT and the colours with --colours",
-        )
+        found = f"each sample is a list of {samples.shape[3]} numbers ({kind})"
+        cause = f"{found}, and not a value, or a value and its colour"
+        raise InputError(name, cause, "give the values as INPUT and the colours with --colours")
     return Volume(lattice, samples[..., 0], colours=GridColours(lattice, samples[..., 1:]))
 
 
@@ -155,10 +153,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
-    """Return the axis along which the numbers of a sample are listed, counted from the fastest; None if there is none.
-
-    InputError if there are other than three or four axes, or it is not clear which.
-    """
+    """Return the axis along which the numbers of a sample are listed, counted from the fastest; None: there is none."""
     count = len(header["sizes"])
     if count not in (3, 4):
         raise InputError(name, f"it has {count} axes", "give three, or four with one for colours")
@@ -178,25 +173,21 @@ def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
 
 
 def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) -> Lattice:
-    """Return where the samples on three axes stand, in the file's own space.
-
-    By `space directions` and `space origin`; or else by `spacings`, or `axis mins` and `axis maxs`, of which those that
-    are missing are 1 and 0. InputError if directions are missing for an axis, or cannot be computed with.
-    """
+    """Return where the samples on three axes stand: by directions in space, or else along right angles."""
     directions = header.get("space directions")
     if directions is not None:
         rows = np.array([directions[axis] for axis in axes], float)
         origin = np.array(header.get("space origin", np.zeros(3)), float)
     else:
-        spacing, first = _along_axes(header, axes)
-        rows, origin = np.diag(spacing), first
+        spacing, origin = _along_axes(header, axes)
+        rows = np.diag(spacing)
     if rows.shape != (3, 3) or origin.shape != (3,):
         raise InputError(name, "its space directions or origin are not of three dimensions", "repair them")
     return checked_lattice(rows, origin, name)
 
 
 def _along_axes(header: Mapping[str, Any], axes: Sequence[int]) -> tuple[Float64s, Float64s]:
-    """Return the spacings, and the place of the first sample, on axes that are at right angles."""
+    """Return the spacings, and the place of the first sample, by `spacings`, `axis mins` and `axis maxs`."""
     lows = _finite(_field(header, "axis mins", "axismins"), axes)
     highs = _finite(_field(header, "axis maxs", "axismaxs"), axes)
     spacings = _finite(header.get("spacings"), axes)
