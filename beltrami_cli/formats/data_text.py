@@ -14,9 +14,7 @@ from typing import Any, BinaryIO
 
 from beltrami_cli.formats.access import open_regular
 
-CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24
-"""Bytes that such a file has at most."""
-
+CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24  # bytes that such a file has at most
 _DEEPEST = 50  # levels of tables and lists
 _LARGEST = 1 << 64
 # Characters of TOML, whose parser takes the square of the time for keys with very many dots.

@@ -30,9 +30,7 @@ from beltrami_cli.surface.records import (
 )
 from beltrami_cli.surface.tiling import Tile, tiles_under
 
-TileSets = Mapping[str, Mapping[Tile, str]]
-"""The files of sets of tiles, by the path of the set."""
-
+TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30

@@ -13,12 +13,8 @@ from beltrami_cli.arrays import Array, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.large_arrays import blocks
 
-PLACEHOLDER = b"\0"
-"""Replaces what may differ in a part of a fingerprint."""
-
-Spans = dict[tuple[int, int], bytes]
-"""New bytes by where the old ones start and end."""
-
+PLACEHOLDER = b"\0"  # replaces what may differ in a part of a fingerprint
+Spans = dict[tuple[int, int], bytes]  # new bytes by where the old ones start and end
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MOST_SHOWN = 40  # bytes of a token in a message

@@ -28,8 +28,7 @@ SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "M
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
 _LEAST_DRAWN, _MOST_DRAWN = 1 << 20, 16
 
-Stored = np.ndarray[Any, np.dtype[Any]]
-"""Numbers as they are in the file: little-endian integers or float32."""
+Stored = np.ndarray[Any, np.dtype[Any]]  # numbers as they are in the file: little-endian integers or float32
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,7 @@ from beltrami_cli.formats.gltf.json_tree import Entry
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """Extensions of a bufferView; both have the same members."""
 
-DRACO = "KHR_draco_mesh_compression"
-"""Extension of a primitive."""
-
+DRACO = "KHR_draco_mesh_compression"  # extension of a primitive
 _DRACO_MAGIC = b"DRACO"
 _DRACO_MESH = b"\1"  # the kind of geometry, after the magic and the version
 

@@ -20,8 +20,7 @@ from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, Images
 from beltrami_cli.surface.records import ImageFile
 
-VERTEX_DATA, INDEX_DATA = 34962, 34963
-"""What a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)."""
+VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
 
 
 @dataclass

@@ -13,8 +13,7 @@ from beltrami_cli.formats.gltf.compression import draco_extension
 from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.surface.geometry import unit_vectors
 
-TRIANGLES, STRIP, FAN = 4, 5, 6
-"""Drawing modes with faces; 0 to 3 are points and lines."""
+TRIANGLES, STRIP, FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 
 
 @dataclass(frozen=True)

@@ -27,9 +27,7 @@ IMAGE_EXTENSIONS = {
 }
 """Extensions of textures that name an image of another type than core glTF has."""
 
-UNREAD = ("MSFT_texture_dds",)
-"""Those of them whose images are not read."""
-
+UNREAD = ("MSFT_texture_dds",)  # those of them whose images are not read
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "baseColor": (
         ("pbrMetallicRoughness", "baseColorTexture"),

@@ -22,9 +22,7 @@ from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
-EXTRA_CODECS = tuple(_PACKAGES)
-"""The formats of `picture.FORMATS` that are read and written here."""
-
+EXTRA_CODECS = tuple(_PACKAGES)  # the formats of `picture.FORMATS` that are read and written here
 INSTALL = "install it with: pip install 'beltrami-cli[textures]'"
 _LARGEST_SIDE = 1 << 14  # of AV1 images and of textures on graphics cards
 _BLOCK, _BLOCK_BYTES = 4, 16  # of UASTC

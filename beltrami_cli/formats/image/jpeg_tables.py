@@ -22,8 +22,7 @@ _RGB = [*b"RGB"]  # components that are no luma and chroma
 # every second one is gone up.
 _ZIGZAG = sorted(range(64), key=lambda at: (at // 8 + at % 8, at // 8 if (at // 8 + at % 8) % 2 else at % 8))
 
-CODED_TOGETHER = 16
-"""Blocks of all planes begin at rows and columns that are multiples of this."""
+CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,8 @@ SLOTS: dict[str, Slot] = {
 }
 """What is painted by the maps of a keyword; the first keyword that a material has is the one that counts."""
 
-PAINTED = tuple(dict.fromkeys(SLOTS.values()))
-"""The slots that maps are painted in."""
-
-ALONG = ("map_ka", "map_d")
-"""Keywords of maps that go along with the base colour where they show its image."""
-
+PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painted in
+ALONG = ("map_ka", "map_d")  # keywords of maps that go along with the base colour where they show its image
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
     rb"^[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",

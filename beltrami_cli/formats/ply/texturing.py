@@ -26,8 +26,7 @@ _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s]
 _OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 _OF_FACES = "texcoord"
 _NUMBER = "texnumber"
-COORDINATE_LISTS = (_OF_FACES, _NUMBER)
-"""Properties of faces that say which part of which image they show."""
+COORDINATE_LISTS = (_OF_FACES, _NUMBER)  # properties of faces that say which part of which image they show
 
 
 @dataclass(frozen=True)

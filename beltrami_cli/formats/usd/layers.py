@@ -37,12 +37,8 @@ from beltrami_cli.formats.model_folder import (
 )
 from beltrami_cli.surface.worker_process import Message
 
-LAYERS = (".usd", ".usda", ".usdc")
-"""Suffixes of files that usd-core reads."""
-
-IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")
-"""Suffixes of images that a package may hold [1]_."""
-
+LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
+IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
 _SOUNDS = (".m4a", ".mp3", ".wav")
 _ALIGNMENT, _PADDING = 64, 0x1986  # the number of extra fields that only fill up
 _LOCAL, _CENTRAL, _END = struct.Struct("<4s5H3L2H"), struct.Struct("<4s6H3L5H2L"), struct.Struct("<4s4H2LH")
