@@ -89,7 +89,7 @@ def _is_image(data: bytes, name: str) -> bool:
 def _is_volume(data: bytes, name: str) -> bool:
     if not data.startswith((b"NRRD", b" BDV", _ZIP)):
         return False
-    from beltrami_cli.formats.volume import is_volume
+    from beltrami_cli.formats.volume.arrays import is_volume
 
     return is_volume(data, name)
 
@@ -128,7 +128,7 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
     Format("image", _is_image, "image", "read_image", kind="image"),
-    Format("volume", _is_volume, "volume", "read_volume", kind="volume"),
+    Format("volume", _is_volume, "volume.arrays", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*"),
     _textured("obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*"),
     _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),

@@ -79,7 +79,7 @@ class SlotImages:
         read: Callable[[str], bytes],
         left_out: tuple[type[Exception], ...] = (),
     ) -> int | None:
-        """Show the file of a path, or a set of tiles; return its texture, None if all files raise what is `left_out`."""
+        """Show the file of a path, or a set of tiles; return its texture, None if `left_out` holds for all files."""
         tiles, number_of = sets.get(path), {}
         for file in tiles.values() if tiles else [path]:
             if file not in self:

@@ -252,39 +252,29 @@ def _spans(text: str, start: int) -> list[_Span]:
 def _value(span: _Span, new: object, text: str, style: _Style) -> str:
     if span.value == new:
         return text[span.start : span.end]
-    if isinstance(span.value, dict) and isinstance(new, dict) and span.value:
-        return _object(span, new, text, style)
-    if isinstance(span.value, list) and isinstance(new, list) and span.value:
-        return _array(span, new, text, style)
+    if isinstance(span.value, dict | list) and type(span.value) is type(new) and span.value:
+        return _members(span, new, text, style)
     return style.written(new, text[span.lead : span.key_start])
 
 
-def _object(span: _Span, new: Tree, text: str, style: _Style) -> str:
-    members = _spans(text, span.start)
-    kept = [member for member in members if member.key in new]
-    pieces = [_piece(member, new[member.key], text, style) for member in kept]
-    lead = text[members[-1].lead : members[-1].key_start]
-    for key, value in new.items():
-        if key not in span.value:
-            name = json.dumps(key, ensure_ascii=False)
-            pieces.append((lead + name + style.colon + style.written(value, lead), ""))
-    return "{" + _joined(pieces, text[members[-1].end : members[-1].trail]) + "}"
-
-
-def _array(span: _Span, new: list[Any], text: str, style: _Style) -> str:
-    items = _spans(text, span.start)
-    pieces = [_piece(item, value, text, style) for item, value in zip(items, new, strict=False)]
-    lead = text[items[-1].lead : items[-1].start]
-    pieces += [(lead + style.written(value, lead), "") for value in new[len(items) :]]
-    return "[" + _joined(pieces, text[items[-1].end : items[-1].trail]) + "]"
+def _members(span: _Span, new: Any, text: str, style: _Style) -> str:
+    """Return an object or array; what followed its last member in the source closes it."""
+    old = _spans(text, span.start)
+    if isinstance(new, dict):
+        kept = [(member, new[member.key]) for member in old if member.key in new]
+        names = {key: json.dumps(key, ensure_ascii=False) + style.colon for key in new}
+        added = [(names[key], value) for key, value in new.items() if key not in span.value]
+    else:
+        kept = list(zip(old, new, strict=False))
+        added = [("", value) for value in new[len(old) :]]
+    lead = text[old[-1].lead : old[-1].key_start]
+    pieces = [_piece(member, value, text, style) for member, value in kept]
+    pieces += [(lead + name + style.written(value, lead), "") for name, value in added]
+    joined = ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])])
+    return text[span.start] + joined + text[old[-1].end : old[-1].trail + 1]
 
 
 def _piece(span: _Span, new: object, text: str, style: _Style) -> tuple[str, str]:
     """Return a member or item with what precedes it, and the white space between it and its comma."""
     trail = text[span.end : span.trail] if text[span.trail] == "," else ""
     return text[span.lead : span.start] + _value(span, new, text, style), trail
-
-
-def _joined(pieces: list[tuple[str, str]], close: str) -> str:
-    """Join pieces with commas; what followed the last one of the source closes the result."""
-    return ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])]) + close

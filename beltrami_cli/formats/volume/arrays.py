@@ -1,4 +1,4 @@
-"""Level sets and their colours in NumPy archives.
+"""Level sets and their colours: which format a file has, by its content, and those in NumPy archives.
 
 Arrays, by their names; all but the first are optional:
 
@@ -18,8 +18,8 @@ Arrays, by their names; all but the first are optional:
 
 from __future__ import annotations
 
-import importlib
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,21 +27,48 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive
+from beltrami_cli.formats.volume.nrrd import checked_lattice, read_nrrd, read_nrrd_colours
 from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
 
+_NRRD = b"NRRD000"
+_OPENVDB = b" BDV\0\0\0\0"
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")
 _CHANNELS = 4
 _SIDE = 2  # a cell has two samples along each axis
-# Any unit of length from picometres to light hours; squares fit into float32.
-_SMALLEST, _LARGEST = 1e-12, 1e12
-_UNLIKE = 1e4  # how much longer than others a step may be
-_FURTHEST = 1e9  # steps from the origin: doubles resolve millionths of a step there
-_FLAT = 1e-6  # directions closer to one plane than that are a mistake
 
 
-def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
-    """Read a level set and its colours, as `read_volume`."""
+def is_volume(data: bytes, name: str) -> bool:
+    """Whether a file is a level set, or claims to be one; InputError if it is a damaged archive of arrays."""
+    if data.startswith((_NRRD, _OPENVDB)):
+        return True
+    return NpzArchive.recognises(data) and NpzArchive(data, name).kind() == "level set"
+
+
+def read_volume(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
+    """Read a level set of at most `most` samples; InputError if it cannot be read."""
+    if data.startswith(_OPENVDB):
+        cause = "it is an OpenVDB file, for which there is no Python package to read it"
+        remedy = "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd"
+        raise InputError(name, cause, remedy)
+    if data.startswith(_NRRD):
+        return read_nrrd(data, name, folder, most)
+    return _read_npz(NpzArchive(data, name), name, most)
+
+
+def read_colours(data: bytes, name: str, folder: Path | None, most: int) -> GridColours | NearColours | None:
+    """Read a file of colours for a level set as `read_volume`; None if it is no volume and no archive."""
+    if data.startswith(_NRRD):
+        return read_nrrd_colours(data, name, folder, most)
+    if not NpzArchive.recognises(data):
+        return None
+    colours = _npz_colours(NpzArchive(data, name), name, most)
+    if colours is None:
+        raise InputError(name, "there is no array colours in it", "name it so, or points and point_colours")
+    return colours
+
+
+def _read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
     key = archive.first(LEVEL_SET_KEYS)
     if key is None:
         cause = f"there is no array of values among {', '.join(archive.names)}"
@@ -60,14 +87,13 @@ def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
         archive.read(key, most),
         mask,
         None if level is None else float(level[0]),
-        read_npz_colours(archive, name, most, shape),
+        _npz_colours(archive, name, most, shape),
     )
 
 
-def read_npz_colours(
+def _npz_colours(
     archive: NpzArchive, name: str, most: int, shape: tuple[int, ...] | None = None
 ) -> GridColours | NearColours | None:
-    """Read colours on the grid, of a given shape, or at points; None if the archive has none."""
     if "points" in archive.names:
         return _near(archive, name, most)
     key = archive.first(_COLOURS)
@@ -119,28 +145,3 @@ def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) 
 def _require(holds: Any, name: str, cause: str) -> None:
     if not holds:
         raise InputError(name, cause, "see the arrays that a level set has in `beltrami smooth --help`")
-
-
-def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
-    """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
-    if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
-        raise InputError(name, "its spacing or origin is not finite", "repair it")
-    longest = np.abs(axes).max(axis=1)
-    if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
-        steps = ", ".join(f"{step:g}" for step in longest)
-        cause = f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and much alike"
-        raise InputError(name, cause, "choose another unit")
-    if np.abs(origin).max() > _FURTHEST * longest.min():
-        raise InputError(name, "its origin is too far away for its spacing", "move it")
-    if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
-        raise InputError(name, "its space directions lie in one plane", "repair them")
-    return Lattice(axes, origin)
-
-
-def require_package(module: str, package: str, name: str, purpose: str) -> Any:
-    """Import a module of the extra for volumes; InputError that names the extra if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        cause = f"{purpose}, the package {package} is needed"
-        raise InputError(name, cause, "install it with: pip install 'beltrami-cli[volumes]'") from error

@@ -11,6 +11,7 @@ References
 from __future__ import annotations
 
 import bz2
+import importlib
 import io
 import math
 import warnings
@@ -24,7 +25,6 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.volume.arrays import checked_lattice, require_package
 from beltrami_cli.surface.level_set import GridColours, Lattice, Volume
 
 _CHANNELS = 4
@@ -35,6 +35,11 @@ _LONGEST_HEADER = 1 << 16
 _SPATIAL_KINDS = ("domain", "space")
 _UNKNOWN_KINDS = ("???", "none")
 _REPAIR = "write the file again"
+# Any unit of length from picometres to light hours; squares fit into float32.
+_SMALLEST, _LARGEST = 1e-12, 1e12
+_UNLIKE = 1e4  # how much longer than others a step may be
+_FURTHEST = 1e9  # steps from the origin: doubles resolve millionths of a step there
+_FLAT = 1e-6  # directions closer to one plane than that are a mistake
 # What pynrrd raises for headers and data that it does not understand, besides errors of its own.
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
 
@@ -211,3 +216,28 @@ def _finite(values: Any, axes: Sequence[int]) -> Float64s:
     if values is None or len(values) <= max(axes):
         return np.full(3, np.nan)
     return np.array([float(values[axis]) for axis in axes])
+
+
+def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
+    """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
+    if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
+        raise InputError(name, "its spacing or origin is not finite", "repair it")
+    longest = np.abs(axes).max(axis=1)
+    if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
+        steps = ", ".join(f"{step:g}" for step in longest)
+        cause = f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and much alike"
+        raise InputError(name, cause, "choose another unit")
+    if np.abs(origin).max() > _FURTHEST * longest.min():
+        raise InputError(name, "its origin is too far away for its spacing", "move it")
+    if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
+        raise InputError(name, "its space directions lie in one plane", "repair them")
+    return Lattice(axes, origin)
+
+
+def require_package(module: str, package: str, name: str, purpose: str) -> Any:
+    """Import a module of the extra for volumes; InputError that names the extra if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        cause = f"{purpose}, the package {package} is needed"
+        raise InputError(name, cause, "install it with: pip install 'beltrami-cli[volumes]'") from error
