@@ -53,7 +53,7 @@ class GltfDocument(Document):
 
     @cached_property
     def surface(self) -> painted.Surface:
-        surface = painted.gather(self.root, self.accessors, self.places)
+        surface = painted.Surface(self.root, self.accessors, self.places)
         self.notices += surface.notices()
         return surface
 
@@ -128,8 +128,7 @@ class GltfDocument(Document):
             alpha = _opacity(self.stored_colours)
             rows = values if alpha is None else np.column_stack([values, alpha])
             for block in self.surface.blocks:
-                own = rows[block.first_row : block.first_row + block.count]
-                by_primitive |= dict.fromkeys(block.users, own)
+                by_primitive |= dict.fromkeys(block.users, rows[block.rows])
         known, source = (self.root, self.accessors, self.images), PurePath(self.name).stem
         mesh = read_textured_mesh(*known, by_primitive, stored, source)
         others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.compression import draco_extension
 from beltrami_cli.formats.gltf.json_tree import Entry
@@ -129,9 +129,11 @@ def _rotation(node: Entry) -> Float64s:
     )
 
 
-def in_world(positions: Float64s, placement: Placement, accessors: Accessors, index: int) -> Float64s:
-    """Return positions of an accessor, shape (n, 3), in the common space."""
-    matrix = placement.matrix
+def in_world(
+    placement: Placement, accessors: Accessors, index: int, used: slice | Bools = slice(None)
+) -> Float64s:
+    """Return positions of an accessor, or those that are used, shape (n, 3), in the common space."""
+    positions, matrix = accessors.values(index)[used], placement.matrix
     with np.errstate(over="ignore", invalid="ignore"):
         moved: Float64s = positions @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(moved).all():

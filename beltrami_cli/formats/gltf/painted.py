@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf import geometry
@@ -19,6 +19,7 @@ from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.columns import Column, exchange
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MovedVertices, PaintedVertices
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
@@ -41,19 +42,29 @@ class Block:
     members: set[int] = field(default_factory=set)
     users: list[tuple[int, int]] = field(default_factory=list)
 
+    @property
+    def rows(self) -> slice:
+        return slice(self.first_row, self.first_row + self.count)
+
 
 class Surface:
-    """All blocks and their triangles, which grow as primitives are taken one by one."""
+    """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
-    def __init__(self, accessors: Accessors) -> None:
+    def __init__(self, root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> None:
         self.accessors = accessors
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
         self._faces: dict[Hashable, Int32s] = {}
         self._rows = 0
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
+        for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
+            for part, primitive in enumerate(mesh.entries("primitives")):
+                self._take(primitive, placement, (number, part))
+        if not self.blocks:
+            remedy = "paint the vertices first, or bake the texture into them"
+            raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
 
-    def take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
+    def _take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
         if "COLOR_0" not in primitive.entry("attributes"):
             self._counts["uncoloured"] += 1
             return
@@ -126,26 +137,14 @@ class Surface:
         return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
 
 
-def gather(root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> Surface:
-    """Gather all primitives that have COLOR_0, in file order; UnpaintedError if there are none."""
-    surface = Surface(accessors)
-    for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
-        for part, primitive in enumerate(mesh.entries("primitives")):
-            surface.take(primitive, placement, (number, part))
-    if not surface.blocks:
-        remedy = "paint the vertices first, or bake the texture into them"
-        raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
-    return surface
-
-
 def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[Stored]) -> PaintedVertices:
     """Return the rows of all blocks; `colours` are those of each block as stored."""
     blocks = surface.blocks
     types = {numbers.dtype.name for numbers in colours}
     spaces = np.concatenate([np.full(block.count, block.placement.space, np.int32) for block in blocks])
     fraction = np.concatenate([fractions(numbers[:, :3]) for numbers in colours])
-    places = [(accessors.values(block.position), block.placement, block.position) for block in blocks]
-    positions = [geometry.in_world(at, placement, accessors, index) for at, placement, index in places]
+    places = [(block.position, block.placement) for block in blocks]
+    positions = [geometry.in_world(placement, accessors, index) for index, placement in places]
     return PaintedVertices(
         positions=np.concatenate(positions),
         faces=surface.faces,
@@ -206,10 +205,9 @@ def recolour(
         raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
     columns, numbers = [], []
     for block, before in zip(blocks, stored, strict=True):
-        rows = slice(block.first_row, block.first_row + block.count)
         after = before.copy()
-        differs = new[rows] != old[rows]
-        after[:, :3][differs] = quantised(new[rows][differs], before.dtype)
+        differs = new[block.rows] != old[block.rows]
+        after[:, :3][differs] = quantised(new[block.rows][differs], before.dtype)
         columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
         numbers.append((before, after))
     exchange(edit, columns, numbers)
@@ -231,12 +229,12 @@ def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
 
 def move(edit: Edit, blocks: Sequence[Block], old: Float64s, places: MovedVertices) -> None:
     """Put new positions, and normals if there are any, into a file; only rows that differ from `old` are written."""
-    moves = places.positions - old
-    _exchange_shared(edit, "POSITION", [(block, block.position) for block in blocks], _moved(moves))
+    held = [(block, block.position) for block in blocks]
+    _exchange_shared(edit, "POSITION", held, places.positions - old, _moved)
     normals, stale = places.normals, set()
     if normals is not None:
         held = [(block, block.normal) for block in blocks if block.normal is not None]
-        _exchange_shared(edit, "NORMAL", held, _turned(normals))
+        _exchange_shared(edit, "NORMAL", held, normals, _turned)
     elif any(block.normal is not None for block in blocks):
         stale.add("normals")
     meshes = edit.container.root.entries("meshes")
@@ -246,39 +244,31 @@ def move(edit: Edit, blocks: Sequence[Block], old: Float64s, places: MovedVertic
     edit.notices += [_STALE.format(what) for what in sorted(stale)]
 
 
-def _moved(moves: Float64s) -> Callable[[Block, Stored], Stored]:
-    def renew(block: Block, before: Stored) -> Stored:
-        mine = moves[block.first_row : block.first_row + block.count]
-        rows = mine.any(axis=1)
-        back = np.linalg.inv(block.placement.matrix[:3, :3]).T
-        after = before.copy()
-        after[rows] = (before[rows].astype(np.float64) + mine[rows] @ back).astype(before.dtype)
-        return after
-
-    return renew
+def _moved(block: Block, before: Stored, moves: Array) -> Stored:
+    rows = moves.any(axis=1)
+    back = np.linalg.inv(block.placement.matrix[:3, :3]).T
+    after = before.copy()
+    after[rows] = (before[rows].astype(np.float64) + moves[rows] @ back).astype(before.dtype)
+    return after
 
 
-def _turned(normals: Float32s) -> Callable[[Block, Stored], Stored]:
-    def renew(block: Block, before: Stored) -> Stored:
-        mine = normals[block.first_row : block.first_row + block.count].astype(np.float64)
-        rows = ~np.isnan(mine).any(axis=1)
-        # Normals went to the common space by the inverse transpose.
-        local = mine[rows] @ block.placement.matrix[:3, :3]
-        local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        after = before.copy()
-        if before.dtype.kind == "f":
-            after[rows] = local
-        else:
-            after[rows] = np.rint(local * np.iinfo(before.dtype).max)
-        return after
-
-    return renew
+def _turned(block: Block, before: Stored, normals: Array) -> Stored:
+    rows = ~np.isnan(normals).any(axis=1)
+    # Normals went to the common space by the inverse transpose.
+    local = unit_vectors(normals[rows].astype(np.float64) @ block.placement.matrix[:3, :3])
+    after = before.copy()
+    after[rows] = local if before.dtype.kind == "f" else np.rint(local * np.iinfo(before.dtype).max)
+    return after
 
 
 def _exchange_shared(
-    edit: Edit, attribute: str, held: Sequence[tuple[Block, int]], renew: Callable[[Block, Stored], Stored]
+    edit: Edit,
+    attribute: str,
+    held: Sequence[tuple[Block, int]],
+    rows: Array,
+    renew: Callable[[Block, Stored, Array], Stored],
 ) -> None:
-    """Exchange an attribute of all blocks, which may share its numbers."""
+    """Exchange an attribute of all blocks, which may share its numbers; it is renewed by what is new of their rows."""
     accessors = edit.accessors
     # By primitives, painted or not.
     named = {
@@ -290,7 +280,7 @@ def _exchange_shared(
     columns: dict[Hashable, tuple[Column, Stored, Stored]] = {}
     for block, index in held:
         before = accessors.stored(index)
-        after, key = renew(block, before), accessors.identity(index)
+        after, key = renew(block, before, rows[block.rows]), accessors.identity(index)
         if key not in columns:
             same = {other for other in named if accessors.identity(other) == key}
             columns[key] = Column(attribute, index, same, block.users, block.position), before, after

@@ -129,15 +129,12 @@ class _SurfaceReading:
     def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
         index = geometry.fitting_accessor(primitive, use.coordinates, self.accessors, "VEC2", count)
-        uv = use.placed(self._values(index))
+        if index not in self._decoded:  # parts of one large mesh may share it
+            self._decoded[index] = self.accessors.values(index)
+        uv = use.placed(self._decoded[index])
         if not np.isfinite(uv).all():
             raise use.info.fault("extensions", "its transform moves texture coordinates to infinity")
         return uv
-
-    def _values(self, index: int) -> Float64s:
-        if index not in self._decoded:
-            self._decoded[index] = self.accessors.values(index)
-        return self._decoded[index]
 
     def surface(self) -> records.TexturedSurface:
         positions, faces, spaces, rows = [], [], [], 0  # without vertices that no triangle uses
@@ -152,9 +149,8 @@ class _SurfaceReading:
             rows += int(np.count_nonzero(used))
             if rows > _MOST_ROWS:
                 raise self.accessors[part.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
-            values = self._values(part.position)[used]
-            positions.append(geometry.in_world(values, part.placement, self.accessors, part.position))
-            spaces.append(np.full(len(values), space_of[part.placement.space, part.look], np.int32))
+            positions.append(geometry.in_world(part.placement, self.accessors, part.position, used))
+            spaces.append(np.full(len(positions[-1]), space_of[part.placement.space, part.look], np.int32))
         drawn = [each for part in self.parts.values() for each in part.drawn]
         return records.TexturedSurface(
             positions=np.concatenate(positions),
@@ -265,7 +261,7 @@ class _MeshReading:
         material = primitive.integer("material", below=last) if "material" in primitive else last
         use = self._materials.placed[material]
         self._note_others(attributes, use)
-        positions = geometry.in_world(self._accessors.values(index), placement, self._accessors, index)
+        positions = geometry.in_world(placement, self._accessors, index)
         uv = self._coordinates(primitive, use, count)
         given = self._values(primitive, "NORMAL", "VEC3", count)
         normals = np.full((count, 3), np.nan) if given is None else geometry.turned(given, placement.matrix)
