@@ -32,7 +32,7 @@ class Column:
     attribute: str  # "COLOR_0", "POSITION" or "NORMAL"
     accessor: int  # where they are read
     members: Set[int]  # all accessors over these numbers that primitives name as this attribute
-    users: Sequence[tuple[int, int]]  # painted primitives that do: mesh, and index in the mesh
+    users: Collection[tuple[int, int]]  # painted primitives that do: mesh, and index in the mesh
     position: int  # accessor of the positions that they belong to
 
 

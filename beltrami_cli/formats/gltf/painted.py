@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -26,6 +27,7 @@ _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, th
 _MOST_ROWS = np.iinfo(np.int32).max
 _OTHERWISE = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
 _INDICES = ("JOINTS_", "WEIGHTS_")
+_STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
 
 
 @dataclass
@@ -38,9 +40,13 @@ class Block:
     first_row: int
     count: int
     normal: int | None  # accessor of the normals of the first primitive
-    # Accessors over these colours that primitives name as COLOR_0, and those primitives: mesh, and index in the mesh.
+    # Accessors over these colours that primitives name as COLOR_0, and those primitives by mesh, and index in the mesh.
     members: set[int] = field(default_factory=set)
-    users: list[tuple[int, int]] = field(default_factory=list)
+    users: dict[tuple[int, int], Entry] = field(default_factory=dict)
+
+    @property
+    def first_user(self) -> Entry:
+        return next(iter(self.users.values()))
 
     @property
     def rows(self) -> slice:
@@ -101,7 +107,7 @@ class Surface:
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.members.add(colour)
-        block.users.append(number)
+        block.users[number] = primitive
         if self.accessors.identity(block.position) != place:
             self._counts["elsewhere"] += 1
             return None
@@ -119,10 +125,6 @@ class Surface:
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
         return index
 
-    @property
-    def faces(self) -> Int32s:
-        return np.concatenate([np.empty((0, 3), np.int32), *self._faces.values()])
-
     def notices(self) -> list[str]:
         """Return what the user should know about what was left out."""
         sentences = {
@@ -136,112 +138,108 @@ class Surface:
         }
         return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
 
+    @cached_property
+    def stored_colours(self) -> list[Stored]:
+        """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
+        return [self.accessors.finite(block.colour, "colour") for block in self.blocks]
 
-def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[Stored]) -> PaintedVertices:
-    """Return the rows of all blocks; `colours` are those of each block as stored."""
-    blocks = surface.blocks
-    types = {numbers.dtype.name for numbers in colours}
-    spaces = np.concatenate([np.full(block.count, block.placement.space, np.int32) for block in blocks])
-    fraction = np.concatenate([fractions(numbers[:, :3]) for numbers in colours])
-    places = [(block.position, block.placement) for block in blocks]
-    positions = [geometry.in_world(placement, accessors, index) for index, placement in places]
-    return PaintedVertices(
-        positions=np.concatenate(positions),
-        faces=surface.faces,
-        colours=fraction,
-        channels=("red", "green", "blue"),
-        encoding="linear",
-        stored=next(kind for kind in _COLOUR_TYPES if kind in types),
-        space_of=spaces if np.any(spaces != spaces[0]) else None,
-    )
+    def vertices(self) -> PaintedVertices:
+        """Return the rows of all blocks."""
+        spaces = np.concatenate([np.full(each.count, each.placement.space, np.int32) for each in self.blocks])
+        places = [(block.placement, self.accessors, block.position) for block in self.blocks]
+        types = {numbers.dtype.name for numbers in self.stored_colours}
+        return PaintedVertices(
+            positions=np.concatenate([geometry.in_world(*place) for place in places]),
+            faces=np.concatenate([np.empty((0, 3), np.int32), *self._faces.values()]),
+            colours=np.concatenate([fractions(numbers[:, :3]) for numbers in self.stored_colours]),
+            channels=("red", "green", "blue"),
+            encoding="linear",
+            stored=next(kind for kind in _COLOUR_TYPES if kind in types),
+            space_of=spaces if np.any(spaces != spaces[0]) else None,
+        )
 
-
-def normals_of(blocks: Sequence[Block], accessors: Accessors) -> Float32s | None:
-    """Return unit normals in world space if every block has them; those of length zero stay zero."""
-    parts = []
-    for block in blocks:
-        if block.normal is None:
+    def opacity(self) -> Float32s | None:
+        """Return the opacity of all rows in [0, 1], None if no block has any."""
+        if all(numbers.shape[1] == 3 for numbers in self.stored_colours):
             return None
-        parts.append(geometry.turned(accessors.values(block.normal), block.placement.matrix))
-    return np.concatenate(parts).astype(np.float32)
+        opaque = np.ones(self._rows, np.float32)
+        for block, numbers in zip(self.blocks, self.stored_colours, strict=True):
+            if numbers.shape[1] == 4:
+                opaque[block.rows] = np.clip(fractions(numbers[:, 3]), 0, 1)
+        return opaque
 
+    def normals(self) -> Float32s | None:
+        """Return unit normals in world space if every block has them; those of length zero stay zero."""
+        parts = []
+        for block in self.blocks:
+            if block.normal is None:
+                return None
+            parts.append(geometry.turned(self.accessors.values(block.normal), block.placement.matrix))
+        return np.concatenate(parts).astype(np.float32)
 
-def attribute_names(root: Entry, blocks: Sequence[Block]) -> tuple[str, ...]:
-    """Return the attributes that all blocks have; "normal" for their normals."""
-    held = [set(_first_user(root, block).entry("attributes").value) for block in blocks]
-    common = set.intersection(*held) if held else set()
-    others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
-    return (*(("normal",) if "NORMAL" in common else ()), *others)
+    def attribute_names(self) -> tuple[str, ...]:
+        """Return the attributes that all blocks have; "normal" for their normals."""
+        held = [set(block.first_user.entry("attributes").value) for block in self.blocks]
+        common = set.intersection(*held)
+        others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
+        return (*(("normal",) if "NORMAL" in common else ()), *others)
 
+    def attribute(self, name: str) -> Float64s:
+        """Read an attribute of all blocks, shape (V, G)."""
+        parts: list[Float64s] = []
+        for block in self.blocks:
+            index = geometry.attribute_accessor(block.first_user, name, self.accessors)
+            values = self.accessors.values(index)
+            if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
+                cause = (
+                    f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
+                )
+                if parts and len(values) == block.count:
+                    cause += f" of {parts[0].shape[1]} numbers elsewhere"
+                raise block.first_user.entry("attributes").fault(name, cause)
+            parts.append(values)
+        return np.concatenate(parts)
 
-def read_attribute(root: Entry, blocks: Sequence[Block], accessors: Accessors, name: str) -> Float64s:
-    """Read an attribute of all blocks, shape (V, G)."""
-    parts: list[Float64s] = []
-    for block in blocks:
-        primitive = _first_user(root, block)
-        values = accessors.values(geometry.attribute_accessor(primitive, name, accessors))
-        if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
-            cause = f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
-            if parts and len(values) == block.count:
-                cause += f" of {parts[0].shape[1]} numbers elsewhere"
-            raise primitive.entry("attributes").fault(name, cause)
-        parts.append(values)
-    return np.concatenate(parts)
+    def recolour(self, edit: Edit, old: Float32s, new: Float32s) -> None:
+        """Put new colours (V, 3) into a file; only entries that differ from the old ones change."""
+        if new.shape != old.shape or not np.isfinite(new).all():
+            raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
+        columns, numbers = [], []
+        for block, before in zip(self.blocks, self.stored_colours, strict=True):
+            after = before.copy()
+            differs = new[block.rows] != old[block.rows]
+            after[:, :3][differs] = quantised(new[block.rows][differs], before.dtype)
+            columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
+            numbers.append((before, after))
+        exchange(edit, columns, numbers)
 
+    def require_movable(self) -> None:
+        """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
+        for block in self.blocks:
+            accessor = self.accessors[block.position]
+            if self.accessors.is_added(block.position):
+                remedy = "decompress the model first with a glTF optimiser"
+                raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
+            if accessor.component.kind != "f":
+                kind = f"{accessor.component.name} (KHR_mesh_quantization)"
+                cause = f"positions are {kind}, which cannot hold smoothed ones"
+                raise accessor.entry.fault(
+                    "componentType", cause, "store them as floats, with a glTF optimiser"
+                )
+            if abs(np.linalg.det(block.placement.matrix[:3, :3])) < np.finfo(np.float64).tiny:
+                raise accessor.entry.fault("", "its node scales the positions to nothing")
 
-def _first_user(root: Entry, block: Block) -> Entry:
-    mesh, part = block.users[0]
-    return root.entries("meshes")[mesh].entries("primitives")[part]
-
-
-_STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
-
-
-def recolour(
-    edit: Edit, blocks: Sequence[Block], stored: Sequence[Stored], old: Float32s, new: Float32s
-) -> None:
-    """Put new colours (V, 3) into a file; `stored` are those of each block, and only entries that differ change."""
-    if new.shape != old.shape or not np.isfinite(new).all():
-        raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-    columns, numbers = [], []
-    for block, before in zip(blocks, stored, strict=True):
-        after = before.copy()
-        differs = new[block.rows] != old[block.rows]
-        after[:, :3][differs] = quantised(new[block.rows][differs], before.dtype)
-        columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
-        numbers.append((before, after))
-    exchange(edit, columns, numbers)
-
-
-def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
-    """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
-    for block in blocks:
-        accessor = accessors[block.position]
-        if accessors.is_added(block.position):
-            remedy = "decompress the model first with a glTF optimiser"
-            raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
-        if accessor.component.kind != "f":
-            cause = f"positions are {accessor.component.name} (KHR_mesh_quantization), which cannot hold smoothed ones"
-            raise accessor.entry.fault("componentType", cause, "store them as floats, with a glTF optimiser")
-        if abs(np.linalg.det(block.placement.matrix[:3, :3])) < np.finfo(np.float64).tiny:
-            raise accessor.entry.fault("", "its node scales the positions to nothing")
-
-
-def move(edit: Edit, blocks: Sequence[Block], old: Float64s, places: MovedVertices) -> None:
-    """Put new positions, and normals if there are any, into a file; only rows that differ from `old` are written."""
-    held = [(block, block.position) for block in blocks]
-    _exchange_shared(edit, "POSITION", held, places.positions - old, _moved)
-    normals, stale = places.normals, set()
-    if normals is not None:
-        held = [(block, block.normal) for block in blocks if block.normal is not None]
-        _exchange_shared(edit, "NORMAL", held, normals, _turned)
-    elif any(block.normal is not None for block in blocks):
-        stale.add("normals")
-    meshes = edit.container.root.entries("meshes")
-    for mesh, part in (user for block in blocks for user in block.users):
-        if "TANGENT" in meshes[mesh].entries("primitives")[part].entry("attributes"):
-            stale.add("tangents")
-    edit.notices += [_STALE.format(what) for what in sorted(stale)]
+    def move(self, edit: Edit, old: Float64s, places: MovedVertices) -> None:
+        """Put new positions, and normals if there are any, into a file; only rows that change are written."""
+        positions = [(block, block.position) for block in self.blocks]
+        _exchange_shared(edit, "POSITION", positions, places.positions - old, _moved)
+        normals = [(block, block.normal) for block in self.blocks if block.normal is not None]
+        stale = {"normals"} if normals and places.normals is None else set()
+        if places.normals is not None:
+            _exchange_shared(edit, "NORMAL", normals, places.normals, _turned)
+        users = [user for block in self.blocks for user in block.users.values()]
+        stale |= {"tangents"} if any("TANGENT" in user.entry("attributes") for user in users) else set()
+        edit.notices += [_STALE.format(what) for what in sorted(stale)]
 
 
 def _moved(block: Block, before: Stored, moves: Array) -> Stored:
