@@ -113,7 +113,7 @@ class NpzArchive:
     """An opened archive; InputError if it is damaged. `names` are the arrays in it."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        self._name = name
+        self.name = name
         with self._refusing_damage():
             self._archive = zipfile.ZipFile(io.BytesIO(data))
         members = (member.filename for member in self._archive.infolist())
@@ -156,7 +156,7 @@ class NpzArchive:
         if most is not None and header.count > most:
             has = f"has {header.count} numbers, and {most} are allowed"
             cause = f"the array {key} of shape {header.shape} {has}"
-            raise InputError(self._name, cause, "raise --max-voxels or --max-memory")
+            raise InputError(self.name, cause, "raise --max-voxels or --max-memory")
         with self._refusing_damage(f"the array {key}", _SAVE), self._archive.open(f"{key}.npy") as file:
             file.read(header.offset)
             data = file.read(header.size)
@@ -167,7 +167,7 @@ class NpzArchive:
 
     def require_ratio(self, key: str) -> None:
         member = self._archive.getinfo(f"{key}.npy")
-        require_ratio(self._name, f"the array {key}", member.compress_size, member.file_size)
+        require_ratio(self.name, f"the array {key}", member.compress_size, member.file_size)
 
     def members(self) -> dict[str, bytes]:
         """Return the contents of all members by their file names; InputError if one cannot be unpacked."""
@@ -192,10 +192,10 @@ class NpzArchive:
     def _refusing_damage(
         self, what: str = "the archive", remedy: str = "write it again"
     ) -> contextlib.AbstractContextManager[None]:
-        return _refusing_damage(self._name, what, remedy)
+        return _refusing_damage(self.name, what, remedy)
 
     def _error(self, key: str, cause: str) -> InputError:
-        return InputError(self._name, f"the array {key} {cause}", _SAVE)
+        return InputError(self.name, f"the array {key} {cause}", _SAVE)
 
 
 def read_npy(data: bytes, name: str) -> Array:

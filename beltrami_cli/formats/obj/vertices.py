@@ -52,18 +52,19 @@ class Vertices:
     notice: str  # how numbers were understood that can mean two things, or empty
 
 
-def _read_vertices(statements: Statements, name: str) -> Vertices:
+def _read_vertices(statements: Statements) -> Vertices:
     """Read all vertices; InputError names the line of one that is not made of 3 to 8 finite numbers."""
     chosen = statements.select(b"v")
     if not chosen.size:
-        raise InputError(name, "there are no vertices ('v' lines)", "is this a Wavefront OBJ file?")
+        cause = "there are no vertices ('v' lines)"
+        raise InputError(statements.name, cause, "is this a Wavefront OBJ file?")
     tokens, offsets = statements.arguments(chosen)
     sizes = np.diff(offsets)
     strange = ~np.isin(sizes, _SIZES)
     if strange.any():
         bad = int(np.argmax(strange))
         line = statements.line(statements.heads[chosen[bad]])
-        raise InputError(name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
+        raise InputError(statements.name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
     values = statements.finite_numbers(tokens)
     weights, notice = False, ""  # whether the fourth of seven numbers is a weight
     firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
@@ -215,7 +216,7 @@ class Scan:
 def scan_file(data: bytes, name: str) -> Scan:
     """Read an OBJ file; InputError names the line of a statement that is damaged."""
     statements = Statements(data, name)
-    vertices, polypaint = _read_vertices(statements, name), None
+    vertices, polypaint = _read_vertices(statements), None
     notices = []
     if not vertices.coloured.size:
         polypaint = _read_polypaint(data, len(vertices.positions), name)

@@ -47,7 +47,7 @@ class PlyDocument(Document):
         return self._paint.channels
 
     def grid(self) -> Int64s | None:
-        return elements.read_grid(self.data[: self._header.end], self._tables, self.name)
+        return elements.read_grid(self.data[: self._header.end], self._tables)
 
     def has_vertex_colours(self) -> bool:
         try:
@@ -96,7 +96,7 @@ class PlyDocument(Document):
         return elements.attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
     def _attribute(self, name: str) -> Float64s:
-        return elements.read_attribute(self._vertices, name, self.name)
+        return elements.read_attribute(self._vertices, name)
 
     def require_movable(self) -> None:
         whole = ", ".join(name for name in elements.POSITION if self._kinds[name][0] != "f")
@@ -177,17 +177,17 @@ class PlyDocument(Document):
 
     @cached_property
     def _paint(self) -> elements.Paint:
-        return elements.find_paint(self._header, self._vertices, self.name)
+        return elements.find_paint(self._header, self._vertices)
 
     @cached_property
     def _colours(self) -> elements.Colours:
-        colours = elements.read_colours(self._vertices, self._paint, self.name)
+        colours = elements.read_colours(self._vertices, self._paint)
         self.notices += [colours.notice] if colours.notice else []
         return colours
 
     @cached_property
     def _positions(self) -> Float64s:
-        return elements.finite_columns(self._vertices, elements.POSITION, "position", self.name)
+        return elements.finite_columns(self._vertices, elements.POSITION, "position")
 
     @cached_property
     def _measured(self) -> Float64s:
@@ -203,7 +203,7 @@ class PlyDocument(Document):
     def _alpha(self) -> Float32s | None:
         if not self._paint.alpha:
             return None
-        alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha", self.name)[:, 0]
+        alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha")[:, 0]
         kind = self._kinds[self._paint.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
         scale = self._colours.scale if kind == self._paint.type else scale
@@ -217,7 +217,7 @@ class PlyDocument(Document):
         if not self._has_normals:
             return None
         largest = np.finfo(np.float32).max
-        normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal", self.name)
+        normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal")
         return np.clip(normals, -largest, largest).astype(np.float32)
 
 

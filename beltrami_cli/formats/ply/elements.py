@@ -57,9 +57,9 @@ class Paint:
         return ("intensity",) if self.any_range else ("grey",)
 
 
-def find_paint(header: Header, vertices: Table, name: str) -> Paint:
+def find_paint(header: Header, vertices: Table) -> Paint:
     """Find the colour properties; InputError if there are none, or they are signed or of several types."""
-    types = vertices.element.scalars
+    types, name = vertices.element.scalars, vertices.body.name
     for names, alpha in _COLOURS:
         if all(known in types for known in names):
             kinds = {types[known] for known in names}
@@ -101,7 +101,7 @@ class Colours(NamedTuple):
     notice: str  # about the scale, or empty
 
 
-def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
+def read_colours(vertices: Table, paint: Paint) -> Colours:
     """Read the colours of all vertices, of which there is one at least."""
     values = np.empty((vertices.element.count, len(paint.names)), np.float32)
     if paint.type[0] == "u":
@@ -111,21 +111,21 @@ def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
             scale = BYTE
             notice = "Vertex colours are 32-bit integers up to 255 and are taken for numbers of 0..255."
     else:
-        stored = finite_columns(vertices, paint.names, "colour", name)
-        scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, name)
+        stored = finite_columns(vertices, paint.names, "colour")
+        scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, vertices.body.name)
         columns = list(stored.T)
     for channel, column in enumerate(columns):
         values[:, channel] = column / scale
     return Colours(values, scale, notice)
 
 
-def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> Float64s:
+def finite_columns(vertices: Table, names: tuple[str, ...], what: str) -> Float64s:
     """Read some scalars of all vertices, shape (V, len(names)); InputError if one is not finite."""
     values = np.empty((vertices.element.count, len(names)))
     with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
         for column, known in enumerate(names):
             values[:, column] = vertices.scalars(known)
-    require_finite(values, name, f"the {what} of vertex")
+    require_finite(values, vertices.body.name, f"the {what} of vertex")
     return values
 
 
@@ -136,11 +136,11 @@ def attribute_names(kinds: Mapping[str, str], colours: tuple[str, ...]) -> tuple
     return (*(("normal",) if real else ()), *others)
 
 
-def read_attribute(vertices: Table, name: str, file: str) -> Float64s:
+def read_attribute(vertices: Table, name: str) -> Float64s:
     """Read an attribute of all vertices, shape (V, G); normals become unit vectors."""
     if name != "normal":
-        return finite_columns(vertices, (name,), name, file)
-    return unit_vectors(finite_columns(vertices, NORMAL, name, file))
+        return finite_columns(vertices, (name,), name)
+    return unit_vectors(finite_columns(vertices, NORMAL, name))
 
 
 _ELEMENT = "range_grid"
@@ -199,7 +199,7 @@ def _unroll(strips: Int64s, ends: Int64s) -> Int64s:
     return np.asarray(triangles[proper])
 
 
-def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s | None:
+def read_grid(header: bytes, tables: Mapping[str, Table]) -> Int64s | None:
     """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
     has_polygons = any(tables[other].element.count for other in VERTEX_LISTS if other in tables)
     if has_polygons or "vertex" not in tables:
@@ -209,7 +209,7 @@ def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s |
     columns = next((sizes[word] for word in _COLUMNS if word in sizes), 0)
     rows = next((sizes[word] for word in _ROWS if word in sizes), 0)
     if _ELEMENT in tables:
-        return _listed(tables[_ELEMENT], rows, columns, vertices, name)
+        return _listed(tables[_ELEMENT], rows, columns, vertices)
     camera = tables.get("camera")
     if camera is not None and camera.element.count == 1 and not (rows and columns):
         whole = {known for known, kind in camera.element.scalars.items() if kind[0] != "f"}
@@ -221,9 +221,9 @@ def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s |
     return np.arange(vertices).reshape(rows, columns)
 
 
-def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> Int64s:
+def _listed(table: Table, rows: int, columns: int, vertices: int) -> Int64s:
     """Read the element that lists a vertex, or none, for every place of the grid, row by row."""
-    places = table.element.count
+    places, name = table.element.count, table.body.name
     if rows * columns != places:
         said = f"obj_info num_cols and num_rows say {columns} and {rows}"
         cause = f"element {_ELEMENT} has {places} places, but {said}"

@@ -81,7 +81,7 @@ def gather_textured(
     if properties == (_OF_FACES,):
         values, bare = _face_coordinates(tables["face"], offsets, name)
     else:
-        values = finite_columns(tables["vertex"], properties, "texture coordinate", name)[corners]
+        values = finite_columns(tables["vertex"], properties, "texture coordinate")[corners]
         bare = np.zeros(len(offsets) - 1, np.bool_)
     cut, polygon = triangulate_corners(positions, corners, offsets)
     texture_of = np.where(bare, -1, of_number[numbers])[polygon]

@@ -156,7 +156,7 @@ class NpzPointsDocument(Document):
 
     @cached_property
     def _arrays(self) -> _Arrays:
-        arrays = _find_arrays(self._archive, self.name)
+        arrays = _find_arrays(self._archive)
         if not arrays.count:
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         keys = (arrays.positions, arrays.colours, *([arrays.faces] if arrays.faces else []))
@@ -191,11 +191,11 @@ class NpzPointsDocument(Document):
             return np.empty((0, 3), np.int32)
         shape = self._archive.header(key).shape
         cause = f"the array {key} is of shape {shape}, not (F, 3)"
-        _require(len(shape) == 2 and shape[1] == 3, self.name, cause)
+        _require(len(shape) == 2 and shape[1] == 3, self._archive, cause)
         faces = self._archive.read(key)
-        _require(faces.dtype.kind in "ui", self.name, f"the array {key} is not of whole numbers")
+        _require(faces.dtype.kind in "ui", self._archive, f"the array {key} is not of whole numbers")
         inside = not faces.size or (faces.min() >= 0 and int(faces.max()) < count)
-        _require(bool(inside), self.name, f"the array {key} names points outside 0 to {count - 1}")
+        _require(bool(inside), self._archive, f"the array {key} names points outside 0 to {count - 1}")
         return np.ascontiguousarray(faces, np.int32)
 
     @cached_property
@@ -229,18 +229,18 @@ class NpzPointsDocument(Document):
         return self._archive.read(key).reshape(self._arrays.count, -1)
 
 
-def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
+def _find_arrays(archive: NpzArchive) -> _Arrays:
     """Return which arrays are what, by their names and shapes; InputError if they do not go together."""
-    positions = _required(archive, POSITION_KEYS, "positions", name)
-    colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours", name)
+    positions = _required(archive, POSITION_KEYS, "positions")
+    colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours")
     shape = archive.header(positions).shape
     cause = f"the array {positions} is of shape {shape}, not (..., 3)"
-    _require(len(shape) >= 2 and shape[-1] == 3, name, cause)
+    _require(len(shape) >= 2 and shape[-1] == 3, archive, cause)
     points, found = shape[:-1], archive.header(colours).shape
     wide = found[len(points) :]
     fits = found[: len(points)] == points and len(wide) <= 1 and 1 <= math.prod(wide) <= _CHANNELS
-    _require(fits, name, f"the array {colours} is of shape {found}, and the positions of {shape}")
-    _require(archive.header(colours).dtype.kind != "b", name, f"the array {colours} is of booleans")
+    _require(fits, archive, f"the array {colours} is of shape {found}, and the positions of {shape}")
+    _require(archive.header(colours).dtype.kind != "b", archive, f"the array {colours} is of booleans")
     normals, faces = archive.first(_NORMAL_KEYS), archive.first(_FACE_KEYS)
     if normals is not None and archive.header(normals).shape != shape:
         normals = None
@@ -251,11 +251,12 @@ def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
     return _Arrays(positions, colours, normals, faces, points, channels - has_alpha, has_alpha, tuple(rest))
 
 
-def _required(archive: NpzArchive, keys: tuple[str, ...], what: str, name: str) -> str:
+def _required(archive: NpzArchive, keys: tuple[str, ...], what: str) -> str:
     key = archive.first(keys)
     if key is None:
         there = ", ".join(archive.names)[:200] or "no arrays"
-        raise UnpaintedError(name, f"it has no array of {what} ({', '.join(keys)}), but {there}", _NAMES)
+        cause = f"it has no array of {what} ({', '.join(keys)}), but {there}"
+        raise UnpaintedError(archive.name, cause, _NAMES)
     return key
 
 
@@ -267,9 +268,9 @@ def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
     return shape[: len(points)] == points and len(shape) <= len(points) + 1
 
 
-def _require(holds: bool, name: str, cause: str) -> None:
+def _require(holds: bool, archive: NpzArchive, cause: str) -> None:
     if not holds:
-        raise InputError(name, cause, _NAMES)
+        raise InputError(archive.name, cause, _NAMES)
 
 
 def write_npz(contents: MeshContents, stem: str) -> Written:
