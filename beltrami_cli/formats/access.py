@@ -55,8 +55,7 @@ class Access:
         return self.instead.get(Path(os.path.realpath(path.parent), path.name), path)
 
 
-EVERYTHING_INSIDE = Access()
-"""The default: files in the model's folder, of any size."""
+EVERYTHING_INSIDE = Access()  # the default: files in the model's folder, of any size
 
 
 class NotRegularError(OSError):

@@ -35,36 +35,24 @@ class Archive:
         """`share` is how many times its size in memory a member takes while it is used."""
         self._name = name
         self._most = _LARGEST if access.memory is None else min(_LARGEST, access.memory // share)
-        try:
+        with _refusing_damage(name, "the archive", _DAMAGED):
             self._file = zipfile.ZipFile(io.BytesIO(data))
-        except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError) as error:
-            raise InputError(name, f"the archive is damaged ({error})", _DAMAGED) from error
         if len(self._file.infolist()) > _MOST_MEMBERS:
             raise InputError(name, f"the archive has more than {_MOST_MEMBERS} members", _DAMAGED)
-
-    @property
-    def members(self) -> list[str]:
-        """The names of all files in the archive."""
-        return [name for name in self._file.namelist() if not name.endswith("/")]
+        self.entries = [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]
+        self._known = {entry.filename: entry for entry in self.entries}
+        self.members = list(self._known)
 
     def read(self, member: str) -> bytes:
-        """Return the content of a member, of which no more than its announced size is unpacked."""
-        try:
-            known = self._file.getinfo(member)
-            if known.file_size > self._most:
-                cause = f"{member} in the archive has {known.file_size} bytes, more than the {self._most} that are read"
-                raise InputError(self._name, cause, "raise --max-memory, or give a smaller model")
-            require_ratio(self._name, member, known.compress_size, known.file_size)
+        known = self._known.get(member)
+        if known is None:
+            raise InputError(self._name, f"the archive has no {member}", _DAMAGED)
+        if known.file_size > self._most:
+            cause = f"{member} in the archive has {known.file_size} bytes, more than the {self._most} that are read"
+            raise InputError(self._name, cause, "raise --max-memory, or give a smaller model")
+        require_ratio(self._name, member, known.compress_size, known.file_size)
+        with _refusing_damage(self._name, f"{member} in the archive", _DAMAGED):
             return _content(self._file, known)
-        except KeyError:
-            raise InputError(self._name, f"the archive has no {member}", _DAMAGED) from None
-        except _READ_ERRORS as error:
-            raise InputError(self._name, f"{member} in the archive is damaged ({error})", _DAMAGED) from error
-
-    @property
-    def entries(self) -> list[zipfile.ZipInfo]:
-        """What is known of all files in the archive, in their order."""
-        return [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]
 
 
 _MAGIC = b"PK\x03\x04"
@@ -72,6 +60,7 @@ NPY_MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 10_000  # as NumPy has it: a longer one could burden the parser of Python literals
 _DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
 _READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError, ValueError)
+_SAVE = "write it with numpy.savez_compressed"
 
 # The first name that is there is taken. A level set has one of these, and a cloud of points has not.
 LEVEL_SET_KEYS = ("values", "sdf", "tsdf", "level_set")
@@ -102,9 +91,16 @@ class Header:
         return array.astype(self.dtype.newbyteorder("="), copy=False)
 
     def exchanged(self, member: bytes, array: Array) -> bytes:
-        """Return a member with other numbers, keeping what stands before and behind them."""
         numbers = array.astype(self.dtype).tobytes("F" if self.fortran else "C")
         return member[: self.offset] + numbers + member[self.offset + len(numbers) :]
+
+
+@contextlib.contextmanager
+def _refusing_damage(name: str, what: str, remedy: str) -> Iterator[None]:
+    try:
+        yield
+    except _READ_ERRORS as error:
+        raise InputError(name, f"{what} is damaged ({error})", remedy) from error
 
 
 def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
@@ -117,11 +113,9 @@ class NpzArchive:
     """An opened archive; InputError if it is damaged. `names` are the arrays in it."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        self._name = name
-        try:
+        self.name = name
+        with self._refusing_damage():
             self._archive = zipfile.ZipFile(io.BytesIO(data))
-        except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-            raise InputError(name, f"the archive is damaged ({error})", "write it again") from error
         members = (member.filename for member in self._archive.infolist())
         self.names = tuple(member[:-4] for member in members if member.endswith(".npy"))
 
@@ -134,13 +128,11 @@ class NpzArchive:
         return data[30 : 30 + int.from_bytes(data[26:28], "little")].endswith(b".npy")
 
     def kind(self) -> Literal["level set", "points"] | None:
-        """Return what the archive holds, by the names of its arrays."""
         if self.first(LEVEL_SET_KEYS):
             return "level set"
         return "points" if self.first(POSITION_KEYS) else None
 
     def first(self, names: Iterable[str]) -> str | None:
-        """Return the first of some names that is there."""
         return next((name for name in names if name in self.names), None)
 
     def header(self, key: str) -> Header:
@@ -148,11 +140,8 @@ class NpzArchive:
         member = self._archive.getinfo(f"{key}.npy")
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise self._error(key, "is compressed in a way that NumPy does not write")
-        try:
-            with self._archive.open(member) as file:
-                header = _parse(file.read(_LONGEST_HEADER + 12))
-        except _READ_ERRORS as error:
-            raise self._error(key, f"is damaged ({error})") from error
+        with self._refusing_damage(f"the array {key}", _SAVE), self._archive.open(member) as file:
+            header = _parse(file.read(_LONGEST_HEADER + 12))
         if not _holds_numbers(header):
             raise self._error(key, f"is of type {header.dtype}, and not of real numbers")
         if member.file_size < header.offset + header.size:
@@ -165,25 +154,20 @@ class NpzArchive:
         """Read an array; InputError as `header`, or if it has more than `most` numbers."""
         header = self.header(key)
         if most is not None and header.count > most:
-            cause = f"the array {key} of shape {header.shape} has {header.count} numbers"
-            raise InputError(
-                self._name, f"{cause}, and {most} are allowed", "raise --max-voxels or --max-memory"
-            )
-        try:
-            with self._archive.open(f"{key}.npy") as file:
-                file.read(header.offset)
-                data = file.read(header.size)
-                file.read(1)  # reaching the end checks the archive's checksum
-        except _READ_ERRORS as error:
-            raise self._error(key, f"is damaged ({error})") from error
+            has = f"has {header.count} numbers, and {most} are allowed"
+            cause = f"the array {key} of shape {header.shape} {has}"
+            raise InputError(self.name, cause, "raise --max-voxels or --max-memory")
+        with self._refusing_damage(f"the array {key}", _SAVE), self._archive.open(f"{key}.npy") as file:
+            file.read(header.offset)
+            data = file.read(header.size)
+            file.read(1)  # reaching the end checks the archive's checksum
         if len(data) < header.size:
             raise self._error(key, "ends too early")
         return header.array(data)
 
     def require_ratio(self, key: str) -> None:
-        """Raise InputError if an array of places is packed more densely than places that differ can be."""
         member = self._archive.getinfo(f"{key}.npy")
-        require_ratio(self._name, f"the array {key}", member.compress_size, member.file_size)
+        require_ratio(self.name, f"the array {key}", member.compress_size, member.file_size)
 
     def members(self) -> dict[str, bytes]:
         """Return the contents of all members by their file names; InputError if one cannot be unpacked."""
@@ -205,23 +189,19 @@ class NpzArchive:
                 new.writestr(info, content)
         return buffer.getvalue()
 
-    @contextlib.contextmanager
-    def _refusing_damage(self) -> Iterator[None]:
-        try:
-            yield
-        except _READ_ERRORS as error:
-            raise InputError(self._name, f"the archive is damaged ({error})", "write it again") from error
+    def _refusing_damage(
+        self, what: str = "the archive", remedy: str = "write it again"
+    ) -> contextlib.AbstractContextManager[None]:
+        return _refusing_damage(self.name, what, remedy)
 
     def _error(self, key: str, cause: str) -> InputError:
-        return InputError(self._name, f"the array {key} {cause}", "write it with numpy.savez_compressed")
+        return InputError(self.name, f"the array {key} {cause}", _SAVE)
 
 
 def read_npy(data: bytes, name: str) -> Array:
     """Read the file of a single array; InputError if it is damaged or not of numbers."""
-    try:
+    with _refusing_damage(name, "the array", "write it with numpy.save"):
         header = _parse(data[: _LONGEST_HEADER + 12])
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(name, f"the array is damaged ({error})", "write it with numpy.save") from error
     if not _holds_numbers(header):
         raise InputError(name, f"the array is of type {header.dtype}, and not of real numbers")
     if len(data) - header.offset < header.size:

@@ -70,12 +70,19 @@ def opacity(alpha: Array, scale: float) -> Float32s:
     return np.clip(values, 0, 1).astype(np.float32)
 
 
-def quantised(values: Float32s, kind: DTypeLike) -> Array:
-    """Return colours of full scale 1 in a type, integers clipped to [0, 1] and rounded once, to the nearest."""
+def quantised(values: Float32s, kind: DTypeLike, scale: float | None = None) -> Array:
+    """Return colours of full scale 1 in a type whose full scale is `scale` (None: 1, of integers their largest).
+
+    Integers are rounded once, to the nearest, and clipped to what the type holds up to full scale.
+    """
     stored = np.dtype(kind)
     if stored.kind == "f":
-        return values.astype(stored)
-    return np.rint(np.clip(values.astype(np.float64), 0, 1) * np.iinfo(stored).max).astype(stored)
+        return (values.astype(np.float64) * (scale or 1)).astype(stored)
+    limits = np.iinfo(stored)
+    full = limits.max if scale is None else scale
+    return np.rint(np.clip(values.astype(np.float64) * full, limits.min, min(limits.max, full))).astype(
+        stored
+    )
 
 
 def display_colours(contents: MeshContents | VertexColours) -> tuple[Float32s, list[str]]:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from beltrami_cli.formats.access import open_regular
 
-CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24
-"""Bytes that such a file has at most."""
-
+CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24  # bytes that such a file has at most
 _DEEPEST = 50  # levels of tables and lists
 _LARGEST = 1 << 64
 # Characters of TOML, whose parser takes the square of the time for keys with very many dots.
@@ -39,10 +38,7 @@ def text_in(file: BinaryIO, most: int) -> str:
 
 def parse_json(text: str | bytes) -> Any:
     """Return what JSON says; ValueError if it is damaged, or its text and nesting cannot be used."""
-    try:
-        return _checked(json.loads(text))
-    except RecursionError:
-        raise _too_deep() from None
+    return _checked(lambda: json.loads(text))
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -51,11 +47,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
     if any(len(line) > _LONGEST_LINE for line in text.splitlines()):
         raise ValueError(f"it has a line of more than {_LONGEST_LINE} characters")
-    try:
-        tree = tomllib.loads(text)
-    except RecursionError:
-        raise _too_deep() from None
-    _checked(tree)
+    tree: dict[str, Any] = _checked(lambda: tomllib.loads(text))
     return tree
 
 
@@ -67,7 +59,12 @@ def require_text(text: str) -> str:
     return text
 
 
-def _checked(tree: Any) -> Any:
+def _checked(load: Callable[[], Any]) -> Any:
+    too_deep = ValueError(f"it is nested more than {_DEEPEST} levels deep")
+    try:
+        tree = load()
+    except RecursionError:
+        raise too_deep from None
     level = [tree]
     for _ in range(_DEEPEST):
         inner: list[Any] = []
@@ -83,8 +80,4 @@ def _checked(tree: Any) -> Any:
         if not inner:
             return tree
         level = inner
-    raise _too_deep()
-
-
-def _too_deep() -> ValueError:
-    return ValueError(f"it is nested more than {_DEEPEST} levels deep")
+    raise too_deep

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain, count
 from pathlib import Path
 from typing import ClassVar
 
@@ -52,10 +53,8 @@ class Naming:
 
     def free_stem(self, sidecars: Callable[[str], Iterable[str]]) -> str:
         """Return a stem, numbered from 2 on if need be, with which no file beside the output is of something else."""
-        stem, number = self.stem, 2
-        while any(self.is_taken(name) for name in sidecars(stem)):
-            stem, number = f"{self.stem}-{number}", number + 1
-        return stem
+        stems = chain([self.stem], (f"{self.stem}-{number}" for number in count(2)))
+        return next(stem for stem in stems if not any(self.is_taken(name) for name in sidecars(stem)))
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,6 @@ class NamedImage:
 
     @property
     def data(self) -> bytes:
-        """The image file as it is stored."""
         return self.content if isinstance(self.content, bytes) else self.content()
 
 

@@ -18,6 +18,7 @@ import re
 import stat
 import unicodedata
 from collections.abc import Iterable
+from itertools import product
 from pathlib import Path, PurePosixPath
 
 from beltrami_cli.errors import InputError
@@ -45,8 +46,6 @@ _REMEDIES = {
 
 _TOKEN = re.compile(r"<(udim|UDIM|UVTILE|uvtile)>")
 _FIRST = 1001
-_NUMBER = re.compile(r"[1-9]\d{3}")
-_PAIR = re.compile(r"[uU](\d{1,3})_[vV](\d{1,3})")
 
 LEFT_ALONE = ", and is left alone."  # behind the reason why a file is not read
 _STAYS = "lies outside the model's folder; the output names it as the input does, and it is not copied."
@@ -66,10 +65,9 @@ class ModelFolder:
         self.tiles: dict[str, dict[Tile, str]] = {}  # files of the sets that were located, by the set's path
         self.access = access
 
-    def find(self, name: str, within: PurePosixPath = _HERE) -> str | None:
-        """Return what `locate` does, or None where that raises."""
+    def find(self, name: str) -> str | None:
         try:
-            return self.locate(name, within)
+            return self.locate(name)
         except UnfitReferenceError:
             return None
 
@@ -82,9 +80,9 @@ class ModelFolder:
             except UnfitReferenceError as error:
                 self._known[key] = error
         found = self._known[key]
-        if isinstance(found, UnfitReferenceError):
-            raise UnfitReferenceError(str(found))
-        return found
+        if isinstance(found, str):
+            return found
+        raise UnfitReferenceError(str(found))
 
     def _locate(self, name: str, within: PurePosixPath) -> str:
         path = checked_path(name, within, outside=self.access.outside)
@@ -118,8 +116,9 @@ class ModelFolder:
             raise UnfitReferenceError(_NOWHERE)
         folder = PurePosixPath(path).parent
         if self.access.bring is not None:
-            for name in usual_tiles(PurePosixPath(path).name):
-                self.access.bring(self._folder / folder / name)
+            # The hundred tiles that a set has at most in practice, for storage that is not listed.
+            for u, v in product(range(COLUMNS), range(10)):
+                self.access.bring(self._folder / folder / tile_name(PurePosixPath(path).name, (u, v)))
         names = {*self._names_in(self._folder / folder).values()}
         names |= {there.name for there in self.access.instead if there.parent == self._folder / folder}
         tiles = found_tiles(PurePosixPath(path).name, names)
@@ -214,21 +213,17 @@ def tile_of(pattern: str, name: str) -> Tile | None:
     """Return which tile of a set a file is, going by both names without folders; None if it is none of them."""
     token = _TOKEN.search(pattern)
     assert token is not None
-    before, after = pattern[: token.start()], pattern[token.end() :]
-    if len(name) < len(pattern) - len(token[0]) or not name.startswith(before) or not name.endswith(after):
+    label = r"([1-9]\d{3})" if token[1].lower() == "udim" else r"[uU](\d{1,3})_[vV](\d{1,3})"
+    found = re.fullmatch(
+        re.escape(pattern[: token.start()]) + label + re.escape(pattern[token.end() :]), name
+    )
+    if found is None:
         return None
-    label = name[len(before) : len(name) - len(after)]
     if token[1].lower() == "udim":
-        if not _NUMBER.fullmatch(label) or int(label) < _FIRST:
-            return None
-        v, u = divmod(int(label) - _FIRST, COLUMNS)
-        return u, v
-    pair = _PAIR.fullmatch(label)
-    first = int(token[1] == "UVTILE")
-    if pair is None or min(int(pair[1]), int(pair[2])) < first:
-        return None
-    u, v = int(pair[1]) - first, int(pair[2]) - first
-    return (u, v) if u < COLUMNS and v < ROWS else None
+        v, u = divmod(int(found[1]) - _FIRST, COLUMNS)
+    else:
+        u, v = (int(number) - (token[1] == "UVTILE") for number in found.groups())
+    return (u, v) if 0 <= u < COLUMNS and 0 <= v < ROWS else None
 
 
 def tile_name(pattern: str, tile: Tile) -> str:
@@ -247,11 +242,6 @@ def found_tiles(pattern: str, names: Iterable[str]) -> dict[Tile, str]:
     """Return the tiles of a set among the names of a folder, row by row from below."""
     found = {tile: name for name in sorted(names) if (tile := tile_of(pattern, name)) is not None}
     return dict(sorted(found.items(), key=lambda item: item[0][::-1]))
-
-
-def usual_tiles(pattern: str) -> list[str]:
-    """Return the names of the hundred tiles that a set has at most in practice, for storage that is not listed."""
-    return [tile_name(pattern, (u, v)) for v in range(10) for u in range(COLUMNS)]
 
 
 _LONGEST = 255  # bytes of a name, on all usual file systems
@@ -299,18 +289,14 @@ class NewNames:
         whole, number = PurePosixPath(path), 2
         token = token_in(whole.name)
         end = whole.name.rfind(token) if token and token in whole.name else len(whole.stem)
-        files = _files(path, tiles)
-        while not may_stay and any(f.casefold() in self._taken or self._naming.is_taken(f) for f in files):
+        while True:
+            files = [tile_name(path, tile) for tile in tiles] or [path]
+            if may_stay or not any(f.casefold() in self._taken or self._naming.is_taken(f) for f in files):
+                break
             path = str(whole.with_name(f"{whole.name[:end]}-{number}{whole.name[end:]}"))
-            files = _files(path, tiles)
             number += 1
         self._taken.update(file.casefold() for file in files)
         return path
-
-
-def _files(path: str, tiles: tuple[Tile, ...]) -> list[str]:
-    """Return the files that a path stands for."""
-    return [tile_name(path, tile) for tile in tiles] or [path]
 
 
 def path_inside(path: str) -> str:

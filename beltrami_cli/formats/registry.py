@@ -26,6 +26,7 @@ Kind = Literal["image", "volume", "model"]
 
 _ZIP = b"PK"
 
+# What archives, compressed files and point clouds that are not read start with, and at which offset.
 _ARCHIVES = {
     "ZIP": (b"PK\x03\x04", 0),
     "empty ZIP": (b"PK\x05\x06", 0),
@@ -37,17 +38,11 @@ _ARCHIVES = {
     "RAR": (b"Rar!\x1a\x07", 0),
     "tar": (b"ustar", 257),
 }
-"""What archives and compressed files start with, and at which offset."""
-
 _CLOUDS = {"LAS or LAZ": (b"LASF", 0), "PCD": (b"# .PCD", 0), "E57": (b"ASTM-E57", 0)}
-"""What point clouds that are not read start with, as `_ARCHIVES`."""
-
 _READABLE = (
     "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .pts and .npz, and the colours of "
     "OFF, STL, 3MF and DAE files"
 )
-
-
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _COMMON = (".png", ".jpg", ".jpeg")
 _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
@@ -55,47 +50,27 @@ _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 @dataclass(frozen=True)
 class Format:
-    """A line of the registry. Classes and functions are those of `module`, which is relative to this package.
+    """A line of the registry. Classes and functions are those of `module`, which is relative to this package."""
 
-    Attributes
-    ----------
-    name : str
-        `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say.
-    mark : callable or None
-        Whether a file's bytes (and, if need be, its name) are of the format; None: its suffix decides.
-    module, reader : str
-        For models a `Document`; for images and volumes a function that returns a `Picture` or a `Volume`.
-    writer, textured_writer : str
-        (MeshContents, stem) -> Written and (TexturedMesh, stem) -> Written; empty: there is none.
-    sidecars, textured_sidecars : str
-        Suffixes of the files that the writers put beside the main one; ".*" is that of the texture.
-    images : tuple of str
-        Suffixes of the images that the format can hold; empty: any.
-    aliases : tuple of str
-        Further suffixes, without the dot.
-    kind : {"image", "volume", "model"}
-        What a file holds; meshes and clouds of points are models.
-    """
-
-    name: str
-    mark: Recogniser | None
+    name: str  # `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say
+    mark: (
+        Recogniser | None
+    )  # whether a file's bytes (and, if need be, its name) are of it; None: its suffix decides
     module: str
-    reader: str
-    writer: str = ""
-    textured_writer: str = ""
-    sidecars: str = ""
-    textured_sidecars: str = ""
-    images: tuple[str, ...] = ()
-    aliases: tuple[str, ...] = ()
-    kind: Kind = "model"
+    reader: str  # for models a `Document`, for images and volumes a function that returns a `Picture` or a `Volume`
+    writer: str = ""  # (MeshContents, stem) -> Written; empty: there is none
+    textured_writer: str = ""  # (TexturedMesh, stem) -> Written
+    sidecars: str = ""  # suffixes of the files that the writers put beside the main one
+    textured_sidecars: str = ""  # as well; ".*" is that of the texture
+    images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
+    aliases: tuple[str, ...] = ()  # further suffixes, without the dot
+    kind: Kind = "model"  # what a file holds; meshes and clouds of points are models
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """Endings of names, with the dot."""
         return tuple(f".{name}" for name in (self.name, *self.aliases))
 
     def load(self, name: str) -> Any:
-        """Import a class or function of the format."""
         module, _, own = f"beltrami_cli.formats.{self.module}.{name}".rpartition(".")
         return getattr(importlib.import_module(module), own)
 
@@ -114,7 +89,7 @@ def _is_image(data: bytes, name: str) -> bool:
 def _is_volume(data: bytes, name: str) -> bool:
     if not data.startswith((b"NRRD", b" BDV", _ZIP)):
         return False
-    from beltrami_cli.formats.volume import is_volume
+    from beltrami_cli.formats.volume.arrays import is_volume
 
     return is_volume(data, name)
 
@@ -153,7 +128,7 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
     Format("image", _is_image, "image", "read_image", kind="image"),
-    Format("volume", _is_volume, "volume", "read_volume", kind="volume"),
+    Format("volume", _is_volume, "volume.arrays", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*"),
     _textured("obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*"),
     _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
@@ -214,12 +189,10 @@ def _recognised(data: bytes, name: str, lines: Sequence[Format]) -> Format | Non
 
 
 def _refusal(data: bytes, name: str) -> InputError:
-    archive = _marked(_ARCHIVES, data)
-    if archive is not None:
+    if archive := _marked(_ARCHIVES, data):
         cause = f"it is a {archive} archive, which is not opened"
         return InputError(name, cause, "unpack it, and give the model")
-    cloud = _marked(_CLOUDS, data)
-    if cloud is not None:
+    if cloud := _marked(_CLOUDS, data):
         cause = f"it is a point cloud in {cloud} format, which is not read"
         return InputError(name, cause, "convert it to PLY, for example with PDAL or CloudCompare")
     if not data:

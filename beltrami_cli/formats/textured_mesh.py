@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import NewNames, remedy_for, tile_name
@@ -28,6 +30,7 @@ from beltrami_cli.surface.records import (
 )
 from beltrami_cli.surface.tiling import Tile, tiles_under
 
+TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
 POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _LARGEST = 1e30
@@ -41,7 +44,7 @@ class _Shown:
     number: int
     name: str
     content: bytes | Callable[[], bytes]  # as in `Texture`
-    materials: list[str] = field(default_factory=list)
+    materials: dict[str, None] = field(default_factory=dict)
     wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
     alpha_hides: bool = False
 
@@ -54,7 +57,7 @@ class SlotImages:
     def __init__(self, slot: Slot) -> None:
         self._slot = slot
         self._shown: dict[str, _Shown] = {}
-        self._missing: dict[str, list[str]] = {}  # materials by the reason why they show no image
+        self._missing: dict[str, dict[str, None]] = {}  # materials by the reason why they show no image
         self.sets: list[dict[Tile, int]] = []
 
     def __len__(self) -> int:
@@ -67,29 +70,46 @@ class SlotImages:
         """Take an image that is not known yet."""
         self._shown[key] = _Shown(len(self._shown), name, content)
 
+    def show_files(
+        self,
+        path: str,
+        sets: TileSets,
+        material: str,
+        wrap: tuple[Wrap, Wrap],
+        read: Callable[[str], bytes],
+        left_out: tuple[type[Exception], ...] = (),
+    ) -> int | None:
+        """Show the file of a path, or a set of tiles; return its texture, None if `left_out` holds for all files."""
+        tiles, number_of = sets.get(path), {}
+        for file in tiles.values() if tiles else [path]:
+            if file not in self:
+                try:
+                    data = read(file)
+                except left_out:
+                    continue
+                content = partial(read, file) if tiles or len(data) >= LARGE else data
+                self.take(file, file.rpartition("/")[2], content)
+            number_of[file] = self.show(file, material, ("clamp", "clamp") if tiles else wrap)
+        if not tiles or not number_of:
+            return number_of.get(path)
+        own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
+        if own not in self.sets:
+            self.sets.append(own)
+        return -2 - self.sets.index(own)
+
     def show(self, key: str, material: str, wrap: tuple[Wrap, Wrap], *, alpha_hides: bool = True) -> int:
         """Note that a material shows an image; return the number of its texture."""
         shown = self._shown[key]
         shown.wraps.append(wrap)
         shown.alpha_hides |= alpha_hides
-        if material not in shown.materials:
-            shown.materials.append(material)
+        shown.materials[material] = None
         return shown.number
 
     def miss(self, reason: str, material: str) -> None:
         """Note why a material shows no image; the reason names that."""
-        materials = self._missing.setdefault(reason, [])
-        if material not in materials:
-            materials.append(material)
-
-    def show_set(self, tiles: dict[Tile, int]) -> int:
-        """Return the number of a set of tiles."""
-        if tiles not in self.sets:
-            self.sets.append(tiles)
-        return -2 - self.sets.index(tiles)
+        self._missing.setdefault(reason, {})[material] = None
 
     def textures(self) -> tuple[Texture, ...]:
-        """Return the images as textures, in the order of their numbers."""
         return tuple(
             Texture(key, each.name, each.content, tuple(each.materials), each.wraps[0], each.alpha_hides)
             for key, each in self._shown.items()
@@ -134,9 +154,7 @@ class MeshImages:
             self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
         return self._index_of[key]
 
-    def take_file(
-        self, path: str, sets: Mapping[str, Mapping[Tile, str]], read: Callable[[str], bytes]
-    ) -> int:
+    def take_file(self, path: str, sets: TileSets, read: Callable[[str], bytes]) -> int:
         """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
         if path in self._index_of or path not in sets:
             return self.take(path, path.rpartition("/")[2], lambda: read(path))
@@ -159,7 +177,7 @@ def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[st
     return slots
 
 
-def new_files(path: str, new: str, sets: Mapping[str, Mapping[Tile, str]]) -> dict[str, str]:
+def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
     """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
     tiles = sets[path].items() if path in sets else ()
     return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
@@ -217,13 +235,12 @@ def with_images(mesh: TexturedMesh, images: NewImages) -> TexturedMesh:
         maps = dict(material.maps)
         for slot, shown in material.maps.items():
             old = mesh.images[shown.image]
-            new = images.get((slot, old.key))
-            if new is None:
-                continue
-            if (slot, old.key) not in index_of:
-                index_of[slot, old.key] = len(known)
-                known.append(dataclasses.replace(old, file=new))
-            maps[slot] = dataclasses.replace(shown, image=index_of[slot, old.key])
+            place = slot, old.key
+            if place in images and place not in index_of:
+                index_of[place] = len(known)
+                known.append(dataclasses.replace(old, file=images[place]))
+            if place in index_of:
+                maps[slot] = dataclasses.replace(shown, image=index_of[place])
         materials.append(dataclasses.replace(material, maps=maps))
     return _without_unused(dataclasses.replace(mesh, materials=tuple(materials), images=tuple(known)))
 
@@ -268,10 +285,9 @@ def as_if_with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> Textur
 
 def _without_unused(mesh: TexturedMesh) -> TexturedMesh:
     used = sorted({shown.image for material in mesh.materials for shown in material.maps.values()})
-    number_of = {old: new for new, old in enumerate(used)}
     materials = []
     for each in mesh.materials:
-        maps = {slot: MaterialMap(number_of[shown.image], shown.wrap) for slot, shown in each.maps.items()}
+        maps = {slot: MaterialMap(used.index(shown.image), shown.wrap) for slot, shown in each.maps.items()}
         materials.append(dataclasses.replace(each, maps=maps))
     images = tuple(mesh.images[old] for old in used)
     return dataclasses.replace(mesh, materials=tuple(materials), images=images)

@@ -13,16 +13,13 @@ from beltrami_cli.arrays import Array, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.large_arrays import blocks
 
-PLACEHOLDER = b"\0"
-"""Replaces what may differ in a part of a fingerprint."""
-
-Spans = dict[tuple[int, int], bytes]
-"""New bytes by where the old ones start and end."""
-
+PLACEHOLDER = b"\0"  # replaces what may differ in a part of a fingerprint
+Spans = dict[tuple[int, int], bytes]  # new bytes by where the old ones start and end
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MOST_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
+_LEAST_DIGITS, _MOST_DIGITS = 6, 9  # of full scale: as fine as 20 bits, and all that single precision has
 _BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the memory that the pieces take
 
 
@@ -91,16 +88,13 @@ class Lines:
         return values
 
     def word(self, token: int | np.int64) -> bytes:
-        """Return a token."""
         return self.data[int(self.starts[token]) : int(self.ends[token])]
 
     def error(self, token: int | np.int64, cause: str) -> InputError:
-        """Return an error about a token, with its line."""
         shown = self.word(token)[:_MOST_SHOWN].decode("ascii", "backslashreplace")
         return InputError(self.name, f"line {self.line(token)}: '{shown}' {cause}")
 
     def line(self, token: int | np.int64) -> int:
-        """Return the number of the line that a token stands on, from 1."""
         before = self.data[: int(self.starts[token])]
         return max(before.count(b"\n"), before.count(b"\r")) + 1
 
@@ -157,6 +151,18 @@ def most_decimals(text: bytes, starts: Int64s, ends: Int64s) -> int:
     """Return how many characters stand behind the point of a token at most; negative if no token has one."""
     points = np.append(np.flatnonzero(np.frombuffer(text, np.uint8) == ord(".")), len(text))
     return int((ends - points[np.searchsorted(points, starts)] - 1).max())
+
+
+def colour_decimals(text: bytes, starts: Int64s, ends: Int64s, scale: float) -> int:
+    """Return with how many decimals to spell colours of a full scale: as the old ones, as far as float32 goes.
+
+    Negative where all old ones are whole numbers, and so the new ones are to be.
+    """
+    found = most_decimals(text, starts, ends)
+    if found < 0 and scale > 1:
+        return -1
+    left = int(np.floor(np.log10(scale)))  # digits before the point, but for one
+    return min(max(found, _LEAST_DIGITS - left, 0), max(_MOST_DIGITS - left, 0))
 
 
 def without_tokens(text: bytes, starts: Int64s, ends: Int64s) -> bytes:

@@ -20,7 +20,7 @@ from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
 if TYPE_CHECKING:
     from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.formats.image.jpeg_tables import JpegTables
+    from beltrami_cli.formats.image.metadata import JpegTables
 
     Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
 

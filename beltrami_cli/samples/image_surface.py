@@ -20,7 +20,7 @@ from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
-from beltrami_cli.formats.image.jpeg_tables import JpegTables
+from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.guides import require_size

@@ -20,7 +20,7 @@ from beltrami_cli.surface.records import Texture
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.formats.image import Picture
-    from beltrami_cli.formats.image.jpeg_tables import JpegTables
+    from beltrami_cli.formats.image.metadata import JpegTables
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"

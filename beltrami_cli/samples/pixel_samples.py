@@ -26,7 +26,7 @@ from beltrami_cli.formats.image import (
     is_exact,
     label_of,
 )
-from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER, read_jpeg_tables
+from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour
 from beltrami_cli.formats.image.writing import noise_losses, upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images

@@ -20,7 +20,7 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, read_texture
-from beltrami_cli.formats.image.jpeg_tables import JpegTables, read_jpeg_tables
+from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples

@@ -16,7 +16,7 @@ from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument
-from beltrami_cli.formats.image.jpeg_tables import CODED_TOGETHER
+from beltrami_cli.formats.image.metadata import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.samples.guides import vertex_guides
 from beltrami_cli.samples.painted_samples import PaintedSamples, only_rows

@@ -23,7 +23,7 @@ from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 import beltrami_cli.flow.parameters as kernel
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole
-from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.surface.atlas import build_atlas

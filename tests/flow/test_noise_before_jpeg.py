@@ -13,7 +13,7 @@ from scipy.stats import truncnorm
 from beltrami_cli.flow.noise.after_jpeg import PILOT_ERROR, noise_after
 from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
 from beltrami_cli.flow.noise.coded_picture import CodedPicture, _mean_within, coefficients_of, decode
-from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from cli.commands import beltrami
 from flow.test_correlated_noise import painting, stored
 from formats.image_files import encode

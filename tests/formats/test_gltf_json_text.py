@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.formats.gltf.json_text import parsed, revised
+from beltrami_cli.formats.gltf.container import parsed, revised
 
 values = st.recursive(
     st.none()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from beltrami_cli.formats.image.jpeg_tables import read_jpeg_tables
+from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from formats.image_files import encode
 
 PIXELS = np.random.default_rng(1).integers(0, 256, (40, 56, 3)).astype(np.uint8)

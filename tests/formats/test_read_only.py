@@ -56,7 +56,7 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha: str) -> None
         (b"OFF\n3 1 0\n0 0 0\n", "it announces 3 vertices and 1 faces, but has 1 lines"),
         (b"OFF\n99999999999999999999 1 0\n0 0 0\n", "it announces"),
         (b"COFF\n2 0 0\n0 0 0 1 0 0 1\n0 0 0\n", "vertex 1 has 3 numbers, not 7"),
-        (b"COFF\n1 1 0\n0 0 x 1 0 0 1\n3 0 0 0\n", "not made of numbers"),
+        (b"COFF\n1 1 0\n0 0 x 1 0 0 1\n3 0 0 0\n", "line 3: 'x' is no number"),
         (b"COFF\n1 1 0\n0 0 nan 1 0 0 1\n3 0 0 0\n", "position of vertex 0 is not finite"),
         (b"COFF\n1 1 0\n0 0 0 nan 0 0 1\n3 0 0 0\n", "a colour is not finite"),
         (b"COFF\n1 1 0\n0 0 0 1 0 0 1\n3 0 0\n", "face 0 does not name the vertices"),

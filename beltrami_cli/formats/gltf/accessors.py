@@ -28,8 +28,7 @@ SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "M
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
 _LEAST_DRAWN, _MOST_DRAWN = 1 << 20, 16
 
-Stored = np.ndarray[Any, np.dtype[Any]]
-"""Numbers as they are in the file: little-endian integers or float32."""
+Stored = np.ndarray[Any, np.dtype[Any]]  # numbers as they are in the file: little-endian integers or float32
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,6 @@ class Layout:
 
     @property
     def end(self) -> int:
-        """The byte after the last element."""
         return self.start + self.stride * (self.count - 1) + self.size
 
 
@@ -91,38 +89,35 @@ class Accessors:
         return self.all[index] if index < len(self.all) else self._added[index - len(self.all)]
 
     def is_added(self, index: int) -> bool:
-        """Return whether an accessor is none of the JSON's, but decoded."""
         return index >= len(self.all)
 
     def decoded_attribute(self, packed: Entry, name: str, index: int) -> int:
         """Return the accessor of an attribute that Draco has compressed, which accessor `index` describes."""
-        view, number = self._draco_view(packed), packed.entry("attributes").integer(name)
-        accessor = self[index]
+        (view, mesh), accessor = self._draco(packed), self[index]
+        number = packed.entry("attributes").integer(name)
         key = view, number, accessor.component.str, accessor.shape, accessor.normalised
         if key not in self._decoded:
-            numbers = draco_attribute(packed, self._draco_mesh(packed, view), name)
-            self._decoded[key] = self._add(accessor, _fitted(numbers, accessor))
+            self._decoded[key] = self._add(accessor, _fitted(draco_attribute(packed, mesh, name), accessor))
         return self._decoded[key]
 
     def decoded_indices(self, packed: Entry, index: int) -> int:
         """Return the accessor of triangles that Draco has compressed, which accessor `index` describes."""
-        view = self._draco_view(packed)
+        view, mesh = self._draco(packed)
         key = view, "faces"
         if key not in self._decoded:
-            numbers = np.asarray(self._draco_mesh(packed, view).faces).astype("<u4").reshape(-1, 1)
+            numbers = np.asarray(mesh.faces).astype("<u4").reshape(-1, 1)
             if not len(numbers):
                 raise packed.fault("bufferView", "holds no triangles")
             accessor = replace(self[index], shape="SCALAR", width=1, normalised=False)
             self._decoded[key] = self._add(accessor, numbers)
         return self._decoded[key]
 
-    def _draco_view(self, packed: Entry) -> int:
-        return packed.integer("bufferView", below=len(self.views))
-
-    def _draco_mesh(self, packed: Entry, view: int) -> Any:
+    def _draco(self, packed: Entry) -> tuple[int, Any]:
+        """Return a view that Draco has compressed, and its mesh, which is decoded once."""
+        view = packed.integer("bufferView", below=len(self.views))
         if view not in self._meshes:
             self._meshes[view] = draco_mesh(packed, self.buffers.viewed(self.views[view]))
-        return self._meshes[view]
+        return view, self._meshes[view]
 
     def _add(self, described: Accessor, numbers: Stored) -> int:
         """Add an accessor for decoded numbers, shape (n, width), with another one's description."""

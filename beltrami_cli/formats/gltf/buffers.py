@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -31,11 +31,20 @@ def data_uri(old: str, data: Bytes) -> str:
 
 def relative_name(uri: str, *, outside: bool = False) -> str:
     """Return the path that a URI names, percent-decoded, with "/"; UnfitReferenceError if it must not be followed."""
+    return _checked(uri, lambda name: model_folder.checked_path(name, outside=outside))
+
+
+def located(uri: str, folder: model_folder.ModelFolder) -> str:
+    """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if there is none."""
+    return _checked(uri, folder.locate)
+
+
+def _checked(uri: str, check: Callable[[str], str]) -> str:
     name = unquote(uri)
     try:
         if "\\" in name or "\0" in name:
             raise model_folder.UnfitReferenceError("is not a path as glTF spells it")
-        return model_folder.checked_path(name, outside=outside)
+        return check(name)
     except model_folder.UnfitReferenceError as error:
         raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
 
@@ -45,7 +54,7 @@ def read(uri: str, folder: model_folder.ModelFolder) -> bytes:
     if is_data(uri):
         return _embedded(uri)
     try:
-        return folder.read(_located(uri, folder))
+        return folder.read(located(uri, folder))
     except OSError as error:
         raise model_folder.UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
 
@@ -63,14 +72,6 @@ def _embedded(uri: str) -> bytes:
         raise model_folder.UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
 
 
-def _located(uri: str, folder: model_folder.ModelFolder) -> str:
-    name = relative_name(uri, outside=folder.access.outside)
-    try:
-        return folder.locate(name)
-    except model_folder.UnfitReferenceError as error:
-        raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
-
-
 def _short(uri: str) -> str:
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
@@ -81,7 +82,7 @@ def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[st
     notices: dict[str, None] = {}
     for entry, uri in _external(root):
         try:
-            path = _located(uri, folder)
+            path = located(uri, folder)
             if not model_folder.is_outside(path):
                 names[path] = None
         except model_folder.UnfitReferenceError as error:
@@ -100,6 +101,16 @@ def named_files(root: Entry) -> set[str]:
     return names
 
 
+def file_key(uri: str | None, index: int, folder: model_folder.ModelFolder) -> Hashable:
+    """Return the same for all that one file is named for; what has bytes of its own is known by its index."""
+    try:
+        if uri is not None and not is_data(uri):
+            return relative_name(uri, outside=folder.access.outside)
+    except model_folder.UnfitReferenceError:
+        pass  # an error when its bytes are asked for
+    return index
+
+
 def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
     """Give the buffers and images that are files of their own, with their URIs."""
     for entry in [*root.entries("buffers"), *root.entries("images")]:
@@ -109,7 +120,7 @@ def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
 
 
 Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
-"""Where the bytes of a buffer are: in the BIN chunk, in a data URI, in a file, nowhere, or decoded from others."""
+"""Where the bytes of a buffer are: in the BIN chunk, a data URI or a file, nowhere, or decoded from others."""
 
 
 class Buffers:
@@ -122,8 +133,9 @@ class Buffers:
         self._decoded: list[tuple[int, Callable[[], Bytes]]] = []
         self.lengths = [entry.integer("byteLength", least=0) for entry in self._entries]
         self.uris = [entry.text("uri") for entry in self._entries]
-        first: dict[str, int] = {}
-        self._canonical = [first.setdefault(self._key(index), index) for index in range(len(self))]
+        first: dict[Hashable, int] = {}
+        keys = (file_key(uri, index, folder) for index, uri in enumerate(self.uris))
+        self._canonical = [first.setdefault(key, index) for index, key in enumerate(keys)]
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -136,21 +148,11 @@ class Buffers:
     def length(self, index: int) -> int:
         return self.lengths[index] if index < len(self) else self._decoded[index - len(self)][0]
 
-    def _key(self, index: int) -> str:
-        uri = self.uris[index]
-        try:
-            if uri is not None and not is_data(uri):
-                return relative_name(uri, outside=self._folder.access.outside)
-        except model_folder.UnfitReferenceError:
-            pass  # an error when its bytes are asked for
-        return f"\0{index}"
-
     def canonical(self, index: int) -> int:
         """Return the first buffer that is the same file as this one, usually itself."""
         return self._canonical[index] if index < len(self) else index
 
     def source(self, index: int) -> Source:
-        """Return where a buffer's bytes are."""
         if index >= len(self):
             return "decoded"
         uri = self.uris[index]
@@ -161,8 +163,8 @@ class Buffers:
     def stored(self, index: int) -> Bytes:
         """Return all bytes of a buffer, at least as many as its byteLength says (padding may follow)."""
         if index not in self._loaded:
-            made = self.source(index) == "decoded"
-            self._loaded[index] = self._decoded[index - len(self)][1]() if made else self._read(index)
+            is_made = index >= len(self)
+            self._loaded[index] = self._decoded[index - len(self)][1]() if is_made else self._read(index)
         return self._loaded[index]
 
     def _read(self, index: int) -> Bytes:
@@ -204,7 +206,6 @@ class View:
 
     @property
     def end(self) -> int:
-        """The byte after the last."""
         return self.offset + self.length
 
 
@@ -221,13 +222,9 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
         if packed is None:
             views.append(View(buffer, offset, length, stride))
         else:
-            decoded = buffers.add(length, partial(_decompressed, packed, buffers))
+            decoded = buffers.add(length, partial(unpacked, packed, buffers.stored))
             views.append(View(decoded, 0, length, stride, packed, (buffer, offset)))
     return views
-
-
-def _decompressed(packed: Packed, buffers: Buffers) -> bytes:
-    return unpacked(packed, buffers.stored(packed.buffer))
 
 
 def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:

@@ -11,7 +11,7 @@ loses nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,8 +31,8 @@ class Column:
 
     attribute: str  # "COLOR_0", "POSITION" or "NORMAL"
     accessor: int  # where they are read
-    members: frozenset[int]  # all accessors over these numbers that primitives name as this attribute
-    users: tuple[tuple[int, int], ...]  # painted primitives that do: mesh, and index in the mesh
+    members: Set[int]  # all accessors over these numbers that primitives name as this attribute
+    users: Collection[tuple[int, int]]  # painted primitives that do: mesh, and index in the mesh
     position: int  # accessor of the positions that they belong to
 
 
@@ -92,8 +92,8 @@ def _detach(edit: Edit, column: Column, before: Stored, after: Stored) -> None:
     for user in users:
         _require_same_order(edit, user, column.attribute)
     packed = users[0].entry("extensions").entry(DRACO)
-    source = edit.accessors.views[packed.integer("bufferView")]
-    view = edit.append_attribute(edit.growing_buffer([source.buffer]), after)
+    source = edit.accessors.views[packed.integer("bufferView")].buffer
+    view = edit.append_attribute(edit.growing_buffer([source]), after)
     named = {user.entry("attributes").integer(column.attribute) for user in users}
     others = used_otherwise(edit.container.tree, column.attribute)
     for place, primitive in primitives_of(edit.container.tree):
@@ -153,7 +153,6 @@ def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
 
 
 def _update_bounds(accessor: Tree, before: Stored, after: Stored) -> None:
-    """Renew those components of min and max, if they are there, whose true value changes."""
     for key, reduce in (("min", np.min), ("max", np.max)):
         bounds: Any = accessor.get(key)
         if isinstance(bounds, list) and len(bounds) == after.shape[1]:
@@ -190,7 +189,7 @@ def _alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[
     found = [accessors[column.accessor] for column in columns]
     parts = [[each.layout, each.sparse.values if each.sparse else None] for each in found]
     own = [[_canonical(accessors, part) for part in both if part is not None] for both in parts]
-    members = set().union(*(column.members for column in columns))
+    members = {member for column in columns for member in column.members}
     others = [_canonical(accessors, layout) for layout in _others(tree, accessors, members)]
     ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
     buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T

@@ -8,7 +8,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,9 +23,7 @@ from beltrami_cli.formats.gltf.json_tree import Entry
 MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 """Extensions of a bufferView; both have the same members."""
 
-DRACO = "KHR_draco_mesh_compression"
-"""Extension of a primitive."""
-
+DRACO = "KHR_draco_mesh_compression"  # extension of a primitive
 _DRACO_MAGIC = b"DRACO"
 _DRACO_MESH = b"\1"  # the kind of geometry, after the magic and the version
 
@@ -40,7 +38,8 @@ _STRIDES = {
 }
 """Bytes of an element that each mode and each filter allows."""
 
-_FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
+_FILTERS = {"NONE": "", "OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp", "COLOR": ""}
+"""What was done to elements before they were compressed, by the library's names for undoing it."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +83,9 @@ def read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | No
     return Packed(entry, extension, buffer, offset, packed, count, stride, mode, kind)
 
 
-def unpacked(packed: Packed, data: Bytes) -> bytes:
-    """Decompress the bytes of a view from those of its buffer."""
-    library = _library(packed)
+def unpacked(packed: Packed, stored: Callable[[int], Bytes]) -> bytes:
+    """Decompress the bytes of a view; `stored` gives those of a buffer."""
+    library, data = _library(packed), stored(packed.buffer)
     source = bytes(data[packed.offset : packed.offset + packed.length])
     try:
         if packed.mode == "ATTRIBUTES":
@@ -109,8 +108,7 @@ def repacked(packed: Packed, data: Bytes, old: Bytes) -> bytes:
     library = _library(packed)
     library.encode_vertex_version(old[packed.offset] & 0x0F)
     elements = np.frombuffer(data, np.uint8).reshape(packed.count, packed.stride)
-    found: bytes = library.encode_vertex_buffer(elements, packed.count, packed.stride)
-    return found
+    return bytes(library.encode_vertex_buffer(elements, packed.count, packed.stride))
 
 
 def _library(packed: Packed) -> Any:
@@ -127,14 +125,11 @@ def _unfiltered(library: Any, packed: Packed, octets: Uint8s) -> Array:
         return octets
     if packed.filter == "COLOR":
         return _colours(octets.view("<u1" if packed.stride == 4 else "<u2").reshape(-1, 4))
-    names = {"OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp"}
-    decode = getattr(library, f"decode_filter_{names[packed.filter]}")
-    found: Array = decode(octets, packed.count, packed.stride)
-    return found
+    decode = getattr(library, f"decode_filter_{_FILTERS[packed.filter]}")
+    return np.asarray(decode(octets, packed.count, packed.stride))
 
 
 def _colours(stored: Array) -> Array:
-    """Return red, green, blue and opacity of luma, two chromas and opacity, shape (n, 4)."""
     # All four have K bits; the highest bit of opacity says what K is, and stands for no opacity itself.
     bits = 8 * stored.dtype.itemsize
     luma, alpha = stored[:, 0].astype(np.int64), stored[:, 3].astype(np.int64)

@@ -1,28 +1,33 @@
-"""The container of a glTF file, GLB chunks or plain JSON text: taken apart and put together again."""
+"""The container of a glTF file, GLB chunks or plain JSON text: taken apart and put together again.
+
+Encoding the JSON anew would change spacing, escapes and digits of numbers. So the text of the source is walked along
+the new tree, and only members that differ are written anew, in the source's style.
+"""
 
 from __future__ import annotations
 
+import json
+import re
 import struct
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Any
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.json_text import parsed, revised
+from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.json_tree import Entry, Tree, spelled
 
-if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Bytes
-
-GltfForm = Literal["glb", "gltf"]
-"""Binary or text."""
-
-MAGIC = b"glTF"
+_MAGIC = b"glTF"
 JSON_CHUNK = 0x4E4F534A
 BIN_CHUNK = 0x004E4942
 
 _BOM = b"\xef\xbb\xbf"
 _TRUNCATED = "the file may be cut short: copy or export it again"
+_DEEPEST = 100  # levels of nesting; glTF needs about ten, and recursion must stay far from Python's limit
+_DECODER = json.JSONDecoder()
+_SURROGATE = re.compile("[\ud800-\udfff]")
+_SPACE = re.compile(r"[ \t\n\r]*")
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,7 @@ class Container:
     """A glTF file taken apart."""
 
     name: str  # of the file, for messages
-    kind: GltfForm
+    kind: str  # "glb" or "gltf"
     data: bytes  # the whole file
     text: str  # the JSON, without byte order mark and without the padding of its chunk
     tree: Tree  # the JSON, parsed
@@ -48,7 +53,6 @@ class Container:
 
     @property
     def root(self) -> Entry:
-        """The outermost JSON object."""
         return Entry(self.name, "", self.tree)
 
     @property
@@ -58,7 +62,6 @@ class Container:
 
     @property
     def unknown_chunks(self) -> tuple[Chunk, ...]:
-        """The chunks that are neither JSON nor the BIN chunk."""
         return self.chunks if self.binary is None else self.chunks[1:]
 
     def copy_of_tree(self) -> Tree:
@@ -78,7 +81,7 @@ class Container:
 
 def read_container(data: bytes, name: str) -> Container:
     """Take a glTF file apart: binary if it starts with the GLB magic, otherwise JSON text."""
-    container = _glb(data, name) if data[:4] == MAGIC else _container("gltf", data, data, name)
+    container = _glb(data, name) if data[:4] == _MAGIC else _container("gltf", data, data, name)
     asset = container.root.entry("asset")
     stored = asset.value.get("version")
     # glTF 1 had it as a number, too.
@@ -119,7 +122,7 @@ def _glb(data: bytes, name: str) -> Container:
 
 
 def _container(
-    kind: GltfForm, json: bytes, data: bytes, name: str, chunks: tuple[Chunk, ...] = (), tail: Bytes = b""
+    kind: str, json: bytes, data: bytes, name: str, chunks: tuple[Chunk, ...] = (), tail: Bytes = b""
 ) -> Container:
     has_bom = json.startswith(_BOM)
     try:
@@ -137,4 +140,141 @@ def glb_pieces(chunks: Sequence[Chunk]) -> list[Bytes]:
     for chunk in chunks:
         padding = (b" " if chunk.kind == JSON_CHUNK else b"\0") * (-len(chunk.data) % 4)
         pieces += [struct.pack("<II", len(chunk.data) + len(padding), chunk.kind), chunk.data, padding]
-    return [MAGIC + struct.pack("<II", 2, 12 + sum(len(piece) for piece in pieces)), *pieces]
+    return [_MAGIC + struct.pack("<II", 2, 12 + sum(len(piece) for piece in pieces)), *pieces]
+
+
+def parsed(text: str, name: str) -> Tree:
+    """Read strict JSON whose outermost value is an object; no repeated keys, NaN, Infinity or absurd nesting."""
+    try:
+        tree = json.loads(text, object_pairs_hook=_unique, parse_constant=_refused)
+    except RecursionError:
+        raise InputError(name, "the JSON is nested too deeply") from None
+    except ValueError as error:
+        raise InputError(name, f"the JSON is damaged: {error}", "export the model again") from None
+    if not isinstance(tree, dict):
+        raise InputError(name, "the JSON is not an object, so this is not glTF")
+    level: list[Any] = [tree]
+    for _ in range(_DEEPEST):
+        level = [child for parent in level for child in _children(parent)]
+        if not level:
+            return tree
+    raise InputError(name, f"the JSON is nested more than {_DEEPEST} levels deep")
+
+
+def _children(parent: object) -> list[Any]:
+    values = parent.values() if isinstance(parent, dict) else parent if isinstance(parent, list) else ()
+    return [value for value in values if isinstance(value, dict | list)]
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> Tree:
+    tree = dict(pairs)
+    if len(tree) < len(pairs):
+        repeated = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {repeated!r} occurs twice in one object")
+    return tree
+
+
+def _refused(constant: str) -> None:
+    raise ValueError(f"{constant} is not a JSON number")
+
+
+def revised(text: str, tree: Tree) -> str:
+    """Write a changed tree; members that equal those parsed from `text` keep their characters in it."""
+    start = _skip(text, 0)
+    old, end = _DECODER.raw_decode(text, start)
+    return text[:start] + _value(_Span(start, end, old), tree, text, _style(text, start)) + text[end:]
+
+
+@dataclass(frozen=True)
+class _Span:
+    """A value of the source and where it stands."""
+
+    start: int
+    end: int
+    value: Any
+    key: str = ""
+    lead: int = 0  # after the comma or bracket before the value, and before its key
+    key_start: int = 0
+    key_end: int = 0
+    trail: int = 0  # the comma or bracket after the value
+
+
+@dataclass(frozen=True)
+class _Style:
+    """How the source spaces its JSON."""
+
+    indent: str | None  # characters of one level; None: one line
+    colon: str
+
+    def written(self, value: object, lead: str) -> str:
+        """Return a new value as text; `lead` is the white space in front of it or of its key."""
+        separators = (",", self.colon) if "\n" in lead or self.colon == ":" else (", ", self.colon)
+        indent = self.indent if "\n" in lead else None
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=indent, separators=separators)
+        if _SURROGATE.search(text):  # one half of a character, which UTF-8 cannot hold but an escape can
+            text = json.dumps(value, allow_nan=False, indent=indent, separators=separators)
+        return text.replace("\n", lead[: lead.rfind("\n") + 1].lstrip(" \t") + lead[lead.rfind("\n") + 1 :])
+
+
+def _style(text: str, start: int) -> _Style:
+    members = _spans(text, start)
+    if not members:
+        return _Style(None, ":")
+    lead = text[members[0].lead : members[0].key_start]
+    indent = lead[lead.rfind("\n") + 1 :] if "\n" in lead else None
+    return _Style(indent, text[members[0].key_end : members[0].start].strip("\r\n") or ":")
+
+
+def _skip(text: str, position: int) -> int:
+    match = _SPACE.match(text, position)
+    return match.end() if match else position
+
+
+def _spans(text: str, start: int) -> list[_Span]:
+    """Return the members of the object or array at `start`."""
+    spans: list[_Span] = []
+    keyed = text[start] == "{"
+    lead = start + 1
+    while text[position := _skip(text, lead)] not in "}]":
+        key, key_start, key_end = "", position, position
+        if keyed:
+            key, key_end = _DECODER.raw_decode(text, position)
+            position = _skip(text, _skip(text, key_end) + 1)
+        value, end = _DECODER.raw_decode(text, position)
+        comma = _skip(text, end)
+        spans.append(_Span(position, end, value, key, lead, key_start, key_end, comma))
+        if text[comma] != ",":
+            break
+        lead = comma + 1
+    return spans
+
+
+def _value(span: _Span, new: object, text: str, style: _Style) -> str:
+    if span.value == new:
+        return text[span.start : span.end]
+    if isinstance(span.value, dict | list) and type(span.value) is type(new) and span.value:
+        return _members(span, new, text, style)
+    return style.written(new, text[span.lead : span.key_start])
+
+
+def _members(span: _Span, new: Any, text: str, style: _Style) -> str:
+    """Return an object or array; what followed its last member in the source closes it."""
+    old = _spans(text, span.start)
+    if isinstance(new, dict):
+        kept = [(member, new[member.key]) for member in old if member.key in new]
+        names = {key: json.dumps(key, ensure_ascii=False) + style.colon for key in new}
+        added = [(names[key], value) for key, value in new.items() if key not in span.value]
+    else:
+        kept = list(zip(old, new, strict=False))
+        added = [("", value) for value in new[len(old) :]]
+    lead = text[old[-1].lead : old[-1].key_start]
+    pieces = [_piece(member, value, text, style) for member, value in kept]
+    pieces += [(lead + name + style.written(value, lead), "") for name, value in added]
+    joined = ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])])
+    return text[span.start] + joined + text[old[-1].end : old[-1].trail + 1]
+
+
+def _piece(span: _Span, new: object, text: str, style: _Style) -> tuple[str, str]:
+    """Return a member or item with what precedes it, and the white space between it and its comma."""
+    trail = text[span.end : span.trail] if text[span.trail] == "," else ""
+    return text[span.lead : span.start] + _value(span, new, text, style), trail

@@ -11,18 +11,17 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
-from beltrami_cli.formats.gltf import painted
-from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
+from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import Buffers, files_beside
 from beltrami_cli.formats.gltf.container import read_container
 from beltrami_cli.formats.gltf.edit import Edit, compress_again
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
 from beltrami_cli.formats.gltf.geometry import placements
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of, require_structure
+from beltrami_cli.formats.gltf.painted import Surface
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import written
-from beltrami_cli.formats.gltf.textured_mesh import read_textured_mesh
-from beltrami_cli.formats.gltf.textured_surface import gather_textured
+from beltrami_cli.formats.gltf.textured import gather_textured, read_textured_mesh
 from beltrami_cli.formats.gltf.textures import Images, present_slots
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedMesh, TexturedSurface
@@ -53,20 +52,14 @@ class GltfDocument(Document):
         self.notices += missing
 
     @cached_property
-    def surface(self) -> painted.Surface:
-        """Painted primitives; notices say what was left out of them when this is first asked for."""
-        surface = painted.gather(self.root, self.accessors, self.places)
-        self.notices += surface.notices
+    def surface(self) -> Surface:
+        surface = Surface(self.root, self.accessors, self.places)
+        self.notices += surface.notices()
         return surface
 
     @cached_property
-    def stored_colours(self) -> list[Stored]:
-        """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
-        return [self.accessors.finite(block.colour, "colour") for block in self.surface.blocks]
-
-    @cached_property
     def _painted(self) -> PaintedVertices:
-        return painted.painted_vertices(self.surface, self.accessors, self.stored_colours)
+        return self.surface.vertices()
 
     def has_vertex_colours(self) -> bool:
         primitives = primitives_of(self.container.tree)
@@ -81,25 +74,22 @@ class GltfDocument(Document):
         return surface
 
     def attributes(self) -> tuple[str, ...]:
-        return painted.attribute_names(self.root, self.surface.blocks)
+        return self.surface.attribute_names()
 
     def _attribute(self, name: str) -> Float64s:
-        blocks = self.surface.blocks
-        if name == "normal" and (normals := painted.normals_of(blocks, self.accessors)) is not None:
+        if name == "normal" and (normals := self.surface.normals()) is not None:
             return normals.astype(np.float64)
-        return painted.read_attribute(self.root, blocks, self.accessors, name)
+        return self.surface.attribute(name)
 
     def require_movable(self) -> None:
-        painted.require_movable(self.accessors, self.surface.blocks)
+        self.surface.require_movable()
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if new.colours is not None:
-            painted.recolour(
-                edit, self.surface.blocks, self.stored_colours, self.painted().colours, new.colours
-            )
+            self.surface.recolour(edit, self.painted().colours, new.colours)
         if new.places is not None:
-            painted.move(edit, self.surface.blocks, self.painted().positions, new.places)
+            self.surface.move(edit, self.painted().positions, new.places)
         compress_again(edit)
         repaint(edit, self.images, new.images)
         return written(edit, naming, new.form or self.format, self._folder)
@@ -116,8 +106,8 @@ class GltfDocument(Document):
             colours=shown.colours,
             encoding="linear",
             stored=shown.stored,
-            alpha=_opacity(self.stored_colours),
-            normals=painted.normals_of(self.surface.blocks, self.accessors),
+            alpha=self.surface.opacity(),
+            normals=self.surface.normals(),
             left_out=tuple(_left_out(self.container.tree)),
         )
 
@@ -127,11 +117,10 @@ class GltfDocument(Document):
         if self.has_vertex_colours():
             shown = self.painted()
             stored, values = shown.stored, shown.colours if colours is None else colours
-            alpha = _opacity(self.stored_colours)
+            alpha = self.surface.opacity()
             rows = values if alpha is None else np.column_stack([values, alpha])
             for block in self.surface.blocks:
-                own = rows[block.first_row : block.first_row + block.count]
-                by_primitive |= dict.fromkeys(block.users, own)
+                by_primitive |= dict.fromkeys(block.users, rows[block.rows])
         known, source = (self.root, self.accessors, self.images), PurePath(self.name).stem
         mesh = read_textured_mesh(*known, by_primitive, stored, source)
         others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
@@ -144,7 +133,9 @@ class GltfDocument(Document):
         colours: dict[str, Float32s] = {}
         if self.has_vertex_colours():
             colours["vertex colours"] = self.painted().colours
-            opacity = [stored[:, 3].tobytes() for stored in self.stored_colours if stored.shape[1] == 4]
+            opacity = [
+                stored[:, 3].tobytes() for stored in self.surface.stored_colours if stored.shape[1] == 4
+            ]
             parts["opacity of vertex colours"] = b"".join(opacity)
         return Fingerprint(parts, colours, images)
 
@@ -181,19 +172,7 @@ class GltfDocument(Document):
         }
 
 
-def _opacity(colours: Sequence[Stored]) -> Float32s | None:
-    """Return the opacity of all rows in [0, 1], None if no block has any."""
-    if all(numbers.shape[1] == 3 for numbers in colours):
-        return None
-    opaque = [np.ones(len(numbers), np.float32) for numbers in colours]
-    for numbers, opacity in zip(colours, opaque, strict=True):
-        if numbers.shape[1] == 4:
-            opacity[:] = np.clip(fractions(numbers[:, 3]), 0, 1)
-    return np.concatenate(opaque)
-
-
 def _left_out(tree: Tree) -> list[str]:
-    """Return what conversion to another format leaves out."""
     primitives = [primitive for _, primitive in primitives_of(tree)]
     held = [primitive.get("attributes", {}) for primitive in primitives]
     attributes, nodes = {key for each in held for key in each}, objects(tree.get("nodes"))

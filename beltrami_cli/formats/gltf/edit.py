@@ -20,8 +20,7 @@ from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, Images
 from beltrami_cli.surface.records import ImageFile
 
-VERTEX_DATA, INDEX_DATA = 34962, 34963
-"""What a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)."""
+VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
 
 
 @dataclass
@@ -36,7 +35,6 @@ class Edit:
     notices: list[str] = field(default_factory=list)
 
     def open(self, index: int) -> bytearray:
-        """Return the bytes of a buffer, to be changed."""
         if index not in self.buffers:
             self.buffers[index] = bytearray(self.accessors.buffers.stored(index))
         return self.buffers[index]
@@ -127,7 +125,6 @@ class _Blob:
     """An image for a buffer."""
 
     data: bytes
-    buffer: int
     view: int | None  # which it may overwrite; None: it needs its own
     images: tuple[int, ...]  # that show it
 
@@ -138,7 +135,7 @@ class ImageStorage:
     def __init__(self, edit: Edit, images: Images) -> None:
         self._edit, self._images = edit, images
         self._named = Counter(named_views(edit.tree))
-        self._blobs: list[_Blob] = []
+        self._blobs: dict[int, list[_Blob]] = defaultdict(list)  # by buffer
 
     def replace(self, image: int, file: ImageFile) -> int:
         """Give an image, and those that are the same, other bytes; return its index."""
@@ -165,8 +162,8 @@ class ImageStorage:
         image = self._edit.tree["images"][group[0]]
         if "bufferView" in image:
             home = self._edit.tree["bufferViews"][image["bufferView"]]["buffer"]
-            home = self._edit.accessors.buffers.canonical(home)
-            self._blobs.append(_Blob(file.data, home, view, group))
+            buffer = self._edit.accessors.buffers.canonical(home)
+            self._blobs[buffer].append(_Blob(file.data, view, group))
         elif image["uri"][:5].lower() == "data:":
             same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
             image["uri"] = data_uri(image["uri"] if same else f"data:{media};base64,", file.data)
@@ -174,24 +171,24 @@ class ImageStorage:
             self._edit.images |= dict.fromkeys(group, file)
 
     def finish(self) -> None:
-        """Put the bytes of images into their buffers."""
-        by_buffer: dict[int, list[_Blob]] = defaultdict(list)
-        for blob in self._blobs:
-            by_buffer[blob.buffer].append(blob)
-        for buffer, blobs in by_buffer.items():
+        for buffer, blobs in self._blobs.items():
             _store(self._edit, buffer, blobs)
 
 
 def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
     """Put images into one buffer: first where the old ones were as far as they fit, the others at the end."""
     views, data = edit.tree["bufferViews"], edit.open(buffer)
-    blobs = [blob if _may_overwrite(edit, buffer, blob) else replace(blob, view=None) for blob in blobs]
-    own = {blob.view for blob in blobs if blob.view is not None}
+    # A view that an image alone has may be overwritten, if its bytes are those of nothing else.
+    own = {
+        blob.view: blob
+        for blob in blobs
+        if blob.view is not None and _unshared(edit, (blob.view, None), buffer, *_span(views[blob.view]))
+    }
     others = [span for view, span in _spans(edit, buffer) if view not in own]
     end = _end(data, edit.tree["buffers"][buffer]["byteLength"], [_span(views[v]) for v in own], others)
-    moving = []
-    for blob in sorted(blobs, key=lambda blob: -1 if blob.view is None else _span(views[blob.view])[0]):
-        if blob.view is None or _span(views[blob.view])[0] >= end or not _fitted(edit, buffer, blob, end):
+    moving = [replace(blob, view=None) for blob in blobs if blob.view not in own]
+    for view, blob in sorted(own.items(), key=lambda item: _span(views[item[0]])[0]):
+        if _span(views[view])[0] >= end or not _fitted(edit, buffer, view, blob.data, end):
             moving.append(blob)
     del data[end:]
     edit.tree["buffers"][buffer]["byteLength"] = len(data)
@@ -225,13 +222,6 @@ def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
     return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
 
 
-def _may_overwrite(edit: Edit, buffer: int, blob: _Blob) -> bool:
-    """Return whether the bytes of the view that an image has are those of nothing else."""
-    if blob.view is None:
-        return False
-    return _unshared(edit, (blob.view, None), buffer, *_span(edit.tree["bufferViews"][blob.view]))
-
-
 def _end(
     data: bytearray, length: int, own: Sequence[tuple[int, int]], others: Sequence[tuple[int, int]]
 ) -> int:
@@ -247,18 +237,15 @@ def _end(
     return found
 
 
-def _fitted(edit: Edit, buffer: int, blob: _Blob, limit: int) -> bool:
+def _fitted(edit: Edit, buffer: int, number: int, new: bytes, limit: int) -> bool:
     """Overwrite the old image if the new one fits before what comes next; leave zeros where it is not."""
-    if blob.view is None:
-        return False
-    view, data = edit.tree["bufferViews"][blob.view], edit.open(buffer)
+    view, data = edit.tree["bufferViews"][number], edit.open(buffer)
     start, end = _span(view)
     after = min([limit, *(a for _, (a, _) in _spans(edit, buffer) if a >= end)])
     vacant = data.count(0, end, after) == after - end  # left by an earlier image, or padding
-    available = after if vacant else end
-    fits = start + len(blob.data) <= available
+    fits = start + len(new) <= (after if vacant else end)
     data[start:end] = bytes(end - start)
     if fits:
-        data[start : start + len(blob.data)] = blob.data
-        view["byteLength"] = len(blob.data)
+        data[start : start + len(new)] = new
+        view["byteLength"] = len(new)
     return fits

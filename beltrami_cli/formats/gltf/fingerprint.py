@@ -31,29 +31,23 @@ def fingerprint(
     container: Container, accessors: Accessors, images: Images
 ) -> tuple[dict[str, bytes], dict[str, NamedImage]]:
     """Return all parts of a glTF file but its colours and images, and its images."""
-    tree = container.copy_of_tree()
-    paintings: dict[str, NamedImage] = {}
-    parts = dict(_plain_parts(container, tree))
-    parts |= _materials(images, tree, paintings)
-    parts |= _meshes(tree)
-    parts |= _numbers(accessors, container.tree, tree)
-    return parts, paintings
+    tree, paintings = container.copy_of_tree(), dict[str, NamedImage]()
+    parts = dict(_plain_parts(container, tree)) | _materials(images, tree, paintings) | _meshes(tree)
+    return parts | _numbers(accessors, container.tree, tree), paintings
 
 
 def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]]:
     """Give what no patch changes."""
     for key, value in tree.items():
         if key in ("extensionsUsed", "extensionsRequired"):
-            kept = [name for name in value if name not in IMAGE_EXTENSIONS]
-            if kept:
+            if kept := [name for name in value if name not in IMAGE_EXTENSIONS]:
                 yield key, _spelled(kept)
         elif key not in _SHARED and isinstance(value, list):
             yield from ((f"{key}[{index}]", _spelled(entry)) for index, entry in enumerate(value))
         elif key not in _SHARED:
             yield key, _spelled(value)
     for index, buffer in enumerate(objects(tree.get("buffers"))):
-        others = {key: value for key, value in buffer.items() if key not in ("uri", "byteLength")}
-        if others:
+        if others := {key: value for key, value in buffer.items() if key not in ("uri", "byteLength")}:
             yield f"buffers[{index}]", _spelled(others)
     for index, chunk in enumerate(container.unknown_chunks):
         yield f"chunk {index} of type {chunk.kind:#x}", bytes(chunk.data)

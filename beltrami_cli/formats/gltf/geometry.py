@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.compression import draco_extension
 from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.surface.geometry import unit_vectors
 
-TRIANGLES, STRIP, FAN = 4, 5, 6
-"""Drawing modes with faces; 0 to 3 are points and lines."""
+TRIANGLES, STRIP, FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,11 @@ def _rotation(node: Entry) -> Float64s:
     )
 
 
-def in_world(positions: Float64s, placement: Placement, accessors: Accessors, index: int) -> Float64s:
-    """Return positions of an accessor, shape (n, 3), in the common space."""
-    matrix = placement.matrix
+def in_world(
+    placement: Placement, accessors: Accessors, index: int, used: slice | Bools = slice(None)
+) -> Float64s:
+    """Return positions of an accessor, or those that are used, shape (n, 3), in the common space."""
+    positions, matrix = accessors.values(index)[used], placement.matrix
     with np.errstate(over="ignore", invalid="ignore"):
         moved: Float64s = positions @ matrix[:3, :3].T + matrix[:3, 3]
     if not np.isfinite(moved).all():
@@ -145,9 +147,7 @@ def turned(normals: Float64s, matrix: Float64s) -> Float64s:
     # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
-    moved: Float64s = normals @ (sign * cofactors).T
-    length = np.linalg.norm(moved, axis=1, keepdims=True)
-    return moved / np.where(length > 0, length, 1)
+    return unit_vectors(normals @ (sign * cofactors).T)
 
 
 def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:
@@ -186,10 +186,10 @@ def drawing_mode(primitive: Entry) -> int:
     return mode if draco_extension(primitive) is None else TRIANGLES
 
 
-def drawing(primitive: Entry, accessors: Accessors) -> tuple[int, Hashable]:
+def drawing(primitive: Entry, accessors: Accessors) -> Hashable:
     """Return the same for primitives that draw their vertices in the same way."""
-    mode, index = drawing_mode(primitive), _index_accessor(primitive, accessors)
-    return mode, None if index is None else accessors.identity(index)
+    index = _index_accessor(primitive, accessors)
+    return drawing_mode(primitive), None if index is None else accessors.identity(index)
 
 
 def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placement) -> Int64s:
@@ -203,8 +203,19 @@ def drawn(primitive: Entry, accessors: Accessors, count: int, placement: Placeme
     return faces
 
 
+def textured_triangles(
+    primitive: Entry, accessors: Accessors, placement: Placement
+) -> tuple[int, int, Int64s] | None:
+    """Return the accessor of positions, their number, and the triangles; None if none are drawn."""
+    if drawing_mode(primitive) < TRIANGLES or "POSITION" not in primitive.entry("attributes"):
+        return None
+    position = position_accessor(primitive, accessors)
+    count = accessors[position].count
+    faces = drawn(primitive, accessors, count, placement)
+    return (position, count, faces) if len(faces) else None
+
+
 def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
-    """Return the accessor of indices, None where vertices are drawn in their order."""
     packed = draco_extension(primitive)
     if packed is not None:
         return accessors.decoded_indices(packed, primitive.integer("indices", below=len(accessors)))
@@ -234,5 +245,4 @@ def _triangles(mode: int, corners: Int64s) -> Int64s:
     faces = corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
     a, b, c = faces.T
     # Triangles that repeat a corner only join parts of the strip.
-    whole: Int64s = faces[(a != b) & (b != c) & (c != a)]
-    return whole
+    return np.asarray(faces[(a != b) & (b != c) & (c != a)])

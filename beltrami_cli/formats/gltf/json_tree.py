@@ -47,7 +47,7 @@ _NAMES = {dict: "an object", list: "an array", int: "an integer", str: "a string
 
 @dataclass(frozen=True)
 class Entry:
-    """One JSON object of a file."""
+    """One JSON object of a file; members that are missing give None, an empty array or object, or false."""
 
     name: str  # of the file, for messages
     place: str  # such as "meshes[3].primitives[0]"; empty for the outermost object
@@ -57,7 +57,6 @@ class Entry:
         return key in self.value
 
     def at(self, key: str) -> str:
-        """Return the place of a member."""
         return f"{self.place}.{key}" if self.place else key
 
     def fault(self, key: str, cause: str, remedy: str = "") -> InputError:
@@ -67,7 +66,6 @@ class Entry:
     def integer(
         self, key: str, *, least: int = 0, below: int | None = None, default: int | None = None
     ) -> int:
-        """Return an integer member in [least, below)."""
         value = self.value.get(key, default)
         if value is None:
             raise self.fault(key, "is missing")
@@ -82,12 +80,10 @@ class Entry:
         return value
 
     def integers(self, key: str, *, below: int) -> list[int]:
-        """Return an array of integers in [0, below); empty if it is missing."""
         values = enumerate(self._array(key))
         return [self._integer(value, f"{key}[{index}]", 0, below) for index, value in values]
 
     def numbers(self, key: str, length: int) -> list[float] | None:
-        """Return an array of `length` finite numbers, or None if it is missing."""
         if key not in self.value:
             return None
         array = self._array(key)
@@ -96,33 +92,27 @@ class Entry:
         return [float(value) for value in array]
 
     def number(self, key: str, *, default: float) -> float:
-        """Return a finite number."""
         value = self.value.get(key, default)
         if not _finite(value):
             raise self.fault(key, f"is {spelled(value)} instead of a finite number")
         return float(value)
 
     def flag(self, key: str) -> bool:
-        """Return a boolean member; false if it is missing."""
         return self._of_kind(key, False)
 
     def text(self, key: str) -> str | None:
-        """Return a string member, or None if it is missing."""
         return None if self.value.get(key) is None else self._of_kind(key, "")
 
     def texts(self, key: str) -> list[str]:
-        """Return an array of strings; empty if it is missing."""
         array = self._array(key)
         if not all(isinstance(value, str) for value in array):
             raise self.fault(key, "must be an array of strings")
         return array
 
     def entry(self, key: str) -> Entry:
-        """Return an object member; an empty one if it is missing."""
         return Entry(self.name, self.at(key), self._of_kind(key, Tree()))
 
     def entries(self, key: str) -> list[Entry]:
-        """Return an array of objects; empty if it is missing."""
         found = []
         for index, value in enumerate(self._array(key)):
             if not isinstance(value, dict):
@@ -134,7 +124,6 @@ class Entry:
         return self._of_kind(key, list[Any]())
 
     def _of_kind(self, key: str, default: T) -> T:
-        """Return a member of the kind of its default."""
         value = self.value.get(key, default)
         if not isinstance(value, type(default)):
             raise self.fault(key, f"is {spelled(value)} instead of {_NAMES[type(default)]}")

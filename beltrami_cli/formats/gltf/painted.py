@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf import geometry
@@ -19,12 +20,14 @@ from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
 from beltrami_cli.formats.gltf.columns import Column, exchange
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MovedVertices, PaintedVertices
 
 _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, the coarsest first
 _MOST_ROWS = np.iinfo(np.int32).max
 _OTHERWISE = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
 _INDICES = ("JOINTS_", "WEIGHTS_")
+_STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
 
 
 @dataclass
@@ -37,102 +40,37 @@ class Block:
     first_row: int
     count: int
     normal: int | None  # accessor of the normals of the first primitive
-    # Accessors over these colours that primitives name as COLOR_0, and those primitives: mesh, and index in the mesh.
+    # Accessors over these colours that primitives name as COLOR_0, and those primitives by mesh, and index in the mesh.
     members: set[int] = field(default_factory=set)
-    users: list[tuple[int, int]] = field(default_factory=list)
+    users: dict[tuple[int, int], Entry] = field(default_factory=dict)
+
+    @property
+    def first_user(self) -> Entry:
+        return next(iter(self.users.values()))
+
+    @property
+    def rows(self) -> slice:
+        return slice(self.first_row, self.first_row + self.count)
 
 
-@dataclass
 class Surface:
-    """All blocks, their triangles as rows (F, 3), and what the user should know about what was left out."""
+    """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
-    blocks: list[Block]
-    faces: Int32s
-    notices: list[str]
-
-
-def gather(root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> Surface:
-    """Gather all primitives that have COLOR_0, in file order; UnpaintedError if there are none."""
-    gathering = _Gathering(accessors)
-    for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
-        for part, primitive in enumerate(mesh.entries("primitives")):
-            gathering.take(primitive, placement, (number, part))
-    if not gathering.blocks:
-        remedy = "paint the vertices first, or bake the texture into them"
-        raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
-    return gathering.surface()
-
-
-def painted_vertices(surface: Surface, accessors: Accessors, colours: Sequence[Stored]) -> PaintedVertices:
-    """Return the rows of all blocks; `colours` are those of each block as stored."""
-    blocks = surface.blocks
-    types = {numbers.dtype.name for numbers in colours}
-    spaces = np.concatenate([np.full(block.count, block.placement.space, np.int32) for block in blocks])
-    fraction = np.concatenate([fractions(numbers[:, :3]) for numbers in colours])
-    places = [(accessors.values(block.position), block.placement, block.position) for block in blocks]
-    positions = [geometry.in_world(at, placement, accessors, index) for at, placement, index in places]
-    return PaintedVertices(
-        positions=np.concatenate(positions),
-        faces=surface.faces,
-        colours=fraction,
-        channels=("red", "green", "blue"),
-        encoding="linear",
-        stored=next(kind for kind in _COLOUR_TYPES if kind in types),
-        space_of=spaces if np.any(spaces != spaces[0]) else None,
-    )
-
-
-def normals_of(blocks: Sequence[Block], accessors: Accessors) -> Float32s | None:
-    """Return unit normals in world space if every block has them; those of length zero stay zero."""
-    parts = []
-    for block in blocks:
-        if block.normal is None:
-            return None
-        parts.append(geometry.turned(accessors.values(block.normal), block.placement.matrix))
-    return np.concatenate(parts).astype(np.float32)
-
-
-def attribute_names(root: Entry, blocks: Sequence[Block]) -> tuple[str, ...]:
-    """Return the attributes that all blocks have; "normal" for their normals."""
-    held = [set(_first_user(root, block).entry("attributes").value) for block in blocks]
-    common = set.intersection(*held) if held else set()
-    others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
-    return (*(("normal",) if "NORMAL" in common else ()), *others)
-
-
-def read_attribute(root: Entry, blocks: Sequence[Block], accessors: Accessors, name: str) -> Float64s:
-    """Read an attribute of all blocks, shape (V, G)."""
-    parts: list[Float64s] = []
-    for block in blocks:
-        primitive = _first_user(root, block)
-        values = accessors.values(geometry.attribute_accessor(primitive, name, accessors))
-        if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
-            cause = f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
-            if parts and len(values) == block.count:
-                cause += f" of {parts[0].shape[1]} numbers elsewhere"
-            raise primitive.entry("attributes").fault(name, cause)
-        parts.append(values)
-    return np.concatenate(parts)
-
-
-def _first_user(root: Entry, block: Block) -> Entry:
-    mesh, part = block.users[0]
-    return root.entries("meshes")[mesh].entries("primitives")[part]
-
-
-class _Gathering:
-    """Blocks while primitives are being taken one by one."""
-
-    def __init__(self, accessors: Accessors) -> None:
+    def __init__(self, root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> None:
         self.accessors = accessors
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
         self._faces: dict[Hashable, Int32s] = {}
         self._rows = 0
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
+        for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
+            for part, primitive in enumerate(mesh.entries("primitives")):
+                self._take(primitive, placement, (number, part))
+        if not self.blocks:
+            remedy = "paint the vertices first, or bake the texture into them"
+            raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
 
-    def take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
-        """Take one primitive: its rows if they are new, and its triangles."""
+    def _take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
         if "COLOR_0" not in primitive.entry("attributes"):
             self._counts["uncoloured"] += 1
             return
@@ -169,7 +107,7 @@ class _Gathering:
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.members.add(colour)
-        block.users.append(number)
+        block.users[number] = primitive
         if self.accessors.identity(block.position) != place:
             self._counts["elsewhere"] += 1
             return None
@@ -187,8 +125,8 @@ class _Gathering:
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
         return index
 
-    def surface(self) -> Surface:
-        faces = [np.empty((0, 3), np.int32), *self._faces.values()]
+    def notices(self) -> list[str]:
+        """Return what the user should know about what was left out."""
         sentences = {
             "uncoloured": "{} primitive(s) without COLOR_0 are left as they are.",
             "elsewhere": "{} primitive(s) reuse colours with other positions; the colours are smoothed where "
@@ -198,106 +136,152 @@ class _Gathering:
             "plain": "{} primitive(s) store integer colours that are not marked as normalised; they are read as if "
             "they were.",
         }
-        notices = [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
-        return Surface(self.blocks, np.concatenate(faces), notices)
+        return [sentence.format(n) for key, sentence in sentences.items() if (n := self._counts[key])]
+
+    @cached_property
+    def stored_colours(self) -> list[Stored]:
+        """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
+        return [self.accessors.finite(block.colour, "colour") for block in self.blocks]
+
+    def vertices(self) -> PaintedVertices:
+        """Return the rows of all blocks."""
+        spaces = np.concatenate([np.full(each.count, each.placement.space, np.int32) for each in self.blocks])
+        places = [(block.placement, self.accessors, block.position) for block in self.blocks]
+        types = {numbers.dtype.name for numbers in self.stored_colours}
+        return PaintedVertices(
+            positions=np.concatenate([geometry.in_world(*place) for place in places]),
+            faces=np.concatenate([np.empty((0, 3), np.int32), *self._faces.values()]),
+            colours=np.concatenate([fractions(numbers[:, :3]) for numbers in self.stored_colours]),
+            channels=("red", "green", "blue"),
+            encoding="linear",
+            stored=next(kind for kind in _COLOUR_TYPES if kind in types),
+            space_of=spaces if np.any(spaces != spaces[0]) else None,
+        )
+
+    def opacity(self) -> Float32s | None:
+        """Return the opacity of all rows in [0, 1], None if no block has any."""
+        if all(numbers.shape[1] == 3 for numbers in self.stored_colours):
+            return None
+        opaque = np.ones(self._rows, np.float32)
+        for block, numbers in zip(self.blocks, self.stored_colours, strict=True):
+            if numbers.shape[1] == 4:
+                opaque[block.rows] = np.clip(fractions(numbers[:, 3]), 0, 1)
+        return opaque
+
+    def normals(self) -> Float32s | None:
+        """Return unit normals in world space if every block has them; those of length zero stay zero."""
+        parts = []
+        for block in self.blocks:
+            if block.normal is None:
+                return None
+            parts.append(geometry.turned(self.accessors.values(block.normal), block.placement.matrix))
+        return np.concatenate(parts).astype(np.float32)
+
+    def attribute_names(self) -> tuple[str, ...]:
+        """Return the attributes that all blocks have; "normal" for their normals."""
+        held = [set(block.first_user.entry("attributes").value) for block in self.blocks]
+        common = set.intersection(*held)
+        others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
+        return (*(("normal",) if "NORMAL" in common else ()), *others)
+
+    def attribute(self, name: str) -> Float64s:
+        """Read an attribute of all blocks, shape (V, G)."""
+        parts: list[Float64s] = []
+        for block in self.blocks:
+            index = geometry.attribute_accessor(block.first_user, name, self.accessors)
+            values = self.accessors.values(index)
+            if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
+                cause = (
+                    f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
+                )
+                if parts and len(values) == block.count:
+                    cause += f" of {parts[0].shape[1]} numbers elsewhere"
+                raise block.first_user.entry("attributes").fault(name, cause)
+            parts.append(values)
+        return np.concatenate(parts)
+
+    def recolour(self, edit: Edit, old: Float32s, new: Float32s) -> None:
+        """Put new colours (V, 3) into a file; only entries that differ from the old ones change."""
+        if new.shape != old.shape or not np.isfinite(new).all():
+            raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
+        columns, numbers = [], []
+        for block, before in zip(self.blocks, self.stored_colours, strict=True):
+            after = before.copy()
+            differs = new[block.rows] != old[block.rows]
+            after[:, :3][differs] = quantised(new[block.rows][differs], before.dtype)
+            columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
+            numbers.append((before, after))
+        exchange(edit, columns, numbers)
+
+    def require_movable(self) -> None:
+        """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
+        for block in self.blocks:
+            accessor = self.accessors[block.position]
+            if self.accessors.is_added(block.position):
+                remedy = "decompress the model first with a glTF optimiser"
+                raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
+            if accessor.component.kind != "f":
+                kind = f"{accessor.component.name} (KHR_mesh_quantization)"
+                cause = f"positions are {kind}, which cannot hold smoothed ones"
+                raise accessor.entry.fault(
+                    "componentType", cause, "store them as floats, with a glTF optimiser"
+                )
+            if abs(np.linalg.det(block.placement.matrix[:3, :3])) < np.finfo(np.float64).tiny:
+                raise accessor.entry.fault("", "its node scales the positions to nothing")
+
+    def move(self, edit: Edit, old: Float64s, places: MovedVertices) -> None:
+        """Put new positions, and normals if there are any, into a file; only rows that change are written."""
+        positions = [(block, block.position) for block in self.blocks]
+        _exchange_shared(edit, "POSITION", positions, places.positions - old, _moved)
+        normals = [(block, block.normal) for block in self.blocks if block.normal is not None]
+        stale = {"normals"} if normals and places.normals is None else set()
+        if places.normals is not None:
+            _exchange_shared(edit, "NORMAL", normals, places.normals, _turned)
+        users = [user for block in self.blocks for user in block.users.values()]
+        stale |= {"tangents"} if any("TANGENT" in user.entry("attributes") for user in users) else set()
+        edit.notices += [_STALE.format(what) for what in sorted(stale)]
 
 
-_STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
+def _moved(block: Block, before: Stored, moves: Array) -> Stored:
+    rows = moves.any(axis=1)
+    back = np.linalg.inv(block.placement.matrix[:3, :3]).T
+    after = before.copy()
+    after[rows] = (before[rows].astype(np.float64) + moves[rows] @ back).astype(before.dtype)
+    return after
 
 
-def recolour(
-    edit: Edit, blocks: Sequence[Block], stored: Sequence[Stored], old: Float32s, new: Float32s
-) -> None:
-    """Put new colours (V, 3) into a file; `stored` are those of each block, and only entries that differ change."""
-    if new.shape != old.shape or not np.isfinite(new).all():
-        raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-    columns, numbers = [], []
-    for block, before in zip(blocks, stored, strict=True):
-        rows = slice(block.first_row, block.first_row + block.count)
-        after = before.copy()
-        differs = new[rows] != old[rows]
-        after[:, :3][differs] = quantised(new[rows][differs], before.dtype)
-        columns.append(_column("COLOR_0", block.colour, block.members, block))
-        numbers.append((before, after))
-    exchange(edit, columns, numbers)
-
-
-def _column(attribute: str, index: int, members: set[int], block: Block) -> Column:
-    return Column(attribute, index, frozenset(members), tuple(block.users), block.position)
-
-
-def require_movable(accessors: Accessors, blocks: Sequence[Block]) -> None:
-    """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
-    for block in blocks:
-        accessor = accessors[block.position]
-        if accessors.is_added(block.position):
-            remedy = "decompress the model first with a glTF optimiser"
-            raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
-        if accessor.component.kind != "f":
-            cause = f"positions are {accessor.component.name} (KHR_mesh_quantization), which cannot hold smoothed ones"
-            raise accessor.entry.fault("componentType", cause, "store them as floats, with a glTF optimiser")
-        if abs(np.linalg.det(block.placement.matrix[:3, :3])) < np.finfo(np.float64).tiny:
-            raise accessor.entry.fault("", "its node scales the positions to nothing")
-
-
-def move(edit: Edit, blocks: Sequence[Block], old: Float64s, places: MovedVertices) -> None:
-    """Put new positions, and normals if there are any, into a file; only rows that differ from `old` are written."""
-    moves = places.positions - old
-    _exchange_shared(edit, "POSITION", [(block, block.position) for block in blocks], _moved(moves))
-    normals, stale = places.normals, set()
-    if normals is not None:
-        held = [(block, block.normal) for block in blocks if block.normal is not None]
-        _exchange_shared(edit, "NORMAL", held, _turned(normals))
-    elif any(block.normal is not None for block in blocks):
-        stale.add("normals")
-    meshes = edit.container.root.entries("meshes")
-    for mesh, part in (user for block in blocks for user in block.users):
-        if "TANGENT" in meshes[mesh].entries("primitives")[part].entry("attributes"):
-            stale.add("tangents")
-    edit.notices += [_STALE.format(what) for what in sorted(stale)]
-
-
-def _moved(moves: Float64s) -> Callable[[Block, Stored], Stored]:
-    def renew(block: Block, before: Stored) -> Stored:
-        mine = moves[block.first_row : block.first_row + block.count]
-        rows = mine.any(axis=1)
-        back = np.linalg.inv(block.placement.matrix[:3, :3]).T
-        after = before.copy()
-        after[rows] = (before[rows].astype(np.float64) + mine[rows] @ back).astype(before.dtype)
-        return after
-
-    return renew
-
-
-def _turned(normals: Float32s) -> Callable[[Block, Stored], Stored]:
-    def renew(block: Block, before: Stored) -> Stored:
-        mine = normals[block.first_row : block.first_row + block.count].astype(np.float64)
-        rows = ~np.isnan(mine).any(axis=1)
-        # Normals went to the common space by the inverse transpose.
-        local = mine[rows] @ block.placement.matrix[:3, :3]
-        local /= np.maximum(np.linalg.norm(local, axis=1, keepdims=True), np.finfo(np.float64).tiny)
-        after = before.copy()
-        if before.dtype.kind == "f":
-            after[rows] = local
-        else:
-            after[rows] = np.rint(local * np.iinfo(before.dtype).max)
-        return after
-
-    return renew
+def _turned(block: Block, before: Stored, normals: Array) -> Stored:
+    rows = ~np.isnan(normals).any(axis=1)
+    # Normals went to the common space by the inverse transpose.
+    local = unit_vectors(normals[rows].astype(np.float64) @ block.placement.matrix[:3, :3])
+    after = before.copy()
+    after[rows] = local if before.dtype.kind == "f" else np.rint(local * np.iinfo(before.dtype).max)
+    return after
 
 
 def _exchange_shared(
-    edit: Edit, attribute: str, held: Sequence[tuple[Block, int]], renew: Callable[[Block, Stored], Stored]
+    edit: Edit,
+    attribute: str,
+    held: Sequence[tuple[Block, int]],
+    rows: Array,
+    renew: Callable[[Block, Stored, Array], Stored],
 ) -> None:
-    """Exchange an attribute of all blocks, which may share its numbers."""
-    accessors, root = edit.accessors, edit.container.root
+    """Exchange an attribute of all blocks, which may share its numbers; it is renewed by what is new of their rows."""
+    accessors = edit.accessors
+    # By primitives, painted or not.
+    named = {
+        primitive.entry("attributes").integer(attribute, below=len(accessors.all))
+        for mesh in edit.container.root.entries("meshes")
+        for primitive in mesh.entries("primitives")
+        if attribute in primitive.entry("attributes")
+    }
     columns: dict[Hashable, tuple[Column, Stored, Stored]] = {}
     for block, index in held:
         before = accessors.stored(index)
-        after, key = renew(block, before), accessors.identity(index)
+        after, key = renew(block, before, rows[block.rows]), accessors.identity(index)
         if key not in columns:
-            members = _members(root, accessors, attribute, key)
-            columns[key] = _column(attribute, index, members, block), before, after
+            same = {other for other in named if accessors.identity(other) == key}
+            columns[key] = Column(attribute, index, same, block.users, block.position), before, after
             continue
         _, _, earlier = columns[key]
         mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
@@ -307,14 +291,3 @@ def _exchange_shared(
         earlier[mine] = after[mine]
     found = list(columns.values())
     exchange(edit, [column for column, _, _ in found], [(before, after) for _, before, after in found])
-
-
-def _members(root: Entry, accessors: Accessors, attribute: str, key: Hashable) -> set[int]:
-    """Return all accessors over certain numbers that primitives, painted or not, name as an attribute."""
-    named = {
-        primitive.entry("attributes").integer(attribute, below=len(accessors.all))
-        for mesh in root.entries("meshes")
-        for primitive in mesh.entries("primitives")
-        if attribute in primitive.entry("attributes")
-    }
-    return {index for index in named if accessors.identity(index) == key}

@@ -16,13 +16,13 @@ from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.edit import Edit, ImageStorage
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, objects_within
-from beltrami_cli.formats.gltf.textured_surface import image_key
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
     MEDIA,
     SLOT_PATHS,
     WEBP,
     Images,
+    image_key,
     kind_of,
     media_type,
     named_images,
@@ -99,7 +99,12 @@ def _changes(tree: Tree, images: Images, wanted: Mapping[tuple[Slot, int], Image
         image = shown.get(texture)
         free = all(file is not None for _, file in uses)
         for number, file in enumerate(files):
-            index = texture if free and not number else _copy(tree, texture, uses, file)
+            index = texture
+            if number or not free:
+                index = len(tree["textures"])
+                tree["textures"].append(dict(tree["textures"][texture]))
+                for info in (info for info, new in uses if new == file):
+                    info["index"] = index
             if image is not None:
                 changes.append(_Change(index, image, file))
     if {(change.image, change.file) for change in changes} != {(i, f) for (_, i), f in wanted.items()}:
@@ -127,15 +132,6 @@ def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
     for each in objects_within([value for key, value in tree.items() if key not in _WITHOUT_TEXTURES]):
         if isinstance(each.get("index"), int):
             yield each, slots.get(id(each))
-
-
-def _copy(tree: Tree, texture: int, uses: list[tuple[Tree, ImageFile | None]], file: ImageFile) -> int:
-    index = len(tree["textures"])
-    tree["textures"].append(dict(tree["textures"][texture]))
-    for info, new in uses:
-        if new == file:
-            info["index"] = index
-    return index
 
 
 def _used_elsewhere(tree: Tree, images: Images, image: int, changing: set[int]) -> bool:
@@ -244,29 +240,22 @@ def _described(texture: Tree, extensions: Tree, images: Images, image: int) -> i
 
 
 def _extensions(tree: Tree) -> set[str]:
-    """Return which of the extensions that hold images the textures use."""
     used = {name for texture in objects(tree.get("textures")) for name in texture.get("extensions", {})}
     return used & IMAGE_EXTENSIONS.keys()
 
 
 def _declare(tree: Tree, before: set[str]) -> None:
-    """Bring the lists of extensions up to date with the textures."""
     after = _extensions(tree)
     known = {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
     for extension in sorted(after & known):
-        _enlist(tree, "extensionsUsed", extension)
         holders = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
-        if any("source" not in texture for texture in holders):
-            _enlist(tree, "extensionsRequired", extension)
+        is_required = any("source" not in texture for texture in holders)
+        for key in ("extensionsUsed", *(["extensionsRequired"] if is_required else [])):
+            if extension not in tree.setdefault(key, []):
+                tree[key].append(extension)
     for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
         kept = [name for name in tree.get(key, []) if name not in before - after]
         if kept:
             tree[key] = kept
         else:
             tree.pop(key, None)
-
-
-def _enlist(tree: Tree, key: str, extension: str) -> None:
-    names = tree.setdefault(key, [])
-    if extension not in names:
-        names.append(extension)

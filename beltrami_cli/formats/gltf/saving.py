@@ -8,11 +8,10 @@ from __future__ import annotations
 from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
-from beltrami_cli.formats.gltf.buffers import data_uri, is_data, named_files, read, relative_name
+from beltrami_cli.formats.gltf.buffers import data_uri, is_data, located, named_files, read, relative_name
 from beltrami_cli.formats.gltf.compression import MESHOPT
-from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces, revised
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.json_text import revised
 from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import media_type
 from beltrami_cli.formats.model_folder import ModelFolder, NewNames, UnfitReferenceError, is_outside
@@ -57,15 +56,12 @@ def _place_chunk(edit: Edit, names: NewNames) -> dict[str, Bytes]:
 
 def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
     """Return a text file as binary: all buffers merged into BIN, images inside the folder embedded."""
-    tree = edit.tree
-    binary = _merge_buffers(edit)
-    notices = [*edit.notices, *_embed_images(edit, binary, folder)]
-    chunks = []
+    tree, binary = edit.tree, _merge_buffers(edit)
+    notices = (*edit.notices, *_embed_images(edit, binary, folder))
     if binary:
         tree["buffers"][0]["byteLength"] = len(binary)
-        chunks.append(Chunk(BIN_CHUNK, binary))
-    text = revised(edit.container.text, tree).strip(" \t\r\n").encode()
-    return Written(glb_pieces([Chunk(JSON_CHUNK, text), *chunks]), {}, tuple(notices))
+    chunks = [Chunk(JSON_CHUNK, revised(edit.container.text, tree).strip(" \t\r\n").encode())]
+    return Written(glb_pieces(chunks + ([Chunk(BIN_CHUNK, binary)] if binary else [])), notices=notices)
 
 
 def _place_buffers(edit: Edit, names: NewNames) -> dict[str, Bytes]:
@@ -115,11 +111,12 @@ def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str,
     new_of: dict[str, str] = {}
     for kind in ("buffers", "images") if names.copies else ():
         for index, entry in enumerate(edit.tree.get(kind, [])):
-            uri = entry.get("uri")
-            if uri is None or is_data(uri) or _is_changed(edit, kind, index):
+            uri, buffers = entry.get("uri"), edit.accessors.buffers
+            is_new = index >= len(buffers) or buffers.canonical(index) in edit.buffers
+            if uri is None or is_data(uri) or (is_new if kind == "buffers" else index in edit.images):
                 continue
             try:
-                path = folder.locate(relative_name(uri, outside=folder.access.outside))
+                path = located(uri, folder)
             except UnfitReferenceError:
                 continue
             if is_outside(path):
@@ -129,14 +126,6 @@ def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str,
                 new_of[path] = names.image(path) if kind == "images" else names.other(path, ".bin")
             entry["uri"] = quote(new_of[path])
     return {new: path for path, new in new_of.items()}
-
-
-def _is_changed(edit: Edit, kind: str, index: int) -> bool:
-    """Return whether an edit has new bytes for an image or a buffer."""
-    if kind == "images":
-        return index in edit.images
-    buffers = edit.accessors.buffers
-    return index >= len(buffers) or buffers.canonical(index) in edit.buffers
 
 
 def _merge_buffers(edit: Edit) -> bytearray:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import get_args
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import is_data, read, relative_name
+from beltrami_cli.formats.gltf.buffers import file_key, is_data, read, relative_name
 from beltrami_cli.formats.gltf.json_tree import Entry, Tree
 from beltrami_cli.formats.image import format_of, label_of
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
@@ -28,9 +27,7 @@ IMAGE_EXTENSIONS = {
 }
 """Extensions of textures that name an image of another type than core glTF has."""
 
-UNREAD = ("MSFT_texture_dds",)
-"""Those of them whose images are not read."""
-
+UNREAD = ("MSFT_texture_dds",)  # those of them whose images are not read
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "baseColor": (
         ("pbrMetallicRoughness", "baseColorTexture"),
@@ -66,22 +63,16 @@ class Images:
         self._samplers = root.entries("samplers")
         self._loaded: dict[int, bytes] = {}
         first: dict[Hashable, int] = {}
-        self._canonical = [first.setdefault(self._place(index), index) for index in range(len(self))]
+        self._canonical = [first.setdefault(self._key(index), index) for index in range(len(self))]
 
     def __len__(self) -> int:
         return len(self.entries)
 
-    def _place(self, index: int) -> tuple[str, str | int]:
+    def _key(self, index: int) -> Hashable:
         image = self.entries[index]
         if "bufferView" in image:
             return "view", image.integer("bufferView", below=len(self._accessors.views))
-        uri = image.text("uri")
-        if uri is None or is_data(uri):
-            return "own", index
-        try:
-            return "file", relative_name(uri, outside=self._folder.access.outside)
-        except UnfitReferenceError:
-            return "own", index
+        return file_key(image.text("uri"), index, self._folder)
 
     def canonical(self, index: int) -> int:
         """Return the first image over the same bytes as this one, usually itself."""
@@ -116,18 +107,15 @@ class Images:
         raise UnfitReferenceError("has no image")
 
     def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
-        """Return what lies beyond 0 and 1 along u and v."""
         entry = self.textures[texture]
         if "sampler" not in entry:
             return "repeat", "repeat"
         sampler = self._samplers[entry.integer("sampler", below=len(self._samplers))]
-        both: list[Wrap] = []
-        for key in ("wrapS", "wrapT"):
-            kind = sampler.integer(key, default=10497)
+        kinds = {key: sampler.integer(key, default=WRAPS["repeat"]) for key in ("wrapS", "wrapT")}
+        for key, kind in kinds.items():
             if kind not in _KINDS:
                 raise sampler.fault(key, f"is {kind}, which glTF does not define")
-            both.append(_KINDS[kind])
-        return both[0], both[1]
+        return _KINDS[kinds["wrapS"]], _KINDS[kinds["wrapT"]]
 
     def data(self, index: int) -> bytes:
         """Return the image file as it is stored; UnfitReferenceError if it is not there, or not read."""
@@ -149,9 +137,15 @@ class Images:
         known = format_of(data, "") or ""
         package = missing_package(known) if known in EXTRA_CODECS else None
         if package is not None:
-            cause = f"is a {label_of(known)} image and needs the package {package}; {INSTALL}"
-            raise UnfitReferenceError(cause)
+            raise UnfitReferenceError(
+                f"is a {label_of(known)} image and needs the package {package}; {INSTALL}"
+            )
         return data
+
+
+def image_key(image: int) -> str:
+    """Return the key of an image's texture, under which a new image is handed back."""
+    return f"image {image}"
 
 
 def media_type(data: bytes) -> str | None:
@@ -195,8 +189,7 @@ class TextureUse:
 def present_slots(root: Entry) -> tuple[Slot, ...]:
     """Return the slots for which some material has a texture, the base colour first."""
     materials = root.entries("materials")
-    slots: tuple[Slot, ...] = get_args(Slot)
-    return tuple(slot for slot in slots if any(_infos(material, slot) for material in materials))
+    return tuple(slot for slot in SLOT_PATHS if any(_infos(material, slot) for material in materials))
 
 
 def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from typing import Any
 from urllib.parse import quote
 
@@ -21,9 +22,10 @@ from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, plain_name, shown_materials
 from beltrami_cli.surface.colour_values import srgb_to_linear
+from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import Material, MeshContents, TexturedMesh, VertexColours, Wrap
+from beltrami_cli.surface.records import ImageFile, Material, MeshContents, TexturedMesh, VertexColours
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.
@@ -36,29 +38,50 @@ _COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()
 _MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
 
 
+Model = tuple[Tree, "Arrays", Mapping[str, ImageFile]]
+"""The JSON of a file but for its buffer and images, the numbers behind it, and the images by their files' names."""
+
+
 def write_glb(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as one binary file; its colours become linear, as glTF demands, and `stem` its name."""
-    return binary_file(*_coloured(contents, stem))
+    return _binary(_coloured(contents, stem))
 
 
 def write_gltf(contents: MeshContents, stem: str) -> Written:
     """Write a mesh as JSON text with its numbers in the sidecar ``stem.bin``; otherwise as `write_glb`."""
-    return text_file(*_coloured(contents, stem), stem, {})
+    return _text(_coloured(contents, stem), stem)
 
 
-def binary_file(tree: Tree, arrays: Arrays) -> Written:
-    """Return a file of both chunks."""
+def write_textured_glb(mesh: TexturedMesh, stem: str) -> Written:
+    """Write a mesh with its textures as one binary file; vertices are split where their corners differ."""
+    return _binary(_textured(mesh, stem))
+
+
+def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
+    """Write a mesh as JSON text, with its numbers and its images in files beside it; else as `write_textured_glb`."""
+    return _text(_textured(mesh, stem), stem)
+
+
+def _binary(model: Model) -> Written:
+    tree, arrays, images = model
+    for name, image in images.items():
+        view = arrays.add_bytes(image.data)
+        shown = {"bufferView": view, "mimeType": MEDIA[image.suffix], "name": name.rpartition(".")[0]}
+        tree.setdefault("images", []).append(shown)
     tree["buffers"] = [{"byteLength": len(arrays.binary)}]
     text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
     pieces = glb_pieces([Chunk(JSON_CHUNK, text.encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))])
     return Written(pieces, notices=tuple(arrays.notices))
 
 
-def text_file(tree: Tree, arrays: Arrays, stem: str, images: dict[str, bytes]) -> Written:
-    """Return JSON text, with the numbers and images in files beside it."""
+def _text(model: Model, stem: str) -> Written:
+    tree, arrays, images = model
+    if images:
+        tree["images"] = [{"uri": quote(name), "name": name.rpartition(".")[0]} for name in images]
     tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": quote(f"{stem}.bin")}]
     text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
-    return Written([text.encode()], {f"{stem}.bin": bytes(arrays.binary), **images}, tuple(arrays.notices))
+    sidecars = {f"{stem}.bin": bytes(arrays.binary), **{name: image.data for name, image in images.items()}}
+    return Written([text.encode()], sidecars, tuple(arrays.notices))
 
 
 class Arrays:
@@ -97,25 +120,24 @@ class Arrays:
         return self.add(faces.reshape(-1, 1).astype("<u2" if narrow else "<u4"), target=INDEX_DATA)
 
     def add_bytes(self, content: bytes) -> int:
-        """Add the bytes of a view, and return it."""
         self.binary += bytes(-len(self.binary) % 4)
         self.views.append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(content)})
         self.binary += content
         return len(self.views) - 1
 
 
-def _coloured(contents: MeshContents, stem: str) -> tuple[Tree, Arrays]:
+def _coloured(contents: MeshContents, stem: str) -> Model:
     arrays = Arrays()
     notices = arrays.notices
-    positions = single_precision(contents.positions, stem, notices)
-    colours = stored_colours(contents, notices)
+    positions = _single_precision(contents.positions, stem, notices)
+    colours = _stored_colours(contents, notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
     notices += not_converted(contents)
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
-        attributes["NORMAL"] = arrays.add(unit_normals(contents.normals))
+        attributes["NORMAL"] = arrays.add(_unit_normals(contents.normals))
     primitive: Tree = {"attributes": attributes, "material": 0}
     if len(faces):
         primitive["indices"] = arrays.add_faces(faces, len(positions))
@@ -126,7 +148,8 @@ def _coloured(contents: MeshContents, stem: str) -> tuple[Tree, Arrays]:
     material: Tree = {"pbrMetallicRoughness": bare, "doubleSided": True}
     if contents.alpha is not None and np.any(contents.alpha < 1):
         material["alphaMode"] = "BLEND"
-    return _model([{"primitives": [primitive], "name": stem}], {"materials": [material]}, arrays), arrays
+    meshes = [{"primitives": [primitive], "name": stem}]
+    return _model(meshes, {"materials": [material]}, arrays), arrays, {}
 
 
 def _model(meshes: list[Tree], painting: Tree, arrays: Arrays) -> Tree:
@@ -143,19 +166,20 @@ def _model(meshes: list[Tree], painting: Tree, arrays: Arrays) -> Tree:
     }
 
 
-def single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
+def _single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
     """Return positions as glTF stores them; a notice is added if that rounds them."""
     with np.errstate(over="ignore"):
         positions = exact.astype("<f4")
     if not np.isfinite(positions).all():
-        cause = "positions are too large for glTF, which stores float32"
-        raise InputError(stem, cause, "scale the mesh down")
+        raise InputError(
+            stem, "positions are too large for glTF, which stores float32", "scale the mesh down"
+        )
     if np.any(positions != exact):
         notices.append("Positions are rounded to single precision.")
     return positions
 
 
-def stored_colours(contents: MeshContents | VertexColours, notices: list[str]) -> Stored:
+def _stored_colours(contents: MeshContents | VertexColours, notices: list[str]) -> Stored:
     """Return COLOR_0 as stored, shape (V, 3), or (V, 4) with alpha."""
     colours = linear_colours(contents, notices, "glTF demands", "Grey values become three equal channels.")
     if np.any((colours < 0) | (colours > 1)):
@@ -166,11 +190,11 @@ def stored_colours(contents: MeshContents | VertexColours, notices: list[str]) -
     return quantised(colours, _STORED_AS.get((contents.encoding, contents.stored), "<f4"))
 
 
-def unit_normals(normals: Float32s) -> Stored:
+def _unit_normals(normals: Float32s) -> Stored:
     """Return normals of length one; where there is none, upwards, since glTF allows no others."""
-    exact = np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0)
-    length = np.linalg.norm(exact, axis=1, keepdims=True)
-    return np.where(length > 0, exact / np.where(length > 0, length, 1), [0.0, 0.0, 1.0]).astype("<f4")
+    units = unit_vectors(np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0))
+    units[~units.any(axis=1)] = [0.0, 0.0, 1.0]
+    return units.astype("<f4")
 
 
 OWN_COLOURS = "_COLOR_0"
@@ -183,35 +207,7 @@ _BESIDE = (
 )
 
 
-def write_textured_glb(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh with its textures as one binary file; vertices are split where their corners differ."""
-    tree, arrays = _textured(mesh, stem)
-    tree["images"] = []
-    for image, name in zip(mesh.images, _names(mesh, stem), strict=True):
-        view = arrays.add_bytes(image.file.data)
-        tree["images"].append({"bufferView": view, "mimeType": MEDIA[image.file.suffix], "name": name})
-    return binary_file(_without_empty(tree), arrays)
-
-
-def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh as JSON text, with its numbers and its images in files beside it; else as `write_textured_glb`."""
-    tree, arrays = _textured(mesh, stem)
-    files = image_names(mesh, stem)
-    named = zip(files, _names(mesh, stem), strict=True)
-    tree["images"] = [{"uri": quote(file), "name": name} for file, name in named]
-    images = {file: image.file.data for file, image in zip(files, mesh.images, strict=True)}
-    return text_file(_without_empty(tree), arrays, stem, images)
-
-
-def _names(mesh: TexturedMesh, stem: str) -> list[str]:
-    return [name.rpartition(".")[0] for name in image_names(mesh, stem)]
-
-
-def _without_empty(tree: Tree) -> Tree:
-    return {key: value for key, value in tree.items() if value != []}
-
-
-def _textured(mesh: TexturedMesh, stem: str) -> tuple[Tree, Arrays]:
+def _textured(mesh: TexturedMesh, stem: str) -> Model:
     mesh = _with_bare_materials(mesh)
     parts = _Parts(mesh, stem)
     meshes: list[Tree] = []
@@ -219,11 +215,13 @@ def _textured(mesh: TexturedMesh, stem: str) -> tuple[Tree, Arrays]:
         faces = np.flatnonzero(mesh.group_numbers == number)
         if len(faces):
             meshes.append({"primitives": parts.primitives(faces), "name": plain_name(name) or stem})
-    textures = _Textures()
-    materials = [_material(material, textures, stem) for material in mesh.materials]
-    painting = {"materials": materials, "textures": textures.textures, "samplers": textures.samplers}
+    painting: Tree = {"materials": [], "textures": [], "samplers": []}
+    for material in mesh.materials:
+        painting["materials"].append(_material(material, painting, stem))
     parts.arrays.notices += not_converted(mesh)
-    return _model(meshes, painting, parts.arrays), parts.arrays
+    tree = _model(meshes, {key: entries for key, entries in painting.items() if entries}, parts.arrays)
+    images = {name: image.file for name, image in zip(image_names(mesh, stem), mesh.images, strict=True)}
+    return tree, parts.arrays, images
 
 
 def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
@@ -244,11 +242,10 @@ class _Parts:
 
     def __init__(self, mesh: TexturedMesh, stem: str) -> None:
         self._mesh, self.arrays = mesh, Arrays()
-        self._positions = single_precision(mesh.positions, stem, self.arrays.notices)
-        self._colours = None if mesh.colours is None else stored_colours(mesh.colours, self.arrays.notices)
+        self._positions = _single_precision(mesh.positions, stem, self.arrays.notices)
+        self._colours = None if mesh.colours is None else _stored_colours(mesh.colours, self.arrays.notices)
 
     def primitives(self, faces: Int64s) -> list[Tree]:
-        """Return a primitive for each material of some triangles."""
         material_of = self._mesh.material_numbers[faces]
         shown = np.unique(material_of).tolist()
         return [self._primitive(faces[material_of == material], material) for material in shown]
@@ -267,7 +264,7 @@ class _Parts:
         )
         attributes = {"POSITION": arrays.add(self._positions[corners[first]], bounds=True)}
         for name, table in tables.items():
-            attributes[name] = arrays.add(unit_normals(table[first]) if name == "NORMAL" else table[first])
+            attributes[name] = arrays.add(_unit_normals(table[first]) if name == "NORMAL" else table[first])
         if self._colours is not None:
             beside = "baseColor" in mesh.materials[material].maps
             attributes[OWN_COLOURS if beside else "COLOR_0"] = arrays.add(self._colours[corners[first]])
@@ -281,34 +278,24 @@ class _Parts:
             self.arrays.notices.append(notice)
 
 
-class _Textures:
-    """Textures and samplers, each once."""
-
-    def __init__(self) -> None:
-        self.textures: list[Tree] = []
-        self.samplers: list[Tree] = []
-
-    def add(self, image: int, wrap: tuple[Wrap, Wrap]) -> int:
-        sides = dict(zip(("wrapS", "wrapT"), (WRAPS[kind] for kind in wrap), strict=True))
-        sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **sides}, self.samplers)
-        return _index({"sampler": sampler, "source": image}, self.textures)
-
-
 def _index(entry: Tree, entries: list[Tree]) -> int:
     if entry not in entries:
         entries.append(entry)
     return entries.index(entry)
 
 
-def _material(material: Material, textures: _Textures, stem: str) -> Tree:
+def _material(material: Material, painting: Tree, stem: str) -> Tree:
+    """Return a material, whose textures and samplers are added to what is painted with."""
     has_metal = "metallicRoughness" in material.maps
     base: Tree = {}
     name = plain_name(material.name) or stem
     tree: Tree = {"name": name, "pbrMetallicRoughness": base, "doubleSided": True}
     for slot, shown in material.maps.items():
         *parents, last = SLOT_PATHS[slot][0]
-        holder = base if parents else tree
-        holder[last] = {"index": textures.add(shown.image, shown.wrap)}
+        wraps = {"wrapS": WRAPS[shown.wrap[0]], "wrapT": WRAPS[shown.wrap[1]]}
+        sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **wraps}, painting["samplers"])
+        texture = _index({"sampler": sampler, "source": shown.image}, painting["textures"])
+        (base if parents else tree)[last] = {"index": texture}
     factor = [*_linear(material.colour), material.opacity]
     if factor != [1.0] * 4:
         base["baseColorFactor"] = factor

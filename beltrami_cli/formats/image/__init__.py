@@ -40,7 +40,6 @@ class ImageDocument(Document):
         return read_image(self.data, self.name, finite=False)
 
     def picture(self) -> Picture:
-        """Return the decoded image; InputError if it is damaged."""
         return self._picture
 
     @property

@@ -22,9 +22,7 @@ from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
 
 _PACKAGES = {"ktx2": ("alktx2", "alktx2"), "avif": ("PIL._avif", "Pillow 11.3 or later")}
-EXTRA_CODECS = tuple(_PACKAGES)
-"""The formats of `picture.FORMATS` that are read and written here."""
-
+EXTRA_CODECS = tuple(_PACKAGES)  # the formats of `picture.FORMATS` that are read and written here
 INSTALL = "install it with: pip install 'beltrami-cli[textures]'"
 _LARGEST_SIDE = 1 << 14  # of AV1 images and of textures on graphics cards
 _BLOCK, _BLOCK_BYTES = 4, 16  # of UASTC
@@ -49,16 +47,11 @@ def missing_package(known: str) -> str | None:
     return None
 
 
-def require_package(known: str, name: str) -> None:
-    """Raise an InputError that says what to install."""
+def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
+    """Return width, height and channels by the header; InputError if it promises what cannot be."""
     package = missing_package(known)
     if package is not None:
         raise InputError(name, f"{known.upper()} images need the package {package}", INSTALL)
-
-
-def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
-    """Return width, height and channels by the header; InputError if it promises what cannot be."""
-    require_package(known, name)
     if known == "ktx2":
         return _measured_ktx2(data, name)
     with _opened_avif(data, name) as image:
@@ -75,11 +68,12 @@ def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...]
             pixels = np.array(image.convert(image.mode if image.mode == "RGBA" else "RGB"))
         except _REFUSALS as error:
             raise _damaged(name, "AVIF", error) from None
-        several = (f"{name} holds several images, of which only the first is read and kept.",)
-        bits = _avif_bits(data)
-        fewer = (f"{name} has {bits}-bit samples, which become 8-bit ones.",)
-        notices = (several if getattr(image, "n_frames", 1) > 1 else ()) + (fewer if bits > 8 else ())
-        return pixels, notices, image.info.get("icc_profile")
+        notices, bits = [], _avif_bits(data)
+        if getattr(image, "n_frames", 1) > 1:
+            notices.append(f"{name} holds several images, of which only the first is read and kept.")
+        if bits > 8:
+            notices.append(f"{name} has {bits}-bit samples, which become 8-bit ones.")
+        return pixels, tuple(notices), image.info.get("icc_profile")
 
 
 def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data: bool) -> bytes:
@@ -92,9 +86,8 @@ def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data:
 def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> str:
     """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours that are seen, full scale 255."""
     seen = (pixels[..., 3:] > 0).all(axis=2)
-    error = (
-        float(np.square(again[seen, :3].astype(np.float32) - pixels[seen, :3]).mean()) if seen.any() else 0.0
-    )
+    differences = again[seen, :3].astype(np.float32) - pixels[seen, :3]
+    error = float(np.square(differences).mean()) if seen.any() else 0.0
     psnr = 10 * math.log10(255**2 / error) if error else math.inf
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
     return f"{inexact}: what is written has a PSNR of {psnr:.1f} dB."
@@ -158,10 +151,11 @@ def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool)
     height, width, channels = pixels.shape
     opaque = np.full((height, width, 1), 255, np.uint8)
     filled = pixels if channels == 4 else np.concatenate([pixels, opaque], axis=2)
-    about = alktx2.inspect_ktx2(source) if source else None
-    is_etc1s = about is not None and about["is_etc1s"]
-    linear = as_data if about is None else not about["is_srgb"]
-    packed = about is None or _HEADER.unpack_from(source)[8] == _ZSTANDARD
+    is_etc1s, is_srgb, has_levels, packed = False, not as_data, True, True
+    if source:
+        about: Any = alktx2.inspect_ktx2(source)
+        is_etc1s, is_srgb, has_levels = about["is_etc1s"], about["is_srgb"], about["levels"] > 1
+        packed = _HEADER.unpack_from(source)[8] == _ZSTANDARD
     found: bytes = alktx2.encode_raw_rgba_to_ktx2(
         filled.tobytes(),
         width,
@@ -170,9 +164,9 @@ def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool)
         codec="etc1s" if is_etc1s else "uastc",
         quality=quality if is_etc1s else _BEST,  # below it UASTC searches long for what packs well
         effort=_FASTEST_EFFORT,
-        srgb=not linear,
-        linear=linear,
-        mipmaps=about is None or about["levels"] > 1,
+        srgb=is_srgb,
+        linear=not is_srgb,
+        mipmaps=has_levels,
         force_alpha=channels == 4,
         check_for_alpha=channels == 4,
         zstd_supercompression_level=None if is_etc1s or not packed else _ZSTANDARD_LEVEL,

@@ -1,9 +1,9 @@
-"""What OpenImageIO does not carry over: metadata of PNG, JPEG and WebP files, as bytes, and palettes of PNG files.
+"""What OpenImageIO leaves out: metadata of PNG, JPEG and WebP files, as bytes, palettes, and how JPEG was quantised.
 
 References
 ----------
 .. [1] PNG (Portable Network Graphics) Specification, third edition, W3C 2025, sections 5, 9 and 11.
-.. [2] ITU-T T.81 (JPEG), annex B: marker segments.
+.. [2] ITU-T T.81 (JPEG), annex B: marker segments and tables.
 .. [3] WebP Container Specification, Google: RIFF chunks.
 """
 
@@ -12,11 +12,12 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Uint8s
+from beltrami_cli.arrays import Array, Float64s, Uint8s
 from beltrami_cli.surface.large_arrays import blocks
 
 PNG_START = b"\x89PNG\r\n\x1a\n"
@@ -28,7 +29,12 @@ _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
-_COMMENT, _EXIF, _ADOBE, _START_OF_SCAN = 0xFE, 0xE1, 0xEE, 0xDA
+_EXIF, _START_OF_SCAN = 0xE1, 0xDA
+_METADATA = (
+    0xFE,
+    *range(0xE0, 0xEE),
+    0xEF,
+)  # but Adobe's segment, which says how these very samples are coded
 _EMPTY_EXIF = 14  # bytes: a header and a directory of nothing
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 _PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
@@ -49,7 +55,7 @@ def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
         case "jpeg":
             return _carry_jpeg(source, encoded)
         case "webp":
-            return _carry_webp(source, encoded)
+            return _webp_with(_webp_metadata(source), encoded)
     return encoded
 
 
@@ -148,15 +154,12 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
     return b"".join([PNG_START, *header, *before, *palette, *of_entries, *body, *behind, *end])
 
 
-def _is_jpeg_metadata(marker: int) -> bool:
-    return marker == _COMMENT or (0xE0 <= marker <= 0xEF and marker != _ADOBE)
-
-
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
-    # Adobe's segment says how these very samples are coded; MPF gives places of further images in the file.
-    found = [segment for marker, segment in jpeg_segments(source) if _is_jpeg_metadata(marker)]
-    metadata = [segment for segment in found if segment[4:8] != b"MPF\0"]
-    pixels = [segment for marker, segment in jpeg_segments(encoded) if not _is_jpeg_metadata(marker)]
+    found = [segment for marker, segment in jpeg_segments(source) if marker in _METADATA]
+    metadata = [
+        segment for segment in found if segment[4:8] != b"MPF\0"
+    ]  # places of further images in the file
+    pixels = [segment for marker, segment in jpeg_segments(encoded) if marker not in _METADATA]
     return encoded[:2] + b"".join([*metadata, *pixels])
 
 
@@ -169,10 +172,6 @@ def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
             return
         yield data[at : at + 4], data[at + 8 : at + 8 + size]
         at += 8 + size + size % 2
-
-
-def _carry_webp(source: bytes, encoded: bytes) -> bytes:
-    return _webp_with(_webp_metadata(source), encoded)
 
 
 def with_exif_of(jpeg: bytes, webp: bytes) -> bytes:
@@ -189,9 +188,9 @@ def _webp_metadata(data: bytes) -> dict[bytes, bytes]:
 
 
 def _webp_with(metadata: dict[bytes, bytes], encoded: bytes) -> bytes:
-    pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
     if not metadata:
         return encoded
+    pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
     width, height, alpha = _webp_size(*pixels[-1])
     flags = sum(_WEBP_FLAGS[kind] for kind in metadata)
     flags |= _WEBP_ALPHA if alpha or len(pixels) > 1 else 0
@@ -232,7 +231,6 @@ def encode_with_palette(pixels: Array, source: bytes, *, small: bool) -> bytes |
 
 
 def _palette_of(source: bytes) -> NDArray[np.uint32]:
-    """Return the entries of a palette, as `_as_numbers`."""
     chunks = {kind: bytes(chunk[8:-4]) for kind, chunk in png_chunks(source) if kind in (b"PLTE", b"tRNS")}
     colours = np.frombuffer(chunks.get(b"PLTE", b""), np.uint8)
     colours = colours[: len(colours) // 3 * 3].reshape(-1, 3)[:_MOST]
@@ -263,16 +261,84 @@ def _encoded(indices: Uint8s, palette: NDArray[np.uint32], depth: int, level: in
     packed = np.bitwise_or.reduce(padded << shifts, axis=2, dtype=np.uint8)
     lines = np.pad(packed, ((0, 0), (1, 0)))  # in front of each line, that it has no filter
     header = struct.pack(">IIBBBBB", width, height, depth, _INDICES, 0, 0, 0)
-    transparency = [_chunk(b"tRNS", alpha[: last + 1].tobytes())] if last >= 0 else []
-    return b"".join([
-        PNG_START,
-        _chunk(b"IHDR", header),
-        _chunk(b"PLTE", entries[:, :3].tobytes()),
-        *transparency,
-        _chunk(b"IDAT", zlib.compress(lines.tobytes(), level)),
-        _chunk(b"IEND", b""),
-    ])  # fmt: skip
+    chunks = {
+        b"IHDR": header,
+        b"PLTE": entries[:, :3].tobytes(),
+        **({b"tRNS": alpha[: last + 1].tobytes()} if last >= 0 else {}),
+        b"IDAT": zlib.compress(lines.tobytes(), level),
+        b"IEND": b"",
+    }
+    whole = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks.items()
+    )
+    return PNG_START + b"".join(whole)
 
 
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+_JPEG_START, _TABLES, _ADOBE = b"\xff\xd8", 0xDB, 0xEE
+
+# Frames of 8-bit samples that are coded by Huffman's code: baseline, extended and progressive ones.
+_HUFFMAN_FRAMES = 0xC0, 0xC1, 0xC2
+_RGB = [*b"RGB"]  # components that are no luma and chroma
+
+# The places of coefficients, row * 8 + column, in the order in which tables store them: along the diagonals, of which
+# every second one is gone up.
+_ZIGZAG = sorted(range(64), key=lambda at: (at // 8 + at % 8, at // 8 if (at // 8 + at % 8) % 2 else at % 8))
+
+CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
+
+
+@dataclass(frozen=True)
+class JpegTables:
+    """Steps of the DCT coefficients of luma and of chroma, and the pixels that a sample of chroma spans."""
+
+    steps: Float64s  # shape (1, 8, 8) of grey pictures, or (2, 8, 8)
+    span: tuple[int, int]  # rows, columns: 1 or 2 each
+
+
+def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
+    """Read the tables of a grey or YCbCr picture; None of any other, or if they are damaged."""
+    if data[: len(_JPEG_START)] != _JPEG_START:
+        return None
+    tables: dict[int, Float64s] = {}
+    frame, transform = b"", 1
+    try:
+        for marker, segment in jpeg_segments(data):
+            body = segment[4:]
+            if marker == _TABLES:
+                tables |= _tables(body)
+            elif marker in _HUFFMAN_FRAMES:
+                frame = bytes(body)
+            elif marker == _ADOBE and body[:5] == b"Adobe":
+                transform = body[11]
+        found = _of_frame(frame, tables, transform)
+    except (IndexError, KeyError, ValueError):
+        return None
+    # Decoders let steps of 0 pass, of which nothing can be a multiple.
+    return None if found is None or found.steps.min() < 1 or min(found.span) < 1 else found
+
+
+def _tables(body: bytes | memoryview) -> dict[int, Float64s]:
+    """Return the tables of a segment by their numbers, each of shape (8, 8)."""
+    found, at = {}, 0
+    while at < len(body):
+        kind = ">u2" if body[at] >> 4 else "u1"
+        table = np.empty(64)
+        table[_ZIGZAG] = np.frombuffer(body, kind, 64, at + 1)
+        found[body[at] & 15] = table.reshape(8, 8)
+        at += 1 + 64 * np.dtype(kind).itemsize
+    return found
+
+
+def _of_frame(frame: bytes, tables: dict[int, Float64s], transform: int) -> JpegTables | None:
+    components = [frame[at : at + 3] for at in range(6, 6 + 3 * frame[5], 3)]
+    if len(components) == 1:
+        return JpegTables(tables[components[0][2]][None], (1, 1))
+    identities = [component[0] for component in components]
+    if len(components) != 3 or transform != 1 or identities == _RGB:
+        return None
+    luma, blue, red = components
+    span = luma[1] & 15, luma[1] >> 4
+    if max(span) > 2 or not blue[1] == red[1] == 0x11 or (tables[blue[2]] != tables[red[2]]).any():
+        return None
+    return JpegTables(np.stack([tables[luma[2]], tables[blue[2]]]), span)

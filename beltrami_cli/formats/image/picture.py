@@ -25,7 +25,6 @@ class ImageFormat:
 
     @property
     def alpha(self) -> bool:
-        """Whether there may be alpha beside the colours."""
         return 4 in self.channels
 
 

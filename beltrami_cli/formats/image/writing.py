@@ -24,9 +24,7 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
 
-# Rows that are compared at a time.
-_ROWS = 64
-
+_ROWS = 64  # that are compared at a time
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much
 _LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF is written without any
@@ -146,7 +144,6 @@ def _kept_channels(picture: Picture, known: str) -> list[int]:
 
 
 def _needs_three(picture: Picture, known: str) -> bool:
-    """Whether grey must become red, green and blue."""
     return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
 
 
@@ -174,8 +171,11 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     return spec
 
 
-_OF_MIP_LEVELS = (
-    "textureformat", "openexr:levelmode", "openexr:roundingmode", "oiio:AverageColor", "oiio:ConstantColor",
+# Single fields of the profile would be kept beside it; samples of fewer bits would lose what is new in them. One image
+# is written; announced as more it would count as cut off, and the means are those of the old one.
+_NOT_KEPT = (
+    "ICCProfile:", "oiio:BitsPerSample", "textureformat", "openexr:levelmode", "openexr:roundingmode",
+    "oiio:AverageColor", "oiio:ConstantColor",
 )  # fmt: skip
 _LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
@@ -234,7 +234,6 @@ def _square_error(some: Array, others: Array) -> float:
 
 
 def _with_metadata(spec: Any, name: str) -> bytes:
-    """Encode one pixel as JPEG with the metadata of a spec."""
     import OpenImageIO
 
     bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
@@ -259,7 +258,6 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
 
 
 def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, as_data: bool) -> ImageFile:
-    """Encode pixels in a format that OpenImageIO does not have, and say what that costs."""
     is_new, values = known != picture.format, pixels
     if is_new:
         values, _ = converted(picture, pixels, known, as_data=as_data)
@@ -271,7 +269,6 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
 
 
 def _bare_spec(picture: Picture) -> Any:
-    """Describe the pixels alone."""
     import OpenImageIO
 
     height, width, channels = picture.pixels.shape
@@ -285,14 +282,9 @@ def _bare_spec(picture: Picture) -> Any:
 
 
 def _kept_spec(picture: Picture) -> Any:
-    """Describe the pixels and all that OpenImageIO knows of the file."""
     spec = picture.spec.copy()
     for attribute in list(spec.extra_attribs):
-        # Single fields of the profile would be kept beside it; samples of fewer bits would lose what is new in them.
-        if attribute.name.startswith("ICCProfile:") or attribute.name == "oiio:BitsPerSample":
-            spec.erase_attribute(attribute.name)
-        # One image is written; announced as more it would count as cut off, and these means are those of the old one.
-        if attribute.name.startswith(_OF_MIP_LEVELS):
+        if attribute.name.startswith(_NOT_KEPT):
             spec.erase_attribute(attribute.name)
     if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)

@@ -64,8 +64,8 @@ class ObjDocument(Document):
 
     @cached_property
     def _mesh(self) -> MeshContents:
-        colours = self._colours
-        positions = self._scan.vertices.positions[self._scan.vertices.coloured]
+        colours, vertices = self._colours, self._scan.vertices
+        positions = vertices.positions[vertices.coloured]
         return MeshContents(positions, *self._polygons, colours, "srgb", self._stored)
 
     @property
@@ -79,9 +79,8 @@ class ObjDocument(Document):
         return self._materials.slots()
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
-        mesh = self._scan.vertices.positions, self._scan.corners, self._scan.offsets
-        images = self._materials, slot
-        surface, notices = gather_textured(mesh, self._coordinates, *images, self.name)
+        known = self._scan, self._coordinates, self._materials
+        surface, notices = gather_textured(*known, slot, self.name)
         self.notices += notices
         return surface
 
@@ -95,12 +94,12 @@ class ObjDocument(Document):
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
         parts = []
-        if colours is not None and paint is not None:
+        if colours is not None:
             changed = colours != self._colours
-            data = repainted_entries(data, shifted(paint.starts, spans), colours, changed)
-        elif colours is not None:
-            changed = colours != self._colours
-            parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], colours, changed, self._scale))
+            if paint is not None:
+                data = repainted_entries(data, shifted(paint.starts, spans), colours, changed)
+            else:
+                parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], colours, changed, self._scale))
         if places is not None:
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
@@ -142,8 +141,8 @@ class ObjDocument(Document):
         if not vertices.coloured.size:
             return mesh
         if len(vertices.coloured) < len(vertices.positions):
-            left_out = (*mesh.left_out, "vertex colours, which some vertices do not have")
-            return dataclasses.replace(mesh, left_out=left_out)
+            lost = "vertex colours, which some vertices do not have"
+            return dataclasses.replace(mesh, left_out=(*mesh.left_out, lost))
         values = self._colours if colours is None else colours
         shown = VertexColours(values, "srgb", self._stored, self._alpha())
         return dataclasses.replace(mesh, colours=shown)
@@ -208,7 +207,6 @@ class ObjDocument(Document):
 
 
 def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Materials) -> Fingerprint:
-    """Take an OBJ file apart: its text, that of each library, and the images that these name; colours if it has any."""
     if scan.polypaint is not None:
         data = zeroed(data, scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)
     mentions: Spans = {(a, b): PLACEHOLDER for library in materials.libraries for _, a, b in library.mentions}
@@ -240,8 +238,7 @@ def _repainted(materials: Materials, images: NewImages, source: str, naming: Nam
     sidecars: dict[str, Bytes] = {}
     copies: dict[str, str] = {}
     edits = _take_images(materials, images, names, sidecars, copies)
-    if names.copies:
-        copies |= _copy_images(materials, names, edits)
+    _take_others(materials, names, edits, sidecars, copies)
     spans: Spans = {}
     for library in materials.libraries:
         own = edits.get(library.path, {})
@@ -251,8 +248,6 @@ def _repainted(materials: Materials, images: NewImages, source: str, naming: Nam
             for name, _, _ in library.mentions if outside else ():
                 names.leave(name)
             continue
-        if outside:
-            _take_along(materials, library, own, sidecars, names)
         new = names.other(library.path, ".mtl")
         for name, start, end in library.mentions:
             spans[start, end] = new_reference(name, library.path, new)
@@ -288,24 +283,35 @@ def _take_images(
     return edits
 
 
-def _copy_images(materials: Materials, names: NewNames, edits: dict[str, Spans]) -> dict[str, str]:
-    """Name the images that stay as they are, in libraries inside the folder; return the old paths by the new ones."""
-    new_of: dict[str, str] = {}
+def _take_others(
+    materials: Materials,
+    names: NewNames,
+    edits: dict[str, Spans],
+    sidecars: dict[str, Bytes],
+    copies: dict[str, str],
+) -> None:
+    """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
+    tiles, new_of = materials.folder.tiles, dict[str, str]()
     for library in materials.libraries:
+        comes_inside = is_outside(library.path)
+        if not edits.get(library.path) if comes_inside else not names.copies:
+            continue
+        own = edits.setdefault(library.path, {})
         for found, path in library.maps:
-            if path is None or is_outside(library.path):
+            if path is None or (found.start, found.end) in own:
                 continue
-            own = edits.setdefault(library.path, {})
-            if (found.start, found.end) in own:
-                continue
-            if is_outside(path):
+            if is_outside(path) and not comes_inside:
                 names.leave(found.name)
-            else:
-                if path not in new_of:
-                    new_of[path] = names.image(path, tiles=materials.folder.tiles.get(path, ()))
-                own[found.start, found.end] = _spelled(found, path, new_of[path], library)
-    files = [new_files(path, new, materials.folder.tiles) for path, new in new_of.items()]
-    return {file: old for of_path in files for old, file in of_path.items()}
+                continue
+            if path not in new_of:
+                moves = is_outside(path) or names.copies
+                new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
+                for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
+                    if is_outside(old):
+                        sidecars[new] = materials.folder.content(old)
+                    else:
+                        copies[new] = old
+            own[found.start, found.end] = _spelled(found, path, new_of[path], library)
 
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
@@ -315,22 +321,3 @@ def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
         home = PurePosixPath(path_inside(library.path)).parent
         return os.fsencode("../" * len(home.parts) + new)
     return new_reference(found.name, path, new)
-
-
-def _take_along(
-    materials: Materials, library: Library, edits: Spans, sidecars: dict[str, Bytes], names: NewNames
-) -> None:
-    """Make a library from outside the folder, which is written inside, find its other images from there."""
-    copies: dict[str, str] = {}
-    for found, path in library.maps:
-        if path is None or (found.start, found.end) in edits:
-            continue
-        if path not in copies:
-            is_copied = is_outside(path) or names.copies
-            copies[path] = (
-                names.image(path, tiles=materials.folder.tiles.get(path, ())) if is_copied else path
-            )
-            if is_copied:
-                new_of = new_files(path, copies[path], materials.folder.tiles)
-                sidecars |= {file: materials.folder.content(old) for old, file in new_of.items()}
-        edits[found.start, found.end] = os.fsencode(copies[path])

@@ -25,12 +25,8 @@ SLOTS: dict[str, Slot] = {
 }
 """What is painted by the maps of a keyword; the first keyword that a material has is the one that counts."""
 
-PAINTED = tuple(dict.fromkeys(SLOTS.values()))
-"""The slots that maps are painted in."""
-
-ALONG = ("map_ka", "map_d")
-"""Keywords of maps that go along with the base colour where they show its image."""
-
+PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painted in
+ALONG = ("map_ka", "map_d")  # keywords of maps that go along with the base colour where they show its image
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
     rb"^[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
@@ -81,15 +77,15 @@ def _read_map(material: str, keyword: str, rest: bytes, start: int) -> Map:
     at = 0
     while option := _OPTION.match(rest, at):
         at = option.end()
-        numbers = option[1].lower() if option[1] else b""  # none, if what follows is no number
-        if numbers == b"s":
-            scale = _pair(option[2], 1.0)
-        elif numbers == b"o":
-            offset = _pair(option[2], 0.0)
-        elif option[3] and option[3].lower() == b"clamp":
-            clamped = option[4].lower() == b"on"
-        elif option[3] and option[3].lower() == b"imfchan":
-            channel = option[4].lower().decode("ascii", "replace")
+        match (option[1] or option[3] or b"").lower():  # a letter, if what follows is a number
+            case b"s" if option[2]:
+                scale = _pair(option[2], 1.0)
+            case b"o" if option[2]:
+                offset = _pair(option[2], 0.0)
+            case b"clamp":
+                clamped = option[4].lower() == b"on"
+            case b"imfchan":
+                channel = option[4].lower().decode("ascii", "replace")
     name = rest[at:]
     if len(name) > 2 and name[:1] == name[-1:] == b'"':
         name, at = name[1:-1], at + 1
@@ -147,7 +143,6 @@ class Materials:
         return self._shown.get((material, slot))
 
     def reason(self, name: str) -> str:
-        """Return why a file is not read that a map names."""
         return self._reasons.get(name, "cannot be read").rstrip(".")
 
     def named(self, file: str) -> list[str]:
@@ -156,12 +151,10 @@ class Materials:
         return [*([file] if self.uses(file) or not sets else []), *sets]
 
     def slots(self) -> tuple[Slot, ...]:
-        """Return the slots that some material has a map in, in their order."""
         shown = {slot for _, slot in self._shown}
         return tuple(slot for slot in PAINTED if slot in shown)
 
     def uses(self, path: str) -> int:
-        """Return how many maps there are to a file."""
         return sum(used == path for library in self.libraries for _, used in library.maps)
 
     def affected(self, slot: Slot, path: str) -> Iterator[tuple[Library, Map]]:
@@ -207,25 +200,19 @@ class Materials:
         try:
             path = self.folder.locate_any(name, within)
         except model_folder.UnfitReferenceError as error:
-            self._notice(name, str(error), model_folder.LEFT_ALONE)
+            if name not in self._reasons:
+                self._reasons[name] = str(error)
+                if len(self._reasons) <= _MOST_NOTICES:
+                    self.notices.append(f"'{name}' {error}{model_folder.LEFT_ALONE}")
+                elif len(self._reasons) == _MOST_NOTICES + 1:  # a file may name a million
+                    self.notices.append("Further files are missing as well.")
             return None
         if model_folder.is_outside(path):
             return path
-        for file in self.folder.files(path):
-            if file not in self._listed:
-                self._listed.add(file)
-                self.paths.append(file)
+        new = [file for file in self.folder.files(path) if file not in self._listed]
+        self.paths += new
+        self._listed.update(new)
         return path
-
-    def _notice(self, name: str, reason: str, behind: str = "") -> None:
-        """Add a notice about a file, once; of a million files, about the first few."""
-        if name in self._reasons:
-            return
-        self._reasons[name] = reason
-        if len(self._reasons) <= _MOST_NOTICES:
-            self.notices.append(f"'{name}' {reason}{behind}")
-        elif len(self._reasons) == _MOST_NOTICES + 1:
-            self.notices.append("Further files are missing as well.")
 
 
 def _split(names: str) -> Iterator[tuple[int, int]]:

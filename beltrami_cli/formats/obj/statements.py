@@ -15,8 +15,12 @@ from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.formats.tokens import Lines, without_comments
 from beltrami_cli.surface.large_arrays import blocks
 
-_INDICES = {b"v": (0, "vertex"), b"vt": (1, "texture coordinates"), b"vn": (2, "normal")}
-"""How many "/" stand before the index of each kind in a corner, and what it refers to."""
+_INDICES = {
+    b"v": (0, "vertex", "is no vertex index"),
+    b"vt": (1, "texture coordinates", "has no index of texture coordinates behind its first '/'"),
+    b"vn": (2, "normal", "has no index of a normal behind its second '/'"),
+}
+"""How many "/" stand before the index of each kind in a corner, what it refers to, and what is wrong without it."""
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
@@ -30,7 +34,6 @@ class Statements(Lines):
         super().__init__(data, _plain(data), name)
 
     def select(self, keyword: bytes) -> Int64s:
-        """Return which statements have a keyword, in file order."""
         chosen = np.flatnonzero(self.ends[self.heads] - self.starts[self.heads] == len(keyword))
         for place, character in enumerate(keyword):
             chosen = chosen[self.characters[self.starts[self.heads[chosen]] + place] == character]
@@ -44,7 +47,6 @@ class Statements(Lines):
         return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
 
     def finite_numbers(self, tokens: Int64s) -> Float64s:
-        """Read tokens as `numbers` does; InputError if one is not finite."""
         values = self.numbers(tokens)
         finite = np.isfinite(values)
         if not finite.all():
@@ -55,41 +57,36 @@ class Statements(Lines):
         """Return the rows of a keyword (v, vt, vn) at K corners, -1: none, their tokens, and polygon offsets."""
         targets, polygons = self.select(keyword), self.select(b"f")
         tokens, offsets = self.arguments(polygons)
-        place, what = _INDICES[keyword]
-        index = self._indices_behind(tokens, place) if place else self._first_indices(tokens)
+        place, what, cause = _INDICES[keyword]
+        index = self._indices(tokens, place, cause)
         before = np.repeat(np.searchsorted(targets, polygons), np.diff(offsets))
         rows = np.where(index < 0, before + index, index - 1)
         outside = (rows < 0) | (rows >= len(targets))
         if place:
             outside &= index != 0
         if outside.any():
-            cause = f"refers to no {what}, of which there are {len(targets)}"
-            raise self.error(tokens[int(np.argmax(outside))], cause)
+            wrong = tokens[int(np.argmax(outside))]
+            raise self.error(wrong, f"refers to no {what}, of which there are {len(targets)}")
         return np.where(index == 0, -1, rows), tokens, offsets
 
-    def _first_indices(self, tokens: Int64s) -> Int64s:
-        """Read the whole numbers that tokens have before their first "/"; InputError if one has none."""
-        values = np.empty(len(tokens), np.int64)
-        for block in blocks(len(tokens), _BLOCK):
-            values[block], _ = self._whole(tokens[block], self.starts[tokens[block]], "is no vertex index")
-        return values
-
-    def _indices_behind(self, tokens: Int64s, slash: int) -> Int64s:
-        """Read the whole numbers that tokens have behind their first or second "/"; 0 where there is none."""
-        of = "texture coordinates" if slash == 1 else "a normal"
+    def _indices(self, tokens: Int64s, slash: int, cause: str) -> Int64s:
+        """Read the whole numbers that tokens start with, or have behind their first or second "/"; else 0."""
         values = np.zeros(len(tokens), np.int64)
-        ends = np.full(slash, len(self.characters))
-        slashes = np.append(np.flatnonzero(self.characters == ord("/")), ends)
+        slashes = np.empty(0, np.int64)
+        if slash:
+            found = np.flatnonzero(self.characters == ord("/"))
+            slashes = np.append(found, np.full(slash, len(self.characters)))
         for block in blocks(len(tokens), _BLOCK):
             chosen = tokens[block]
-            begins = slashes[np.searchsorted(slashes[:-slash], self.starts[chosen]) + slash - 1] + 1
-            given = begins < self.ends[chosen]
-            given[given] = self.characters[begins[given]] != ord("/")
-            cause = f"has no index of {of} behind its {'first' if slash == 1 else 'second'} '/'"
+            begins, given = self.starts[chosen], np.ones(len(chosen), np.bool_)
+            if slash:
+                begins = slashes[np.searchsorted(slashes[:-slash], begins) + slash - 1] + 1
+                given = begins < self.ends[chosen]
+                given[given] = self.characters[begins[given]] != ord("/")
             values[block][given], zeros = self._whole(chosen[given], begins[given], cause)
-            if zeros.any():
-                cause = "has the index 0; indices count from 1"
-                raise self.error(chosen[given][int(np.argmax(zeros))], cause)
+            if slash and zeros.any():
+                wrong = chosen[given][int(np.argmax(zeros))]
+                raise self.error(wrong, "has the index 0; indices count from 1")
         return values
 
     def _whole(self, tokens: Int64s, first: Int64s, cause: str) -> tuple[Int64s, Bools]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
-from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import ALONG, PAINTED, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
@@ -60,18 +58,14 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
 
 
 def gather_textured(
-    mesh: tuple[Float64s, Int32s, Int64s],
-    coordinates: Coordinates,
-    materials: Materials,
-    slot: records.Slot,
-    name: str,
+    scan: Scan, coordinates: Coordinates, materials: Materials, slot: records.Slot, name: str
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Return all triangles, the images of one slot of their materials, and notices."""
-    positions, corners, offsets = mesh
+    positions, corners = scan.vertices.positions, scan.corners
     palette = _Palette(materials, slot, len(coordinates.names))
     for material in np.unique(coordinates.material_of).tolist():
         palette.take(material, coordinates.names[material] if material >= 0 else "")
-    cut, polygon = triangulate_corners(positions, corners, offsets)
+    cut, polygon = triangulate_corners(positions, corners, scan.offsets)
     material_of = coordinates.material_of[polygon]
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])
@@ -112,32 +106,15 @@ class _Palette:
                 self.undefined = f"no library has its material '{material}'"
             return
         found, path = painting
-        is_tiled = path in self._materials.folder.tiles
-        files = [] if path is None else self._materials.folder.files(path)
-        files = [file for file in files if self._loaded(file, in_tiles=is_tiled)]
-        if not files:
+        folder, shown = self._materials.folder, None
+        if path is not None:
+            known = path, folder.tiles, material, _wrap(found), folder.content
+            shown = self.shown.show_files(*known, left_out=(InputError,))
+        if shown is None:
             self.shown.miss(f"'{found.name}' {self._materials.reason(found.name)}", material)
             return
-        tiles = self._materials.folder.tiles.get(path or "")
-        wrap: records.Wrap = "clamp" if found.clamped or tiles else "repeat"
-        number_of = {file: self.shown.show(file, material, (wrap, wrap)) for file in files}
-        self.texture_of[number] = number_of[files[0]]
-        if tiles:
-            own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
-            self.texture_of[number] = self.shown.show_set(own)
+        self.texture_of[number] = shown
         self.scale[number], self.offset[number] = found.scale, found.offset
-
-    def _loaded(self, path: str, *, in_tiles: bool) -> bool:
-        if path not in self.shown:
-            try:
-                data = self._materials.folder.read(path)
-            except OSError:
-                return False
-            content = (
-                partial(self._materials.folder.content, path) if in_tiles or len(data) >= LARGE else data
-            )
-            self.shown.take(path, path.rpartition("/")[2], content)
-        return True
 
 
 _VALUE = re.compile(rb"^[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE)
@@ -214,7 +191,7 @@ class _Reading:
         self.placed.append(placed or ((1.0, 1.0), (0.0, 0.0)))
 
     def _metal(self, name: str) -> dict[records.Slot, records.MaterialMap]:
-        """Return the map of metalness and roughness, if one image has both; other maps are left out."""
+        # One image has both metalness and roughness; other maps are left out.
         known = ((shown, path) for library in self._materials.libraries for shown, path in library.maps)
         maps = {
             shown.keyword: (shown, path)
@@ -238,8 +215,8 @@ class _Reading:
         return self.shown.take_file(path, self._materials.folder.tiles, self._materials.folder.content)
 
     def _is_grey(self, path: str) -> bool:
-        path = self._materials.folder.files(path)[0]
-        picture = read_image(self._materials.folder.content(path), path, finite=False)
+        file = self._materials.folder.files(path)[0]
+        picture = read_image(self._materials.folder.content(file), file, finite=False)
         colours = picture.pixels[..., list(picture.colour)]
         return bool((colours == colours[..., :1]).all())
 
@@ -298,7 +275,6 @@ def _numbers(text: bytes) -> list[float]:
 
 
 def _normals(statements: Statements) -> Float32s:
-    """Return the normals of all corners of polygons, NaN where there is none."""
     rows, _, _ = statements.corners(b"vn")
     values = np.append(unit_normals(statements), [[np.nan] * 3], axis=0)
     return values[rows].astype(np.float32)

@@ -18,15 +18,16 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.tokens import exchange_tokens, most_decimals
+from beltrami_cli.formats.tokens import colour_decimals, exchange_tokens, most_decimals
 from beltrami_cli.surface.geometry import unit_vectors
 
 _SIZES = (3, 4, 5, 6, 7, 8)
 _PLAIN, _ALPHA_OR_WEIGHT, _BOTH = 6, 7, 8  # numbers of a vertex with colours
 
-MARK = b"#MRGB"
+_MARK = b"#MRGB"
 _LINE = re.compile(rb"^[ \t]*#MRGB[ \t]+(\S*)", re.MULTILINE)
 _ENTRY = 8  # digits of an entry of polypaint
 _UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABCDEF", b"0123456789abcdef"))
@@ -34,9 +35,7 @@ _UPPER, _LOWER = (np.frombuffer(digits, np.uint8) for digits in (b"0123456789ABC
 _VALUES = np.full(256, 255, np.uint8)
 _VALUES[_UPPER] = _VALUES[_LOWER] = np.arange(16)
 
-# Of new numbers.
-_DECIMALS = {1.0: (6, 9), 255.0: (4, 7)}  # by full scale, the least that lose nothing and the most of float32
-_DIGITS = 8  # of the largest coordinate, at least: a little more than float32 has
+_DIGITS = 8  # of the largest new coordinate, at least: a little more than float32 has
 _MOST_DECIMALS = 17
 
 
@@ -53,20 +52,26 @@ class Vertices:
     notice: str  # how numbers were understood that can mean two things, or empty
 
 
-def read_vertices(statements: Statements, name: str) -> Vertices:
+def _read_vertices(statements: Statements) -> Vertices:
     """Read all vertices; InputError names the line of one that is not made of 3 to 8 finite numbers."""
     chosen = statements.select(b"v")
     if not chosen.size:
-        raise InputError(name, "there are no vertices ('v' lines)", "is this a Wavefront OBJ file?")
+        cause = "there are no vertices ('v' lines)"
+        raise InputError(statements.name, cause, "is this a Wavefront OBJ file?")
     tokens, offsets = statements.arguments(chosen)
     sizes = np.diff(offsets)
     strange = ~np.isin(sizes, _SIZES)
     if strange.any():
         bad = int(np.argmax(strange))
         line = statements.line(statements.heads[chosen[bad]])
-        raise InputError(name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
+        raise InputError(statements.name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
     values = statements.finite_numbers(tokens)
-    weights, notice = _weights(values, offsets, sizes)
+    weights, notice = False, ""  # whether the fourth of seven numbers is a weight
+    firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
+    if firsts.size:
+        weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
+        meaning = "x y z w r g b" if weights else "x y z r g b a"
+        notice = f"Vertices of seven numbers are taken for {meaning}."
     coloured = np.flatnonzero(sizes >= _PLAIN)
     weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
     colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
@@ -83,16 +88,6 @@ def read_vertices(statements: Statements, name: str) -> Vertices:
     )
 
 
-def _weights(values: Float64s, offsets: Int64s, sizes: Int64s) -> tuple[bool, str]:
-    """Return whether the fourth of seven numbers is a weight, and a notice about it."""
-    firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
-    if not firsts.size:
-        return False, ""
-    weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
-    meaning = "x y z w r g b" if weights else "x y z r g b a"
-    return weights, f"Vertices of seven numbers are taken for {meaning}."
-
-
 @dataclass(frozen=True)
 class Polypaint:
     """The entries of a file."""
@@ -101,8 +96,7 @@ class Polypaint:
     starts: Int64s  # (N,) where the first digit of every entry stands in the file
 
 
-def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
-    """Read all entries of an OBJ file; None if it has none."""
+def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     lines = [match.span(1) for match in _LINE.finditer(data)]
     if not lines:
         return None
@@ -120,7 +114,7 @@ def read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
     return Polypaint(digits[:, :, 0] * np.uint8(16) + digits[:, :, 1], starts)
 
 
-def painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
+def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
     """Return vertices without colours of their own with those of the polypaint; only positions have tokens."""
     tokens, offsets = statements.arguments(statements.select(b"v"))
     places = tokens[offsets[:-1, None] + np.arange(3)]
@@ -139,7 +133,7 @@ def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: B
     written = text[starts[:, None] + np.arange(_ENTRY)]
     digits = _LOWER if (written >= ord("a")).any() else _UPPER
     rows, channels = np.nonzero(changed)
-    values = np.rint(np.clip(colours[rows, channels].astype(np.float64), 0, 1) * 255).astype(np.uint8)
+    values = quantised(colours[rows, channels], np.uint8)
     places = starts[rows] + 2 + 2 * channels
     text[places], text[places + 1] = digits[values >> 4], digits[values & 15]
     return text.tobytes()
@@ -160,14 +154,10 @@ def new_colours(
 ) -> NewNumbers:
     """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
     values = colours[changed].astype(np.float64) * scale
-    decimals = 0
-    found = most_decimals(data, starts, ends) if len(values) else 0
-    if found < 0 and scale != 1:
+    decimals = colour_decimals(data, starts, ends, scale) if len(values) else 0
+    if decimals < 0:
         values = np.clip(np.rint(values), 0, scale)
-    else:
-        least, most = _DECIMALS[scale]
-        decimals = min(max(found, least), most)
-    return NewNumbers(starts[changed], ends[changed], values, decimals)
+    return NewNumbers(starts[changed], ends[changed], values, max(decimals, 0))
 
 
 def new_positions(
@@ -226,14 +216,14 @@ class Scan:
 def scan_file(data: bytes, name: str) -> Scan:
     """Read an OBJ file; InputError names the line of a statement that is damaged."""
     statements = Statements(data, name)
-    vertices, polypaint = read_vertices(statements, name), None
+    vertices, polypaint = _read_vertices(statements), None
     notices = []
     if not vertices.coloured.size:
-        polypaint = read_polypaint(data, len(vertices.positions), name)
-    elif MARK in data:
+        polypaint = _read_polypaint(data, len(vertices.positions), name)
+    elif _MARK in data:
         notices.append(_TWICE)
     if polypaint is not None:
-        vertices = painted_by(polypaint, vertices, statements)
+        vertices = _painted_by(polypaint, vertices, statements)
     corners, _, offsets = statements.corners(b"v")
     libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
     dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]

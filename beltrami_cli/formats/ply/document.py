@@ -12,6 +12,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, patching, texturing
@@ -35,15 +36,18 @@ class PlyDocument(Document):
     def _mesh(self) -> MeshContents:
         corners, offsets = self._polygons
         positions = self._positions if len(corners) else self._measured
-        stored = str(np.dtype(self._paint.type))
-        return MeshContents(positions, corners, offsets, self._colours.values, "srgb", stored)
+        return MeshContents(positions, corners, offsets, self._colours.values, "srgb", self._stored)
+
+    @property
+    def _stored(self) -> str:
+        return str(np.dtype(self._paint.type))
 
     @property
     def _channels(self) -> tuple[str, ...]:
         return self._paint.channels
 
     def grid(self) -> Int64s | None:
-        return elements.read_grid(self.data[: self._header.end], self._tables, self.name)
+        return elements.read_grid(self.data[: self._header.end], self._tables)
 
     def has_vertex_colours(self) -> bool:
         try:
@@ -59,8 +63,9 @@ class PlyDocument(Document):
         if slot != "baseColor":
             return super()._gathered(slot)
         mesh = self._positions, *self._polygons
-        images = self._images, self._folder
-        surface, notices = texturing.gather_textured(mesh, self._tables, *images, self.name)
+        surface, notices = texturing.gather_textured(
+            mesh, self._tables, self._images, self._folder, self.name
+        )
         self.notices += notices
         return surface
 
@@ -80,18 +85,18 @@ class PlyDocument(Document):
         return dataclasses.replace(beside, main=pieces)
 
     def _recoloured(self, colours: Float32s) -> list[patching.Change]:
-        changed = colours != self._colours.values
-        stored = [
-            elements.store_colours(colours[rows, channel], self._colours.scale, self._paint.type)
-            for channel, rows in enumerate(changed.T)
+        columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)
+        kind, scale = self._paint.type, self._colours.scale
+        return [
+            patching.Change(name, new != old, quantised(new[new != old], kind, scale))
+            for name, old, new in columns
         ]
-        return [patching.Change(*change) for change in zip(self._paint.names, changed.T, stored, strict=True)]
 
     def attributes(self) -> tuple[str, ...]:
         return elements.attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
     def _attribute(self, name: str) -> Float64s:
-        return elements.read_attribute(self._vertices, name, self.name)
+        return elements.read_attribute(self._vertices, name)
 
     def require_movable(self) -> None:
         whole = ", ".join(name for name in elements.POSITION if self._kinds[name][0] != "f")
@@ -117,7 +122,7 @@ class PlyDocument(Document):
         shown = None
         if self.has_vertex_colours():
             values = self._colours.values if colours is None else colours
-            shown = VertexColours(values, "srgb", str(np.dtype(self._paint.type)), self._alpha())
+            shown = VertexColours(values, "srgb", self._stored, self._alpha())
         used = self._converted | {*texturing.find_coordinates(self._tables)}
         dropped = _left_out(self._header, used, texturing.COORDINATE_LISTS)
         others = self._header.comments > len(self._images)
@@ -137,18 +142,14 @@ class PlyDocument(Document):
             "format": self.format,
             "encoding": self._header.encoding,
             "elements": {element.name: element.count for element in self._header.elements},
-            "properties": {
-                element.name: [known.name for known in element.properties]
-                for element in self._header.elements
-            },
+            "properties": {each.name: [p.name for p in each.properties] for each in self._header.elements},
             "comments": self._header.comments,
         }
 
     def fingerprint(self) -> Fingerprint:
+        painted = (self._paint, self._colours.values) if self.has_vertex_colours() else None
         known = self.data, self._header, self._tables
-        if not self.has_vertex_colours():
-            return patching.take_apart(*known, None, None, self._images, self._folder)
-        return patching.take_apart(*known, self._paint, self._colours.values, self._images, self._folder)
+        return patching.take_apart(*known, painted, self._images, self._folder)
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
@@ -172,22 +173,21 @@ class PlyDocument(Document):
 
     @cached_property
     def _kinds(self) -> dict[str, str]:
-        """The types of the scalar properties of vertices."""
         return self._vertices.element.scalars
 
     @cached_property
     def _paint(self) -> elements.Paint:
-        return elements.find_paint(self._header, self._vertices, self.name)
+        return elements.find_paint(self._header, self._vertices)
 
     @cached_property
     def _colours(self) -> elements.Colours:
-        colours = elements.read_colours(self._vertices, self._paint, self.name)
+        colours = elements.read_colours(self._vertices, self._paint)
         self.notices += [colours.notice] if colours.notice else []
         return colours
 
     @cached_property
     def _positions(self) -> Float64s:
-        return elements.finite_columns(self._vertices, elements.POSITION, "position", self.name)
+        return elements.finite_columns(self._vertices, elements.POSITION, "position")
 
     @cached_property
     def _measured(self) -> Float64s:
@@ -203,11 +203,10 @@ class PlyDocument(Document):
     def _alpha(self) -> Float32s | None:
         if not self._paint.alpha:
             return None
-        alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha", self.name)[:, 0]
+        alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha")[:, 0]
         kind = self._kinds[self._paint.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
-        if kind == self._paint.type:
-            scale = self._colours.scale
+        scale = self._colours.scale if kind == self._paint.type else scale
         return np.clip(alpha / scale, 0, 1).astype(np.float32)
 
     @property
@@ -218,7 +217,7 @@ class PlyDocument(Document):
         if not self._has_normals:
             return None
         largest = np.finfo(np.float32).max
-        normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal", self.name)
+        normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal")
         return np.clip(normals, -largest, largest).astype(np.float32)
 
 

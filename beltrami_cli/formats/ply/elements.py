@@ -12,19 +12,24 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.colours import full_scale, intensity_scale
-from beltrami_cli.formats.ply.header import Element, Header
+from beltrami_cli.formats.colours import BYTE, full_scale, intensity_scale
+from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import require_finite
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
+_LISTS = ("vertex_indices", "vertex_index")
+VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
+"""The lists of vertices by element, each under its two names."""
+
 _COLOURS = (
     (("red", "green", "blue"), "alpha"),
     (("diffuse_red", "diffuse_green", "diffuse_blue"), "diffuse_alpha"),
@@ -52,9 +57,9 @@ class Paint:
         return ("intensity",) if self.any_range else ("grey",)
 
 
-def find_paint(header: Header, vertices: Table, name: str) -> Paint:
+def find_paint(header: Header, vertices: Table) -> Paint:
     """Find the colour properties; InputError if there are none, or they are signed or of several types."""
-    types = vertices.element.scalars
+    types, name = vertices.element.scalars, vertices.body.name
     for names, alpha in _COLOURS:
         if all(known in types for known in names):
             kinds = {types[known] for known in names}
@@ -67,11 +72,18 @@ def find_paint(header: Header, vertices: Table, name: str) -> Paint:
             return Paint(names, alpha if alpha in types else "", kind)
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY]):
         return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
-    if not any(element.count for element in header.elements if element.name in ("face", "tristrips")):
+    if not any(element.count for element in header.elements if element.name in VERTEX_LISTS):
         for known in _INTENSITIES_OF_POINTS:
             if known in types:
                 return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
-    raise _unpainted(header, vertices.element, name)
+    faces = header.element("face")
+    on_faces = faces is not None and any(known.name == "red" for known in faces.properties)
+    among = ", ".join(known.name for known in vertices.element.properties)[:300]
+    cause = (
+        f"no vertex colours among the vertex properties {among}{', only face colours' if on_faces else ''}"
+    )
+    remedy = "export the mesh with vertex colours, which are the properties red, green, blue"
+    raise UnpaintedError(name, cause, remedy)
 
 
 def _is_grey(vertices: Table, kind: str) -> bool:
@@ -81,20 +93,7 @@ def _is_grey(vertices: Table, kind: str) -> bool:
     return bool(((values >= 0) & (values <= 1)).all())
 
 
-def _unpainted(header: Header, vertices: Element, name: str) -> UnpaintedError:
-    known = ", ".join(known.name for known in vertices.properties)
-    faces = header.element("face")
-    on_faces = faces is not None and any(known.name == "red" for known in faces.properties)
-    return UnpaintedError(
-        name,
-        f"no vertex colours among the vertex properties {known[:300]}"
-        + (", only face colours" if on_faces else ""),
-        "export the mesh with vertex colours, which are the properties red, green, blue",
-    )
-
-
-@dataclass(frozen=True)
-class Colours:
+class Colours(NamedTuple):
     """Colours as read."""
 
     values: Float32s  # (V, C), full scale 1
@@ -102,44 +101,31 @@ class Colours:
     notice: str  # about the scale, or empty
 
 
-def read_colours(vertices: Table, paint: Paint, name: str) -> Colours:
+def read_colours(vertices: Table, paint: Paint) -> Colours:
     """Read the colours of all vertices, of which there is one at least."""
     values = np.empty((vertices.element.count, len(paint.names)), np.float32)
     if paint.type[0] == "u":
         columns = [vertices.scalars(known) for known in paint.names]
-        scale, notice = _integer_scale(columns, paint.type)
+        scale, notice = float(np.iinfo(paint.type).max), ""
+        if paint.type == "u4" and max(int(column.max()) for column in columns) <= BYTE:
+            scale = BYTE
+            notice = "Vertex colours are 32-bit integers up to 255 and are taken for numbers of 0..255."
     else:
-        stored = finite_columns(vertices, paint.names, "colour", name)
-        scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, name)
+        stored = finite_columns(vertices, paint.names, "colour")
+        scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, vertices.body.name)
         columns = list(stored.T)
     for channel, column in enumerate(columns):
         values[:, channel] = column / scale
     return Colours(values, scale, notice)
 
 
-def _integer_scale(columns: list[Array], kind: str) -> tuple[float, str]:
-    largest = max(int(column.max()) for column in columns)
-    if kind == "u4" and largest <= 255:
-        return 255.0, "Vertex colours are 32-bit integers up to 255 and are taken for numbers of 0..255."
-    return float(np.iinfo(kind).max), ""
-
-
-def store_colours(values: Float32s, scale: float, kind: str) -> Array:
-    """Round colours of full scale 1 to their stored type, to the nearest; integers are clipped to their range."""
-    wide = values.astype(np.float64)
-    if kind[0] == "f":
-        return (wide * scale).astype(kind)
-    limits = np.iinfo(kind)
-    return np.rint(np.clip(wide * scale, limits.min, min(limits.max, scale))).astype(kind)
-
-
-def finite_columns(vertices: Table, names: tuple[str, ...], what: str, name: str) -> Float64s:
+def finite_columns(vertices: Table, names: tuple[str, ...], what: str) -> Float64s:
     """Read some scalars of all vertices, shape (V, len(names)); InputError if one is not finite."""
     values = np.empty((vertices.element.count, len(names)))
     with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
         for column, known in enumerate(names):
             values[:, column] = vertices.scalars(known)
-    require_finite(values, name, f"the {what} of vertex")
+    require_finite(values, vertices.body.name, f"the {what} of vertex")
     return values
 
 
@@ -150,16 +136,12 @@ def attribute_names(kinds: Mapping[str, str], colours: tuple[str, ...]) -> tuple
     return (*(("normal",) if real else ()), *others)
 
 
-def read_attribute(vertices: Table, name: str, file: str) -> Float64s:
+def read_attribute(vertices: Table, name: str) -> Float64s:
     """Read an attribute of all vertices, shape (V, G); normals become unit vectors."""
     if name != "normal":
-        return finite_columns(vertices, (name,), name, file)
-    return unit_vectors(finite_columns(vertices, NORMAL, name, file))
+        return finite_columns(vertices, (name,), name)
+    return unit_vectors(finite_columns(vertices, NORMAL, name))
 
-
-_LISTS = ("vertex_indices", "vertex_index")
-VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
-"""The lists of vertices by element, each under its two names."""
 
 _ELEMENT = "range_grid"
 _CAMERA = ("viewportx", "viewporty")
@@ -214,24 +196,22 @@ def _unroll(strips: Int64s, ends: Int64s) -> Int64s:
     triangles[odd] = triangles[odd][:, [1, 0, 2]]
     a, b, c = triangles.T
     proper = (since[2:] >= 2) & (triangles >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)
-    kept: Int64s = triangles[proper]
-    return kept
+    return np.asarray(triangles[proper])
 
 
-def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s | None:
+def read_grid(header: bytes, tables: Mapping[str, Table]) -> Int64s | None:
     """Return the vertices on the grid, (H, W), -1 where nothing was measured; None without a grid, or with faces."""
-    if any(tables[other].element.count for other in ("face", "tristrips") if other in tables):
-        return None
-    if "vertex" not in tables:
+    has_polygons = any(tables[other].element.count for other in VERTEX_LISTS if other in tables)
+    if has_polygons or "vertex" not in tables:
         return None
     vertices = tables["vertex"].element.count
     sizes = {word.decode().lower(): int(number) for word, number in _SIZE.findall(header)}
     columns = next((sizes[word] for word in _COLUMNS if word in sizes), 0)
     rows = next((sizes[word] for word in _ROWS if word in sizes), 0)
     if _ELEMENT in tables:
-        return _listed(tables[_ELEMENT], rows, columns, vertices, name)
-    if "camera" in tables and tables["camera"].element.count == 1 and not (rows and columns):
-        camera = tables["camera"]
+        return _listed(tables[_ELEMENT], rows, columns, vertices)
+    camera = tables.get("camera")
+    if camera is not None and camera.element.count == 1 and not (rows and columns):
         whole = {known for known, kind in camera.element.scalars.items() if kind[0] != "f"}
         columns, rows = 0, 0
         if whole.issuperset(_CAMERA):
@@ -241,15 +221,13 @@ def read_grid(header: bytes, tables: Mapping[str, Table], name: str) -> Int64s |
     return np.arange(vertices).reshape(rows, columns)
 
 
-def _listed(table: Table, rows: int, columns: int, vertices: int, name: str) -> Int64s:
+def _listed(table: Table, rows: int, columns: int, vertices: int) -> Int64s:
     """Read the element that lists a vertex, or none, for every place of the grid, row by row."""
-    places = table.element.count
+    places, name = table.element.count, table.body.name
     if rows * columns != places:
-        raise InputError(
-            name,
-            f"element {_ELEMENT} has {places} places, but obj_info num_cols and num_rows say {columns} and {rows}",
-            "repair the header, or leave the element out",
-        )
+        said = f"obj_info num_cols and num_rows say {columns} and {rows}"
+        cause = f"element {_ELEMENT} has {places} places, but {said}"
+        raise InputError(name, cause, "repair the header, or leave the element out")
     known = next((p.name for p in table.element.lists if p.name in _LISTS), None)
     if known is None:
         raise InputError(name, f"element {_ELEMENT} has no list vertex_indices")

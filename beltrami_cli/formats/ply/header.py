@@ -7,7 +7,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from beltrami_cli.errors import InputError
 
@@ -64,7 +64,6 @@ class Header:
         return _ENCODINGS[self.encoding]
 
     def element(self, name: str) -> Element | None:
-        """Return the table of a name, if there is one."""
         return next((element for element in self.elements if element.name == name), None)
 
 
@@ -72,8 +71,7 @@ def read_header(data: bytes, name: str) -> Header:
     """Read the header of a PLY file; InputError names the line that is damaged."""
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r", b" ", b"\t"):
         raise InputError(name, "not a PLY file, which would start with the line 'ply'")
-    lines = _Lines(name)
-    at = 0
+    lines, at = _Lines(name), 0
     line_end = b"\r" if data[3:4] == b"\r" and data[4:5] != b"\n" else b"\n"
     while not lines.finished:
         stop = data.find(line_end, at)
@@ -86,16 +84,16 @@ def read_header(data: bytes, name: str) -> Header:
     return Header(lines.encoding, tuple(lines.elements), lines.comments, at)
 
 
+@dataclass
 class _Lines:
     """What the lines up to now have said."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.number = 0
-        self.encoding = ""
-        self.elements: list[Element] = []
-        self.comments = 0
-        self.finished = False
+    name: str
+    number: int = 0
+    encoding: str = ""
+    elements: list[Element] = field(default_factory=list)
+    comments: int = 0
+    finished: bool = False
 
     def take(self, line: str) -> None:
         self.number += 1

@@ -53,21 +53,15 @@ def _patch_text(text: bytes, vertices: Table, changes: Sequence[Change]) -> list
 
     def spell(block: slice) -> list[bytes]:
         wanted = order[block]
-        spelled = np.empty(len(wanted), object)
+        spelled = np.empty(len(wanted), "S32")
         for change, first in zip(changes, firsts[:-1], strict=True):
             mine = (wanted >= first) & (wanted < first + len(change.values))
-            spelled[mine] = _spelled(change.values[wanted[mine] - first])
-        return list(spelled)
+            spelled[mine] = change.values[wanted[mine] - first]  # the shortest that reads back the same
+        tokens_of_block: list[bytes] = spelled.tolist()
+        return tokens_of_block
 
     there = places[order]
     return tokens.exchange_tokens(text, starts[there], ends[there], spell)
-
-
-def _spelled(values: Array) -> list[bytes]:
-    if values.dtype.kind in "ui":
-        return [b"%d" % value for value in values.tolist()]
-    spelled: list[bytes] = values.astype("S32").tolist()  # the shortest that reads back the same
-    return spelled
 
 
 def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertices) -> list[Change]:
@@ -83,10 +77,7 @@ def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertic
 
 
 def renamed_images(
-    comments: Sequence[TextureComment],
-    images: NewImages,
-    source: str,
-    naming: Naming,
+    comments: Sequence[TextureComment], images: NewImages, source: str, naming: Naming
 ) -> tuple[Written, tokens.Spans]:
     """Return the files beside a PLY file, without the file itself, and new names by their place in the header."""
     present = [comment.path for comment in comments if comment.path is not None]
@@ -118,20 +109,20 @@ def take_apart(
     data: bytes,
     header: Header,
     tables: Mapping[str, Table],
-    paint: Paint | None,
-    colours: Float32s | None,
+    painted: tuple[Paint, Float32s] | None,
     images: Sequence[TextureComment],
     folder: ModelFolder,
 ) -> Fingerprint:
     """Take a PLY file apart: header, elements, and what stands behind them."""
     spans = {(image.start, image.end): tokens.PLACEHOLDER for image in images if image.path is not None}
     parts = {"header": tokens.exchange_spans(data[: header.end], spans)}
-    places = [] if paint is None else [indices(tables["vertex"].places(name)) for name in paint.names]
+    names, size = (painted[0].names, np.dtype(painted[0].type).itemsize) if painted else ((), 0)
+    places = [indices(tables["vertex"].places(name)) for name in names]
     hidden = np.concatenate([np.empty(0, np.int64), *places])
     starts = [table.start for table in tables.values()]
     stop = [*tables.values()][-1].stop if tables else 0
     if header.order:
-        body = tokens.zeroed(data, hidden, np.dtype(paint.type).itemsize if paint else 0)
+        body = tokens.zeroed(data, hidden, size)
         bounds, end = [*starts, stop], len(data)
     else:
         text, order = data[header.end :], np.sort(hidden)
@@ -144,10 +135,10 @@ def take_apart(
     for name, (first, last) in zip(tables, pairwise(bounds), strict=True):
         parts[f"element {name}"] = body[first:last]
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
-    found = {} if colours is None else {"vertex colours": colours}
+    colours = {"vertex colours": painted[1]} if painted else {}
     paintings = {
         f"texture {number}": NamedImage(image.name, partial(folder.content, image.path))
         for number, image in enumerate(images)
         if image.path is not None
     }
-    return Fingerprint(parts, found, paintings)
+    return Fingerprint(parts, colours, paintings)

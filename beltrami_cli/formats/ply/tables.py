@@ -11,6 +11,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -108,7 +109,6 @@ class Table:
 
     @property
     def stop(self) -> int:
-        """The unit behind the last row."""
         if self.element.count == 0:
             return self.start
         if self._alike:
@@ -118,22 +118,17 @@ class Table:
     def places(self, name: str) -> Places:
         """Return the units of a scalar, or of the counts of a list: a slice if all rows are alike."""
         row_size = self._row_size
-        count = self.element.count
         if self._alike:
             first = self.start + int(self._offset(name, self.counts[:1])[0])
             step = int(row_size[0])
-            return slice(first, first + step * (count - 1) + 1, step)
+            return slice(first, first + step * (self.element.count - 1) + 1, step)
         rows = self.start + np.cumsum(row_size) - row_size
-        places: Int64s = rows + self._offset(name, self.counts)
-        return places
+        return np.asarray(rows + self._offset(name, self.counts))
 
     def _offset(self, name: str, counts: Int64s) -> Int64s:
         """Units between the start of a row and a property of it, shape (rows of counts,)."""
-        offset = np.zeros(len(counts), np.int64)
-        lists = 0
-        for known in self.element.properties:
-            if known.name == name:
-                break
+        offset, lists = np.zeros(len(counts), np.int64), 0
+        for known in takewhile(lambda known: known.name != name, self.element.properties):
             offset += self.body.size(known.count or known.type)
             if known.count:
                 offset += counts[:, lists] * self.body.size(known.type)
@@ -168,9 +163,8 @@ def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:
     tables: dict[str, Table] = {}
     at = body.start
     for element in header.elements:
-        table = Table(body, element, at, _list_lengths(body, element, at))
-        tables[element.name] = table
-        at = table.stop
+        tables[element.name] = Table(body, element, at, _list_lengths(body, element, at))
+        at = tables[element.name].stop
     return tables
 
 
@@ -220,8 +214,7 @@ def _walk(body: Body, element: Element, start: int, rows: int) -> Int64s:
 
 
 def _cut_off(body: Body, element: Element) -> InputError:
-    return InputError(
-        body.name,
-        f"the data end before the {element.count} rows of element '{element.name}' that the header announces",
-        "the file is cut off or damaged",
+    cause = (
+        f"the data end before the {element.count} rows of element '{element.name}' that the header announces"
     )
+    return InputError(body.name, cause, "the file is cut off or damaged")

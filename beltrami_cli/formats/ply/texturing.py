@@ -26,8 +26,7 @@ _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s]
 _OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 _OF_FACES = "texcoord"
 _NUMBER = "texnumber"
-COORDINATE_LISTS = (_OF_FACES, _NUMBER)
-"""Properties of faces that say which part of which image they show."""
+COORDINATE_LISTS = (_OF_FACES, _NUMBER)  # properties of faces that say which part of which image they show
 
 
 @dataclass(frozen=True)
@@ -82,14 +81,14 @@ def gather_textured(
     if properties == (_OF_FACES,):
         values, bare = _face_coordinates(tables["face"], offsets, name)
     else:
-        values = finite_columns(tables["vertex"], properties, "texture coordinate", name)[corners]
+        values = finite_columns(tables["vertex"], properties, "texture coordinate")[corners]
         bare = np.zeros(len(offsets) - 1, np.bool_)
     cut, polygon = triangulate_corners(positions, corners, offsets)
     texture_of = np.where(bare, -1, of_number[numbers])[polygon]
     if not (texture_of >= 0).any():
         missing = [f"'{c.name}' {c.reason}" for c in comments if c.path is None]
-        cause = next(iter([*missing, *unreadable]), "no face shows one")
-        cause = f"it has no texture that can be shown: {cause.removesuffix(model_folder.LEFT_ALONE)}"
+        why = [*missing, *unreadable, "no face shows one"][0].removesuffix(model_folder.LEFT_ALONE)
+        cause = f"it has no texture that can be shown: {why}"
         raise UnpaintedError(name, cause, model_folder.remedy_for(cause))
     uv = values[cut] * [1, -1] + [0, 1]
     surface = records.TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
@@ -118,23 +117,21 @@ def _load(
     comments: Sequence[TextureComment], folder: model_folder.ModelFolder
 ) -> tuple[tuple[records.Texture, ...], Int64s, list[str]]:
     """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
-    textures: dict[str, tuple[int, records.Texture]] = {}
+    textures: dict[str, records.Texture] = {}
     unreadable = []
     of_number = np.full(len(comments) + 1, -1, np.int64)
     for number, comment in enumerate(comments):
-        if comment.path is None:
+        path = comment.path
+        if path is None:
             continue
-        if comment.path not in textures:
-            try:
-                data = folder.read(comment.path)
-            except OSError as error:
-                reason = f"cannot be read ({error.strerror})"
-                unreadable.append(f"'{comment.name}' {reason}{model_folder.LEFT_ALONE}")
-                continue
-            texture = records.Texture(comment.path, comment.path.rpartition("/")[2], data)
-            textures[comment.path] = len(textures), texture
-        of_number[number] = textures[comment.path][0]
-    return tuple(texture for _, texture in textures.values()), of_number, unreadable
+        try:
+            if path not in textures:
+                textures[path] = records.Texture(path, path.rpartition("/")[2], folder.read(path))
+            of_number[number] = list(textures).index(path)
+        except OSError as error:
+            reason = f"cannot be read ({error.strerror})"
+            unreadable.append(f"'{comment.name}' {reason}{model_folder.LEFT_ALONE}")
+    return tuple(textures.values()), of_number, unreadable
 
 
 def _face_coordinates(face: Table, offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
@@ -168,13 +165,11 @@ def mesh_of_surface(
     """Return a surface as a mesh with a material for each image, named after it; normals and colours by vertex."""
     shown, materials = MeshImages(), []
     for each in surface.textures:
-        data, name = each.data, each.name.rpartition(".")[0]
-        painting = records.MaterialMap(shown.take(each.key, each.name, data), each.wrap)
-        alpha = alpha_mode(data, each.name)
+        painting = records.MaterialMap(shown.take(each.key, each.name, each.data), each.wrap)
+        name, alpha = each.name.rpartition(".")[0], alpha_mode(each.data, each.name)
         materials.append(records.Material(name, {"baseColor": painting}, alpha=alpha))
     bare = surface.texture_of < 0
-    uv = usable_coordinates(surface.uv)
-    uv[bare] = np.nan
+    uv = np.where(bare[:, None, None], np.nan, usable_coordinates(surface.uv))
     if bare.any():
         materials.append(records.Material("untextured"))
     return records.TexturedMesh(

@@ -42,7 +42,6 @@ def write_ply(contents: MeshContents, stem: str) -> Written:
 
 
 def _stored_colours(contents: MeshContents | VertexColours) -> tuple[Array, list[str]]:
-    """Return colours as they are stored, with alpha if there is any, and notices."""
     colours, notices = display_colours(contents)
     kind = _INTEGERS.get(contents.stored, "f4")
     if contents.encoding == "linear" and kind == "u1":
@@ -128,19 +127,13 @@ def _vertex_element(
     columns: Sequence[tuple[str, ...]], blocks: Sequence[Array | None]
 ) -> tuple[list[str], NDArray[np.void]]:
     """Return the lines and the rows of the vertex element; `blocks` of None are left out."""
-    fields = [
-        (name, values.dtype.str[1:])
-        for names, values in zip(columns, blocks, strict=True)
-        if values is not None
-        for name in names
-    ]
-    count = next(len(values) for values in blocks if values is not None)
-    rows = np.empty(count, [(name, "<" + kind) for name, kind in fields])
-    for names, values in zip(columns, blocks, strict=True):
-        if values is not None:
-            for column, name in enumerate(names):
-                rows[name] = values[:, column]
-    properties = [f"property {_NAMES[kind]} {name}" for name, kind in fields]
+    there = [(names, values) for names, values in zip(columns, blocks, strict=True) if values is not None]
+    fields = {name: column for names, values in there for name, column in zip(names, values.T, strict=True)}
+    count = len(there[0][1])
+    rows = np.empty(count, [(name, f"<{column.dtype.str[1:]}") for name, column in fields.items()])
+    for name, column in fields.items():
+        rows[name] = column
+    properties = [f"property {_NAMES[column.dtype.str[1:]]} {name}" for name, column in fields.items()]
     return [f"element vertex {count}", *properties], rows
 
 

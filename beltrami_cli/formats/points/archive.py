@@ -70,13 +70,11 @@ class _Arrays:
 
     @property
     def is_intensity(self) -> bool:
-        """Whether the colours are intensities, of which any number may be full scale."""
         return self.colours in _INTENSITY_KEYS
 
     @property
     def count(self) -> int:
-        """Points, with or without a position."""
-        return math.prod(self.shape)
+        return math.prod(self.shape)  # with or without a position
 
 
 class NpzPointsDocument(Document):
@@ -118,14 +116,9 @@ class NpzPointsDocument(Document):
         colours = new.colours
         if colours is None or not (changed := colours != self._colours).any():
             return Written([self.data])
-        values = colours[changed].astype(np.float64) * self._scale
-        if self._stored.dtype.kind != "f":
-            limits = np.iinfo(self._stored.dtype)
-            values = np.clip(np.rint(values), limits.min, limits.max)
         rows, channels = np.nonzero(changed)
-        stored = self._stored.copy()
-        stored[self._measured[rows], channels] = values.astype(stored.dtype)
-        key = self._arrays.colours
+        stored, key = self._stored.copy(), self._arrays.colours
+        stored[self._measured[rows], channels] = quantised(colours[changed], stored.dtype, self._scale)
         shape = self._archive.header(key).shape
         return Written([self._archive.with_array(key, stored.reshape(shape))])
 
@@ -163,7 +156,7 @@ class NpzPointsDocument(Document):
 
     @cached_property
     def _arrays(self) -> _Arrays:
-        arrays = _find_arrays(self._archive, self.name)
+        arrays = _find_arrays(self._archive)
         if not arrays.count:
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         keys = (arrays.positions, arrays.colours, *([arrays.faces] if arrays.faces else []))
@@ -193,9 +186,17 @@ class NpzPointsDocument(Document):
 
     @cached_property
     def _faces(self) -> Int32s:
-        if self._arrays.faces is None:
+        key, count = self._arrays.faces, self._arrays.count
+        if key is None:
             return np.empty((0, 3), np.int32)
-        return _read_faces(self._archive, self._arrays.faces, self._arrays.count, self.name)
+        shape = self._archive.header(key).shape
+        cause = f"the array {key} is of shape {shape}, not (F, 3)"
+        _require(len(shape) == 2 and shape[1] == 3, self._archive, cause)
+        faces = self._archive.read(key)
+        _require(faces.dtype.kind in "ui", self._archive, f"the array {key} is not of whole numbers")
+        inside = not faces.size or (faces.min() >= 0 and int(faces.max()) < count)
+        _require(bool(inside), self._archive, f"the array {key} names points outside 0 to {count - 1}")
+        return np.ascontiguousarray(faces, np.int32)
 
     @cached_property
     def _stored(self) -> Array:
@@ -212,8 +213,7 @@ class NpzPointsDocument(Document):
     def _scale(self) -> float:
         if self._stored.dtype in (np.uint8, np.uint16):
             return float(np.iinfo(self._stored.dtype).max)
-        numbers = self._numbers
-        is_intensity = self._arrays.is_intensity
+        numbers, is_intensity = self._numbers, self._arrays.is_intensity
         scale, notice = intensity_scale(numbers) if is_intensity else point_colour_scale(numbers, self.name)
         self.notices += [notice] if notice else []
         return scale
@@ -229,18 +229,18 @@ class NpzPointsDocument(Document):
         return self._archive.read(key).reshape(self._arrays.count, -1)
 
 
-def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
+def _find_arrays(archive: NpzArchive) -> _Arrays:
     """Return which arrays are what, by their names and shapes; InputError if they do not go together."""
-    positions = _required(archive, POSITION_KEYS, "positions", name)
-    colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours", name)
+    positions = _required(archive, POSITION_KEYS, "positions")
+    colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours")
     shape = archive.header(positions).shape
     cause = f"the array {positions} is of shape {shape}, not (..., 3)"
-    _require(len(shape) >= 2 and shape[-1] == 3, name, cause)
+    _require(len(shape) >= 2 and shape[-1] == 3, archive, cause)
     points, found = shape[:-1], archive.header(colours).shape
     wide = found[len(points) :]
     fits = found[: len(points)] == points and len(wide) <= 1 and 1 <= math.prod(wide) <= _CHANNELS
-    _require(fits, name, f"the array {colours} is of shape {found}, and the positions of {shape}")
-    _require(archive.header(colours).dtype.kind != "b", name, f"the array {colours} is of booleans")
+    _require(fits, archive, f"the array {colours} is of shape {found}, and the positions of {shape}")
+    _require(archive.header(colours).dtype.kind != "b", archive, f"the array {colours} is of booleans")
     normals, faces = archive.first(_NORMAL_KEYS), archive.first(_FACE_KEYS)
     if normals is not None and archive.header(normals).shape != shape:
         normals = None
@@ -251,22 +251,12 @@ def _find_arrays(archive: NpzArchive, name: str) -> _Arrays:
     return _Arrays(positions, colours, normals, faces, points, channels - has_alpha, has_alpha, tuple(rest))
 
 
-def _read_faces(archive: NpzArchive, key: str, count: int, name: str) -> Int32s:
-    """Read triangles of points; InputError if they are not of shape (F, 3), or name points that are not there."""
-    shape = archive.header(key).shape
-    _require(len(shape) == 2 and shape[1] == 3, name, f"the array {key} is of shape {shape}, not (F, 3)")
-    faces = archive.read(key)
-    _require(faces.dtype.kind in "ui", name, f"the array {key} is not of whole numbers")
-    inside = not faces.size or (faces.min() >= 0 and int(faces.max()) < count)
-    _require(bool(inside), name, f"the array {key} names points outside 0 to {count - 1}")
-    return np.ascontiguousarray(faces, np.int32)
-
-
-def _required(archive: NpzArchive, keys: tuple[str, ...], what: str, name: str) -> str:
+def _required(archive: NpzArchive, keys: tuple[str, ...], what: str) -> str:
     key = archive.first(keys)
     if key is None:
         there = ", ".join(archive.names)[:200] or "no arrays"
-        raise UnpaintedError(name, f"it has no array of {what} ({', '.join(keys)}), but {there}", _NAMES)
+        cause = f"it has no array of {what} ({', '.join(keys)}), but {there}"
+        raise UnpaintedError(archive.name, cause, _NAMES)
     return key
 
 
@@ -278,17 +268,13 @@ def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
     return shape[: len(points)] == points and len(shape) <= len(points) + 1
 
 
-def _require(holds: bool, name: str, cause: str) -> None:
+def _require(holds: bool, archive: NpzArchive, cause: str) -> None:
     if not holds:
-        raise InputError(name, cause, _NAMES)
+        raise InputError(archive.name, cause, _NAMES)
 
 
 def write_npz(contents: MeshContents, stem: str) -> Written:
-    """Write points as the arrays positions and colours, with normals and faces if there are any.
-
-    Positions become floats if that loses nothing. Colours keep 8 or 16 bit and become floats from any other type;
-    opacity is their fourth channel.
-    """
+    """Write points as arrays; colours keep 8 or 16 bit and become floats from any other type, opacity behind them."""
     colours, notices = display_colours(contents)
     if contents.alpha is not None:
         colours = np.column_stack([colours, contents.alpha])

@@ -79,10 +79,9 @@ class ReadOnlyDocument(Document):
         )
 
     def _read(self) -> ColouredPolygons:
-        if self._kind == "off":
-            return read_off(self.data, self.name)
-        if self._kind == "stl":
-            return read_stl(self.data, self.name)
+        if self._kind in ("off", "stl"):
+            read = read_off if self._kind == "off" else read_stl
+            return read(self.data, self.name)
         if self._kind == "3mf":
             from beltrami_cli.formats.read_only.threemf import read_3mf
 

@@ -50,10 +50,7 @@ def joined(found: ColouredPolygons) -> ColouredPolygons:
 
 
 def colours_of_vertices(found: ColouredPolygons) -> tuple[Float32s, list[str]]:
-    """Give every vertex the mean of its corners' colours, weighted by the areas of their polygons, and notices.
-
-    A vertex whose corners agree has exactly their colour; one without any is white.
-    """
+    """Give every vertex the mean of its corners' colours, weighted by areas, or exactly their colour if they agree."""
     count, notices = len(found.positions), []
     known = np.isfinite(found.colours).all(axis=1)
     corners, colours = found.corners[known], found.colours[known]

@@ -201,7 +201,6 @@ class _Building:
         return _USUAL
 
     def model(self, path: str) -> _Model:
-        """Return a model file of the archive, read once."""
         if path not in self._models:
             self._models[path] = _read_model(self._archive.read(path), self._name)
         return self._models[path]

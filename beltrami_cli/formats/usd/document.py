@@ -109,16 +109,20 @@ class UsdDocument(Document):
     def references(self) -> Sequence[str]:
         if self._layers.package is not None:
             return []
-        images = self._textures.files()
-        return [*(layer for layer in self._layers.contents if layer != self._layers.root), *images]
+        images = self._textures.files()  # which reads the scene, and so finds the layers
+        return [*self._other_layers(), *images]
+
+    def _other_layers(self) -> list[str]:
+        return [layer for layer in self._layers.contents if layer != self._layers.root]
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, form, package = new.colours, new.form or self.format, self._layers.package
         files, renamed, copies = self._new_images(new.images, naming)
-        changes = colours is not None and not np.array_equal(colours, self._painted.colours)
+        if colours is not None and np.array_equal(colours, self._painted.colours):
+            colours = None
         root: Bytes | None = None
-        if changes or renamed or form != self.format:
-            root = self._edited(colours if changes else None, renamed, form)
+        if colours is not None or renamed or form != self.format:
+            root = self._edited(colours, renamed, form)
         if package is None:
             return Written([self.data if root is None else root], files, copies=copies)
         if root is not None:
@@ -131,9 +135,8 @@ class UsdDocument(Document):
             return self._made[key]
         same = form == self.format
         suffix = Path(self._layers.root).suffix if same else f".{form}"
-        blocks = [] if colours is None else self._words["blocks"]
+        blocks, arrays = ([], {}) if colours is None else (self._words["blocks"], {"colours": colours})
         order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
-        arrays = {} if colours is None else {"colours": colours}
         made = self._layers.ask(order, arrays)[1]["layer"].tobytes()
         if colours is None:
             self._made[key] = made
@@ -143,11 +146,9 @@ class UsdDocument(Document):
         self, images: NewImages, naming: Naming
     ) -> tuple[dict[str, Bytes], dict[str, str], dict[str, str]]:
         """Return new files, the attributes that name others with these names, and files that are copied."""
-        in_package, shown = self._layers.package is not None, self._textures
-        kept = shown.kept(images) if naming.copies and not in_package else []
-        layers = [layer for layer in self._layers.contents if layer != self._layers.root]
-        if naming.copies and not in_package:
-            kept = [*layers, *kept]
+        shown, kept = self._textures, list[str]()
+        if naming.copies and self._layers.package is None:
+            kept = [*self._other_layers(), *shown.kept(images)]
             taken = next((file for file in kept if naming.is_taken(file)), None)
             if taken is not None:  # other layers name the files that are copied
                 cause = f"beside OUTPUT there is another '{taken}', whose name is needed for one of its files"
@@ -167,7 +168,7 @@ class UsdDocument(Document):
             if new != path:
                 start = posixpath.dirname(self._layers.root) or "."
                 renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
-        if in_package:
+        if self._layers.package is not None:
             files |= {new: self._layers.image(old) for new, old in copies.items()}
         return files, renamed, copies
 
@@ -175,14 +176,15 @@ class UsdDocument(Document):
         self, path: str, new: Mapping[str, ImageFile], names: NewNames, *, is_replaced: bool
     ) -> str:
         """Return where an image or a set of tiles is written: in a package in its own place, if its type stays."""
-        suffix = common_suffix(image.suffix for image in new.values())
+        suffixes = {image.suffix for image in new.values()}
         known = {format_of(self._layers.image(file), file) for file in new}
-        stays = {format_of_suffix(image.suffix) for image in new.values()} == known
+        stays = {format_of_suffix(suffix) for suffix in suffixes} == known
         if self._layers.package is not None and is_replaced and stays:
             return path
-        unfit = {image.suffix for image in new.values()} - {*IMAGES}
+        unfit = suffixes - {*IMAGES}
         if self._layers.package is not None and unfit and not stays:
             raise UsageError(f"{self.name}: packages hold no {min(unfit)} images; choose {', '.join(IMAGES)}")
+        suffix = common_suffix(suffixes)
         tiles = self._layers.folder.tiles.get(path, ())
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
@@ -208,11 +210,11 @@ class UsdDocument(Document):
 
     def fingerprint(self) -> Fingerprint:
         self._compared = True
-        words, root = self._words, self._layers.root
+        words = self._words
         if "text" not in words:  # the scene was read for something else before
             words = self._layers.scene(text=True)[0]
         parts = {"root layer": words["text"].encode()}
-        parts |= {f"layer {name}": data for name, data in self._layers.contents.items() if name != root}
+        parts |= {f"layer {name}": self._layers.contents[name] for name in self._other_layers()}
         named = self._textures.labelled()
         package = self._layers.package
         if package is not None:

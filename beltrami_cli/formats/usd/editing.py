@@ -80,19 +80,17 @@ def edit(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]
     for path, name in order["files"].items():
         _set(stage, path, Sdf.AssetPath(name))
     if order["same"]:
-        path = Path(order["root"])
         (old_colours, old_names), (new_colours, new_names) = before, _stored(stage, order)
         both = zip(old_colours, new_colours, strict=True)
         changes = [(old, new) for old, new in both if not np.array_equal(old, new)]
         names = list(dict.fromkeys(zip(old_names, new_names, strict=True)))
-        patched = in_place(path.read_bytes(), path.suffix, root, changes, names)
+        patched = _in_place(Path(order["root"]), root, changes, names)
         if patched is not None:
             return {}, {"layer": np.frombuffer(patched, np.uint8)}
     return {}, {"layer": _exported(root, order["suffix"])}
 
 
 def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[Array], list[str]]:
-    """Return the stored values of the colours and names that an order is about."""
     colours = [np.array(stage.GetAttributeAtPath(block["attribute"]).Get()) for block in order["blocks"]]
     return colours, [stage.GetAttributeAtPath(path).Get().path for path in order["files"]]
 
@@ -200,15 +198,16 @@ def convert(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arra
     return {}, {"layer": _exported(layer, order["suffix"])}
 
 
-def in_place(
-    data: bytes, suffix: str, layer: Any, colours: Sequence[Change], names: Sequence[tuple[str, str]]
+def _in_place(
+    stored: Path, layer: Any, colours: Sequence[Change], names: Sequence[tuple[str, str]]
 ) -> bytes | None:
     """Return a stored layer with other colours and names of images, equal to `layer`; None if that cannot be."""
+    data = stored.read_bytes()
     if data.startswith(b"PXR-USDC"):
         made = None if names else _in_binary(data, colours)
     else:
         made = _in_text(data, colours, names)
-    return made if made is not None and _are_equal(layer, made, suffix) else None
+    return made if made is not None and _are_equal(layer, made, stored.suffix) else None
 
 
 def _in_binary(data: bytes, colours: Sequence[Change]) -> bytes | None:
@@ -246,15 +245,13 @@ def _spelled(colour: Array) -> bytes:
 
 
 def _are_equal(layer: Any, data: bytes, suffix: str) -> bool:
-    """Return whether a stored layer holds what another one does."""
     path = Path(f"patched{suffix}").absolute()
     path.write_bytes(data)
     made = Sdf.Layer.FindOrOpen(str(path))
     path.unlink()
     if made is None:
         return False
-    paths: list[Any] = []
-    others: list[Any] = []
+    paths, others = list[Any](), list[Any]()
     layer.Traverse("/", paths.append)
     made.Traverse("/", others.append)
     properties = [path for path in paths if path.IsPropertyPath()]

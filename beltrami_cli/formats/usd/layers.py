@@ -37,12 +37,8 @@ from beltrami_cli.formats.model_folder import (
 )
 from beltrami_cli.surface.worker_process import Message
 
-LAYERS = (".usd", ".usda", ".usdc")
-"""Suffixes of files that usd-core reads."""
-
-IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")
-"""Suffixes of images that a package may hold [1]_."""
-
+LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
+IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
 _SOUNDS = (".m4a", ".mp3", ".wav")
 _ALIGNMENT, _PADDING = 64, 0x1986  # the number of extra fields that only fill up
 _LOCAL, _CENTRAL, _END = struct.Struct("<4s5H3L2H"), struct.Struct("<4s6H3L5H2L"), struct.Struct("<4s4H2LH")
@@ -51,28 +47,25 @@ _UTF_8, _VERSION = 1 << 11, 10
 _DATE = (1980, 1, 1, 0, 0, 0)  # the same in every run
 
 
-class Package:
+class Package(Archive):
     """An opened package, whose first file is the root layer."""
 
     def __init__(self, data: bytes, name: str, access: Access) -> None:
-        self._archive, self._data = Archive(data, name, access), data
-        self._dates = {entry.filename: entry.date_time for entry in self._archive.entries}
-        entries = self._archive.entries
-        require_ratio(name, "the package", len(data), sum(entry.file_size for entry in entries))
-        wrong = next((each.filename for each in entries if _is_unfit(each.filename)), None)
-        if wrong is not None or len(self._dates) != len(entries):
+        super().__init__(data, name, access)
+        self._data = data
+        require_ratio(name, "the package", len(data), sum(entry.file_size for entry in self.entries))
+        wrong = next((member for member in self.members if _is_unfit(member)), None)
+        if wrong is not None or len(self.members) != len(self.entries):
             cause = "it has two files of one name" if wrong is None else f"it has a file named {wrong[:80]!r}"
             raise InputError(name, f"{cause}, which a package cannot have", "export it again")
-        if not entries or not entries[0].filename.lower().endswith(LAYERS):
+        if not self.members or not self.members[0].lower().endswith(LAYERS):
             raise InputError(name, "its first file is no USD layer", "export it again, by a program for USDZ")
-        self.members = list(self._dates)
-        self.root = self.members[0]
         self.layers = [member for member in self.members if member.lower().endswith(LAYERS)]
 
     def faults(self) -> list[str]:
         """Return what readers that map packages into memory cannot do with, one sentence each."""
         found = []
-        for entry in self._archive.entries:
+        for entry in self.entries:
             *_, name_size, extra_size = _LOCAL.unpack_from(self._data, entry.header_offset)
             start = entry.header_offset + _LOCAL.size + name_size + extra_size
             if entry.compress_type:
@@ -83,14 +76,10 @@ class Package:
                 found.append(f"{entry.filename} is of a type that no package may hold")
         return found
 
-    def read(self, member: str) -> bytes:
-        """Return a file's content; InputError if it is damaged or too large."""
-        return self._archive.read(member)
-
     def packed(self, new: Mapping[str, Bytes]) -> list[Bytes]:
         """Return a package with other files in the place of some, and the rest behind them."""
         contents = {member: new.get(member) or self.read(member) for member in self.members}
-        return packed(contents | dict(new), self._dates)
+        return packed(contents | dict(new), {entry.filename: entry.date_time for entry in self.entries})
 
 
 def _is_unfit(name: str) -> bool:
@@ -152,7 +141,7 @@ class Layers:
         if data.startswith(b"PK"):
             package = Package(data, name, access)
             contents = {layer: package.read(layer) for layer in package.layers}
-            return cls(name, access, package, beside, package.root, contents)
+            return cls(name, access, package, beside, package.layers[0], contents)
         suffix = ".usd" if name.lower().endswith(".usd") else ".usdc" if data.startswith(_CRATE) else ".usda"
         root = _UNFIT.sub("_", Path(name).stem).strip(". ") + suffix
         return cls(name, access, None, beside, root, {root: data})
@@ -193,26 +182,18 @@ class Layers:
 
     def locate(self, path: str) -> str:
         """Return the path of a file, or of a set of tiles, that the scene names; UnfitReferenceError if it is none."""
-        if self.package is not None:
-            return self._in_package(path)
-        found = self.folder.locate_any(path)
-        if is_outside(found):
-            raise UnfitReferenceError("lies outside the model's folder, and USD files there are not read")
-        return found
-
-    def _in_package(self, path: str) -> str:
-        assert self.package is not None
-        beside = PurePosixPath(path)
+        if self.package is None:
+            found = self.folder.locate_any(path)
+            if is_outside(found):
+                raise UnfitReferenceError("lies outside the model's folder, and USD files there are not read")
+            return found
         if has_token(path):
-            names = [PurePosixPath(each) for each in self.package.members]
-            near = [each.name for each in names if each.parent == beside.parent]
-            tiles = found_tiles(beside.name, near)
-            if tiles:
-                self.folder.tiles[path] = {tile: str(beside.with_name(file)) for tile, file in tiles.items()}
-                return path
-        elif path in self.package.members:
-            return path
-        raise UnfitReferenceError("is not in the package")
+            beside, names = PurePosixPath(path), map(PurePosixPath, self.package.members)
+            tiles = found_tiles(beside.name, [each.name for each in names if each.parent == beside.parent])
+            self.folder.tiles[path] = {tile: str(beside.with_name(file)) for tile, file in tiles.items()}
+        if path not in self.package.members and not self.folder.tiles.get(path):
+            raise UnfitReferenceError("is not in the package")
+        return path
 
     def image(self, file: str) -> bytes:
         """Return the content of a file that was located; InputError if it cannot be read."""

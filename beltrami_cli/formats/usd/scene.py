@@ -81,12 +81,10 @@ class Scene:
     _rows: int = 0
 
     def add(self, **arrays: Array) -> None:
-        """Add rows to arrays."""
         for name, values in arrays.items():
             self.arrays.setdefault(name, []).append(values)
 
     def joined(self) -> dict[str, Array]:
-        """Return all arrays whole."""
         return {name: np.concatenate(values) for name, values in self.arrays.items()}
 
     def take(self, prim: Any) -> None:
@@ -223,7 +221,6 @@ class _Polygons:
 
     @property
     def all_corners(self) -> int:
-        """All corners of the mesh."""
         return len(self.all_vertices)
 
     def spread(self, values: Float64s, kind: str, points: int) -> Float64s | None:
@@ -234,12 +231,10 @@ class _Polygons:
 
 
 def _values(attribute: Any) -> Float64s:
-    """Return the values of an attribute at the first time; none if it has none."""
     return np.array(attribute.Get(Usd.TimeCode.EarliestTime()) if attribute.HasValue() else [], np.float64)
 
 
 def _flat(primvar: Any) -> Float64s | None:
-    """Return the values of a primvar, one for each of what it is on; None if it has none."""
     if not primvar or not primvar.HasValue():
         return None
     values = primvar.ComputeFlattened(Usd.TimeCode.EarliestTime())

@@ -97,7 +97,7 @@ def files_of(prim: Any) -> dict[str, str]:
     return found
 
 
-def image_of(shader: Any) -> dict[str, str]:
+def _image_of(shader: Any) -> dict[str, str]:
     """Return the attribute that names the image of a shader, with that image; nothing if it shows none."""
     files = _sources(shader, "file") if shader.GetIdAttr().Get() in ("UsdUVTexture", *_MTLX_IMAGES) else []
     authored: Any = files[0].Get() if files else None
@@ -108,24 +108,18 @@ def image_of(shader: Any) -> dict[str, str]:
 
 def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
     """Return the image that an input of a surface shows, in a list, if it does."""
+    found = []
     for attribute in _sources(surface, name)[:1]:
-        shader = UsdShade.Shader(attribute.GetPrim())
+        shader, output = UsdShade.Shader(attribute.GetPrim()), attribute.GetName()
         is_mtlx = shader.GetIdAttr().Get() in _MTLX_IMAGES
-        placing, shown = _placed_by_materialx(shader) if is_mtlx else _placing(shader), image_of(shader)
-        if not attribute.GetName().startswith("outputs:") or placing is None or not shown:
+        placing = _placed_by_materialx(shader) if is_mtlx else _placing(shader)
+        if not output.startswith("outputs:") or placing is None:
             continue
-        ((path, file),) = shown.items()
-        return [
-            {
-                **placing,
-                "shader": str(shader.GetPath()),
-                "attribute": path,
-                "file": file,
-                "output": attribute.GetName().removeprefix("outputs:"),
-                "wrap": _wraps(shader, is_mtlx=is_mtlx),
-            }
-        ]
-    return []
+        shown = {"shader": str(shader.GetPath()), "output": output.removeprefix("outputs:")}
+        wrap = _wraps(shader, is_mtlx=is_mtlx)
+        for path, file in _image_of(shader).items():
+            found.append({**placing, **shown, "attribute": path, "file": file, "wrap": wrap})
+    return found
 
 
 def _wraps(shader: Any, *, is_mtlx: bool) -> list[str]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import posixpath
+from collections import defaultdict
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, get_args
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
-from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
@@ -38,7 +36,6 @@ class Textures:
                 self._reasons[number] = f"'{use['file']}' {error}"
 
     def slots(self) -> tuple[records.Slot, ...]:
-        """Return the slots in which something shows an image."""
         return tuple(slot for slot in _ALL if slot in self._words["slots"])
 
     def _uses(self, slot: records.Slot) -> list[int]:
@@ -52,7 +49,6 @@ class Textures:
         return list(dict.fromkeys([*shown, *self.labelled().values()]))
 
     def missing(self) -> list[str]:
-        """Return the paths of images that are not there."""
         return [self._words["uses"][number]["file"] for number in self._reasons]
 
     def labelled(self) -> dict[str, str]:
@@ -87,14 +83,14 @@ class Textures:
 
     def kept(self, images: NewImages) -> list[str]:
         """Return the image files that something still names when others are replaced."""
-        replaced = self.replaced(images)
-        gone = {path for path, _ in replaced}
-        for path in list(gone):
-            slots = [slot for (its, _), found in replaced.items() if its == path for slot in found]
-            if self.attributes(path, slots) != self.attributes(path):
-                gone.discard(path)
-        replaced_files = {file for path in gone for file in self._layers.folder.files(path)}
-        return [file for file in self.files() if file not in replaced_files]
+        slots_of: dict[str, list[records.Slot]] = defaultdict(list)
+        for (path, _), slots in self.replaced(images).items():
+            slots_of[path] += slots
+        gone = (
+            path for path, slots in slots_of.items() if self.attributes(path, slots) == self.attributes(path)
+        )
+        replaced = {file for path in gone for file in self._layers.folder.files(path)}
+        return [file for file in self.files() if file not in replaced]
 
     def surface(self, slot: records.Slot) -> tuple[records.TexturedSurface, list[str]]:
         """Return all triangles and the images of a slot, and notices."""
@@ -104,7 +100,8 @@ class Textures:
         for number in dict.fromkeys(self._uses(slot)):
             use, path = self._words["uses"][number], self._path_of[number]
             if path is not None:
-                texture_of_use[number] = self._take(shown, path, use)
+                known = path, self._layers.folder.tiles, use["material"], tuple(use["wrap"])
+                texture_of_use[number] = shown.show_files(*known, self._layers.image)
             else:
                 shown.miss(self._reasons[number], use["material"])
         texture_of = texture_of_use[self._arrays[f"use {slot}"][polygon]]
@@ -119,21 +116,6 @@ class Textures:
         if shown.sets:
             surface = tiling.on_tiles(surface, shown.sets, self._name)
         return surface, shown.notices()
-
-    def _take(self, shown: textured_mesh.SlotImages, path: str, use: dict[str, Any]) -> int:
-        """Take what a material shows; return the number of its texture, or of its set."""
-        tiles, number_of = self._layers.folder.tiles.get(path), {}
-        for file in self._layers.folder.files(path):
-            if file not in shown:
-                is_tile = any(file in files.values() for files in self._layers.folder.tiles.values())
-                data = self._layers.image(file)
-                content = partial(self._layers.image, file) if is_tile or len(data) >= LARGE else data
-                shown.take(file, posixpath.basename(file), content)
-            wrap = ("clamp", "clamp") if tiles else tuple(use["wrap"])
-            number_of[file] = shown.show(file, use["material"], wrap)
-        if not tiles:
-            return number_of[path]
-        return shown.show_set({tile: number_of[file] for tile, file in tiles.items()})
 
     @property
     def _triangles(self) -> tuple[Float64s, Int64s, Int64s]:
@@ -151,7 +133,7 @@ class Textures:
     def mesh(self, source: str, colours: Float32s | None, left_out: Sequence[str]) -> records.TexturedMesh:
         """Return all triangles with their materials, groups, normals and texture coordinates."""
         positions, cut, polygon = self._triangles
-        lost = list(left_out)
+        lost = [*left_out, *([textured_mesh.POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else [])]
         uv = np.full((len(cut), 3, 2), np.nan)
         for slot in self.slots():
             own = self._arrays[f"uv {slot}"][cut]
@@ -161,58 +143,40 @@ class Textures:
             uv[fresh] = own[fresh]
         uv = textured_mesh.usable_coordinates(uv)
         uv[..., 1] = 1 - uv[..., 1]
-        reading = _Materials(self._layers, self._words, self._path_of)
-        materials = [reading.material(number) for number in range(len(self._words["materials"]))]
-        numbers = self._arrays["material_of"][polygon]
+        images = textured_mesh.MeshImages()
+        materials = [self._material(known, images, lost) for known in self._words["materials"]]
         materials.append(records.Material())
+        numbers = self._arrays["material_of"][polygon]
         numbers = np.where(numbers < 0, len(materials) - 1, numbers)
         shown, material_of = textured_mesh.shown_materials(materials, numbers)
-        lost += [textured_mesh.POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else []
         normals = self._arrays["normals"][cut].astype(np.float32)
         mesh = records.TexturedMesh(
             positions=positions,
             faces=self._arrays["corners"][cut].astype(np.int32),
             uv=uv,
             materials=shown,
-            images=tuple(reading.shown.images),
+            images=tuple(images.images),
             source=source,
             material_of=material_of,
             groups=tuple(self._words["meshes"]),
             group_of=self._arrays["mesh_of"][polygon].astype(np.int32),
             normals=None if np.isnan(normals).all() else normals,
             colours=None if colours is None else self._by_vertex(colours),
-            left_out=tuple(lost + reading.lost),
+            left_out=tuple(lost),
         )
-        return textured_mesh.on_tiles(mesh, reading.shown.sets)
+        return textured_mesh.on_tiles(mesh, images.sets)
 
-    def _by_vertex(self, colours: Float32s) -> records.VertexColours | None:
-        """Return colours of all vertices; None if some have none, or several."""
-        vertex, count = self._arrays["colour_vertex"], len(self._arrays["positions"])
-        if len(vertex) != count or len(np.unique(vertex)) != count:
-            return None
-        ordered = np.empty_like(colours)
-        ordered[vertex] = colours
-        return records.VertexColours(ordered, "linear", "float32")
-
-
-class _Materials:
-    """Materials and their images while they are put together."""
-
-    def __init__(self, layers: Layers, words: dict[str, Any], path_of: Sequence[str | None]) -> None:
-        self._layers, self._words, self._path_of = layers, words, path_of
-        self.shown = textured_mesh.MeshImages()
-        self.lost: list[str] = []
-
-    def material(self, number: int) -> records.Material:
-        """Return a material; colours of USD are linear light."""
-        known = self._words["materials"][number]
+    def _material(
+        self, known: dict[str, Any], images: textured_mesh.MeshImages, lost: list[str]
+    ) -> records.Material:
+        """Return a material, whose colours are linear light in USD; its images, or their lack, are noted."""
         maps: dict[records.Slot, records.MaterialMap] = {}
         for slot, use in known["uses"].items():
             path = self._path_of[use]
             if path is None:
-                self.lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
+                lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
             else:
-                image = self.shown.take_file(path, self._layers.folder.tiles, self._layers.image)
+                image = images.take_file(path, self._layers.folder.tiles, self._layers.image)
                 maps[slot] = records.MaterialMap(image, tuple(self._words["uses"][use]["wrap"]))
         values = known["values"]
         opacity = values.get("opacity", 1.0)
@@ -230,3 +194,11 @@ class _Materials:
             roughness=1.0 if has_metal else values.get("roughness", 0.5),
             alpha="mask" if seen_through and mask else "blend" if seen_through else "opaque",
         )
+
+    def _by_vertex(self, colours: Float32s) -> records.VertexColours | None:
+        vertex, count = self._arrays["colour_vertex"], len(self._arrays["positions"])
+        if len(vertex) != count or len(np.unique(vertex)) != count:
+            return None
+        ordered = np.empty_like(colours)
+        ordered[vertex] = colours
+        return records.VertexColours(ordered, "linear", "float32")

@@ -50,17 +50,19 @@ def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
     ]
     if contents.normals is not None:
         own += [*_array("normal3f[] normals", contents.normals, 3, 'interpolation = "vertex"')]
-    name = _identifier(stem)
-    text = [_header(name), f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode(), *own, b"    }\n}\n"]
+    text = [
+        _header(_identifier(stem)),
+        f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode(),
+        *own,
+        b"    }\n}\n",
+    ]
     return _finished(suffix, b"".join(text), stem, {}, notices)
 
 
 def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
     names = [_identifier(name) for name in material_names(mesh.materials, "painted")]
     names = [f"{name}_{number}" if name in names[:number] else name for number, name in enumerate(names)]
-    files = image_names(mesh, stem)
-    notices: list[str] = []
-    root = _identifier(stem)
+    files, root, notices = image_names(mesh, stem), _identifier(stem), list[str]()
     text = [_header(root)]
     shown = [] if mesh.colours is None else _colours(mesh.colours, notices)
     group_of, material_of = mesh.group_numbers, mesh.material_numbers
@@ -178,14 +180,14 @@ def _material(name: str, material: Material, files: list[str], path: str) -> str
 
 
 def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], path: str) -> str:
-    is_data = slot not in ("baseColor", "emissive")
+    space = "sRGB" if slot in ("baseColor", "emissive") else "raw"
     lines = [
         'uniform token info:id = "UsdUVTexture"',
         f"asset inputs:file = @./{file}@",
         f"float2 inputs:st.connect = <{path}/st.outputs:result>",
         f'token inputs:wrapS = "{wrap[0]}"',
         f'token inputs:wrapT = "{wrap[1]}"',
-        f'token inputs:sourceColorSpace = "{"raw" if is_data else "sRGB"}"',
+        f'token inputs:sourceColorSpace = "{space}"',
     ]
     if slot == "normal":
         lines += ["float4 inputs:scale = (2, 2, 2, 1)", "float4 inputs:bias = (-1, -1, -1, 0)"]

@@ -1,4 +1,4 @@
-"""Level sets and their colours in NumPy archives.
+"""Level sets and their colours: which format a file has, by its content, and those in NumPy archives.
 
 Arrays, by their names; all but the first are optional:
 
@@ -18,8 +18,8 @@ Arrays, by their names; all but the first are optional:
 
 from __future__ import annotations
 
-import importlib
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,121 +27,124 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive
+from beltrami_cli.formats.volume.nrrd import checked_lattice, read_nrrd, read_nrrd_colours
 from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
 
+_NRRD = b"NRRD000"
+_OPENVDB = b" BDV\0\0\0\0"
 _COLOURS = ("colours", "colors")
 _POINT_COLOURS = ("point_colours", "point_colors")
 _CHANNELS = 4
 _SIDE = 2  # a cell has two samples along each axis
-# Any unit of length from picometres to light hours; squares fit into float32.
-_SMALLEST, _LARGEST = 1e-12, 1e12
-_UNLIKE = 1e4  # how much longer than others a step may be
-_FURTHEST = 1e9  # steps from the origin: doubles resolve millionths of a step there
-_FLAT = 1e-6  # directions closer to one plane than that are a mistake
 
 
-def read_npz(archive: NpzArchive, name: str, most: int) -> Volume:
-    """Read a level set and its colours, as `read_volume`."""
+def is_volume(data: bytes, name: str) -> bool:
+    """Whether a file is a level set, or claims to be one; InputError if it is a damaged archive of arrays."""
+    if data.startswith((_NRRD, _OPENVDB)):
+        return True
+    return NpzArchive.recognises(data) and NpzArchive(data, name).kind() == "level set"
+
+
+def read_volume(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
+    """Read a level set of at most `most` samples; InputError if it cannot be read."""
+    if data.startswith(_OPENVDB):
+        cause = "it is an OpenVDB file, for which there is no Python package to read it"
+        remedy = "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd"
+        raise InputError(name, cause, remedy)
+    if data.startswith(_NRRD):
+        return read_nrrd(data, name, folder, most)
+    return _read_npz(NpzArchive(data, name), most)
+
+
+def read_colours(data: bytes, name: str, folder: Path | None, most: int) -> GridColours | NearColours | None:
+    """Read a file of colours for a level set as `read_volume`; None if it is no volume and no archive."""
+    if data.startswith(_NRRD):
+        return read_nrrd_colours(data, name, folder, most)
+    if not NpzArchive.recognises(data):
+        return None
+    colours = _npz_colours(NpzArchive(data, name), most)
+    if colours is None:
+        raise InputError(name, "there is no array colours in it", "name it so, or points and point_colours")
+    return colours
+
+
+def _read_npz(archive: NpzArchive, most: int) -> Volume:
     key = archive.first(LEVEL_SET_KEYS)
     if key is None:
         cause = f"there is no array of values among {', '.join(archive.names)}"
-        raise InputError(name, cause, "name it values")
+        raise InputError(archive.name, cause, "name it values")
     shape = archive.header(key).shape
     if len(shape) != 3 or min(shape) < _SIDE:
         cause = f"the array {key} is of shape {shape}"
-        raise InputError(name, cause, "give 2 or more samples along x, y and z")
+        raise InputError(archive.name, cause, "give 2 or more samples along x, y and z")
     mask = None
     if "mask" in archive.names:
-        _require(archive.header("mask").shape == shape, name, f"the array mask is not of the shape {shape}")
+        fits = archive.header("mask").shape == shape
+        _require(fits, archive, f"the array mask is not of the shape {shape}")
         mask = archive.read("mask", most) != 0
-    level = _numbers(archive, "level", (1,), name)
+    level = _numbers(archive, "level", (1,))
     return Volume(
-        _lattice(archive, name),
+        _lattice(archive),
         archive.read(key, most),
         mask,
         None if level is None else float(level[0]),
-        read_npz_colours(archive, name, most, shape),
+        _npz_colours(archive, most, shape),
     )
 
 
-def read_npz_colours(
-    archive: NpzArchive, name: str, most: int, shape: tuple[int, ...] | None = None
+def _npz_colours(
+    archive: NpzArchive, most: int, shape: tuple[int, ...] | None = None
 ) -> GridColours | NearColours | None:
-    """Read colours on the grid, of a given shape, or at points; None if the archive has none."""
     if "points" in archive.names:
-        return _near(archive, name, most)
+        return _near(archive, most)
     key = archive.first(_COLOURS)
     if key is None:
         return None
     found = archive.header(key).shape
     fits = len(found) == 4 and 1 <= found[3] <= _CHANNELS and (shape is None or found[:3] == shape)
     wanted = "(X, Y, Z" if shape is None else str(shape)[:-1]
-    _require(fits, name, f"the array {key} is of shape {found}, not {wanted}, 1 to {_CHANNELS})")
-    return GridColours(_lattice(archive, name), archive.read(key, _CHANNELS * most))
+    _require(fits, archive, f"the array {key} is of shape {found}, not {wanted}, 1 to {_CHANNELS})")
+    return GridColours(_lattice(archive), archive.read(key, _CHANNELS * most))
 
 
-def _near(archive: NpzArchive, name: str, most: int) -> NearColours:
+def _near(archive: NpzArchive, most: int) -> NearColours:
     key = archive.first((*_POINT_COLOURS, *_COLOURS))
     if key is None:
         cause = "there are points but no array point_colours"
-        raise InputError(name, cause, "add it, or leave the points out")
+        raise InputError(archive.name, cause, "add it, or leave the points out")
     points, colours = archive.header("points").shape, archive.header(key).shape
     fits = len(points) == len(colours) == 2 and points[1] == 3 and 1 <= colours[1] <= _CHANNELS
     shapes = f"{points} and {colours}, not (P, 3) and (P, 1 to {_CHANNELS})"
     cause = f"the arrays points and {key} are of the shapes {shapes}"
-    _require(fits and points[0] == colours[0], name, cause)
+    _require(fits and points[0] == colours[0], archive, cause)
     places = archive.read("points", 3 * most).astype(np.float64)
-    _require(bool(np.isfinite(places).all()), name, "a point is not finite")
+    _require(bool(np.isfinite(places).all()), archive, "a point is not finite")
     return NearColours(places, archive.read(key, _CHANNELS * most))
 
 
-def _lattice(archive: NpzArchive, name: str) -> Lattice:
+def _lattice(archive: NpzArchive) -> Lattice:
     key = archive.first(("spacing", "voxel_size"))
-    spacing = None if key is None else _numbers(archive, key, (1, 3), name)
-    origin = _numbers(archive, "origin", (3,), name)
+    spacing = None if key is None else _numbers(archive, key, (1, 3))
+    origin = _numbers(archive, "origin", (3,))
     steps = np.ones(3) if spacing is None else np.broadcast_to(spacing, 3)
-    _require(bool((steps > 0).all()), name, f"the spacing is {steps.tolist()}, but must be positive")
-    return checked_lattice(np.diag(steps), np.zeros(3) if origin is None else origin, name)
+    _require(bool((steps > 0).all()), archive, f"the spacing is {steps.tolist()}, but must be positive")
+    return checked_lattice(np.diag(steps), np.zeros(3) if origin is None else origin, archive.name)
 
 
-def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...], name: str) -> Float64s | None:
-    """Read a few finite numbers; None if there is no such array."""
+def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...]) -> Float64s | None:
     if key not in archive.names:
         return None
     wanted = " or ".join(map(str, counts))
     shape = archive.header(key).shape
     cause = f"the array {key} is of shape {shape}, not of {wanted} numbers"
-    _require(math.prod(shape) in counts, name, cause)
+    _require(math.prod(shape) in counts, archive, cause)
     numbers: Float64s = archive.read(key, max(counts)).astype(np.float64).ravel()
-    _require(bool(np.isfinite(numbers).all()), name, f"the array {key} is not finite")
+    _require(bool(np.isfinite(numbers).all()), archive, f"the array {key} is not finite")
     return numbers
 
 
-def _require(holds: Any, name: str, cause: str) -> None:
+def _require(holds: Any, archive: NpzArchive, cause: str) -> None:
     if not holds:
-        raise InputError(name, cause, "see the arrays that a level set has in `beltrami smooth --help`")
-
-
-def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
-    """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
-    if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
-        raise InputError(name, "its spacing or origin is not finite", "repair it")
-    longest = np.abs(axes).max(axis=1)
-    if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
-        steps = ", ".join(f"{step:g}" for step in longest)
-        cause = f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and much alike"
-        raise InputError(name, cause, "choose another unit")
-    if np.abs(origin).max() > _FURTHEST * longest.min():
-        raise InputError(name, "its origin is too far away for its spacing", "move it")
-    if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
-        raise InputError(name, "its space directions lie in one plane", "repair them")
-    return Lattice(axes, origin)
-
-
-def require_package(module: str, package: str, name: str, purpose: str) -> Any:
-    """Import a module of the extra for volumes; InputError that names the extra if it is not installed."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        cause = f"{purpose}, the package {package} is needed"
-        raise InputError(name, cause, "install it with: pip install 'beltrami-cli[volumes]'") from error
+        raise InputError(
+            archive.name, cause, "see the arrays that a level set has in `beltrami smooth --help`"
+        )

@@ -11,6 +11,7 @@ References
 from __future__ import annotations
 
 import bz2
+import importlib
 import io
 import math
 import warnings
@@ -24,7 +25,6 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.volume.arrays import checked_lattice, require_package
 from beltrami_cli.surface.level_set import GridColours, Lattice, Volume
 
 _CHANNELS = 4
@@ -35,6 +35,11 @@ _LONGEST_HEADER = 1 << 16
 _SPATIAL_KINDS = ("domain", "space")
 _UNKNOWN_KINDS = ("???", "none")
 _REPAIR = "write the file again"
+# Any unit of length from picometres to light hours; squares fit into float32.
+_SMALLEST, _LARGEST = 1e-12, 1e12
+_UNLIKE = 1e4  # how much longer than others a step may be
+_FURTHEST = 1e9  # steps from the origin: doubles resolve millionths of a step there
+_FLAT = 1e-6  # directions closer to one plane than that are a mistake
 # What pynrrd raises for headers and data that it does not understand, besides errors of its own.
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
 
@@ -45,11 +50,9 @@ def read_nrrd(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
     if kind is None:
         return Volume(lattice, samples)
     if samples.shape[3] not in _VALUE_AND_COLOURS or kind.endswith("color"):
-        raise InputError(
-            name,
-            f"each sample is a list of {samples.shape[3]} numbers ({kind}), and not a value, or a value and its colour",
-            "give the values as INPUT and the colours with --colours",
-        )
+        found = f"each sample is a list of {samples.shape[3]} numbers ({kind})"
+        cause = f"{found}, and not a value, or a value and its colour"
+        raise InputError(name, cause, "give the values as INPUT and the colours with --colours")
     return Volume(lattice, samples[..., 0], colours=GridColours(lattice, samples[..., 1:]))
 
 
@@ -155,10 +158,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
-    """Return the axis along which the numbers of a sample are listed, counted from the fastest; None if there is none.
-
-    InputError if there are other than three or four axes, or it is not clear which.
-    """
+    """Return the axis along which the numbers of a sample are listed, counted from the fastest; None: there is none."""
     count = len(header["sizes"])
     if count not in (3, 4):
         raise InputError(name, f"it has {count} axes", "give three, or four with one for colours")
@@ -178,25 +178,21 @@ def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
 
 
 def _spatial_lattice(header: Mapping[str, Any], axes: Sequence[int], name: str) -> Lattice:
-    """Return where the samples on three axes stand, in the file's own space.
-
-    By `space directions` and `space origin`; or else by `spacings`, or `axis mins` and `axis maxs`, of which those that
-    are missing are 1 and 0. InputError if directions are missing for an axis, or cannot be computed with.
-    """
+    """Return where the samples on three axes stand: by directions in space, or else along right angles."""
     directions = header.get("space directions")
     if directions is not None:
         rows = np.array([directions[axis] for axis in axes], float)
         origin = np.array(header.get("space origin", np.zeros(3)), float)
     else:
-        spacing, first = _along_axes(header, axes)
-        rows, origin = np.diag(spacing), first
+        spacing, origin = _along_axes(header, axes)
+        rows = np.diag(spacing)
     if rows.shape != (3, 3) or origin.shape != (3,):
         raise InputError(name, "its space directions or origin are not of three dimensions", "repair them")
     return checked_lattice(rows, origin, name)
 
 
 def _along_axes(header: Mapping[str, Any], axes: Sequence[int]) -> tuple[Float64s, Float64s]:
-    """Return the spacings, and the place of the first sample, on axes that are at right angles."""
+    """Return the spacings, and the place of the first sample, by `spacings`, `axis mins` and `axis maxs`."""
     lows = _finite(_field(header, "axis mins", "axismins"), axes)
     highs = _finite(_field(header, "axis maxs", "axismaxs"), axes)
     spacings = _finite(header.get("spacings"), axes)
@@ -220,3 +216,28 @@ def _finite(values: Any, axes: Sequence[int]) -> Float64s:
     if values is None or len(values) <= max(axes):
         return np.full(3, np.nan)
     return np.array([float(values[axis]) for axis in axes])
+
+
+def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
+    """Make a lattice; InputError if steps lie in one plane, or are too small, large or unlike to compute with."""
+    if not (np.isfinite(axes).all() and np.isfinite(origin).all()):
+        raise InputError(name, "its spacing or origin is not finite", "repair it")
+    longest = np.abs(axes).max(axis=1)
+    if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
+        steps = ", ".join(f"{step:g}" for step in longest)
+        cause = f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and much alike"
+        raise InputError(name, cause, "choose another unit")
+    if np.abs(origin).max() > _FURTHEST * longest.min():
+        raise InputError(name, "its origin is too far away for its spacing", "move it")
+    if abs(np.linalg.det(axes / np.linalg.norm(axes, axis=1)[:, None])) < _FLAT:
+        raise InputError(name, "its space directions lie in one plane", "repair them")
+    return Lattice(axes, origin)
+
+
+def require_package(module: str, package: str, name: str, purpose: str) -> Any:
+    """Import a module of the extra for volumes; InputError that names the extra if it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        cause = f"{purpose}, the package {package} is needed"
+        raise InputError(name, cause, "install it with: pip install 'beltrami-cli[volumes]'") from error

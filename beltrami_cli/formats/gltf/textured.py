@@ -1,0 +1,338 @@
+"""The triangles of a glTF file with texture coordinates: under the images of one slot, and with all materials."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.colours import display_colour
+from beltrami_cli.formats.gltf import geometry
+from beltrami_cli.formats.gltf.accessors import Accessors, fractions
+from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, TextureUse, image_key, looks, texture_uses
+from beltrami_cli.formats.gltf.writer import OWN_COLOURS
+from beltrami_cli.formats.model_folder import UnfitReferenceError
+from beltrami_cli.formats.textured_mesh import MeshImages, SlotImages, shown_materials, usable_coordinates
+from beltrami_cli.surface import records
+from beltrami_cli.surface.records import Slot
+
+_MOST_ROWS = np.iinfo(np.int32).max
+# Colours of the vertices of a primitive by mesh and number, shape (n, 3) or with opacity (n, 4), linear.
+PrimitiveColours = Mapping[tuple[int, int], Float32s]
+
+_ALPHA: dict[str, records.AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
+_KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
+
+
+def gather_textured(
+    root: Entry, accessors: Accessors, places: Sequence[geometry.Placement], images: Images, slot: Slot
+) -> tuple[records.TexturedSurface, list[str]]:
+    """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
+    gathering = _SurfaceReading(root, accessors, images, slot)
+    for mesh, placement in zip(root.entries("meshes"), places, strict=True):
+        for primitive in mesh.entries("primitives"):
+            gathering.take(primitive, placement)
+    if not len(gathering.shown):
+        raise gathering.shown.refusal(root.name, is_bare=gathering.counts["bare"] > 0)
+    sentences = {
+        "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
+        "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
+    }
+    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := gathering.counts[key])]
+    return gathering.surface(), gathering.shown.notices() + counted
+
+
+@dataclass
+class _SurfacePart:
+    """Triangles over one accessor of positions in one place and one look."""
+
+    position: int
+    placement: geometry.Placement
+    look: int
+    # Triangles, the texture coordinates of their corners, and the number of their texture.
+    drawn: list[tuple[Int64s, Float64s, int]] = field(default_factory=list)
+
+
+class _SurfaceReading:
+    """Parts while primitives are being taken one by one."""
+
+    def __init__(self, root: Entry, accessors: Accessors, images: Images, slot: Slot) -> None:
+        self.accessors, self.images, self.materials = accessors, images, texture_uses(root, slot)
+        self.shown = SlotImages(slot)
+        self.parts: dict[Hashable, _SurfacePart] = {}
+        self.counts = dict.fromkeys(("instanced", "bare"), 0)
+        self._seen: set[Hashable] = set()
+        self._decoded: dict[int, Float64s] = {}
+
+    def take(self, primitive: Entry, placement: geometry.Placement) -> None:
+        """Take one primitive: its triangles where they stand first, with all textures that they can have."""
+        found = geometry.textured_triangles(primitive, self.accessors, placement)
+        if found is None:
+            return
+        position, count, faces = found
+        for look, use in looks(primitive, self.materials):
+            image = self._image(primitive, use)
+            if look and image is None:
+                continue
+            place = self.accessors.identity(position), placement.matrix.tobytes(), placement.space, look
+            repeated = self._repeated(primitive, position, use)
+            self.counts["instanced"] += not look and image is not None and (placement.nodes > 1 or repeated)
+            if repeated:
+                continue
+            part = self.parts.setdefault(place, _SurfacePart(position, placement, look))
+            if use is None or image is None:
+                part.drawn.append((faces, np.zeros((len(faces), 3, 2)), -1))
+            else:
+                uv, wrap = self._coordinates(primitive, use, count)[faces], self.images.wrap(use.texture)
+                texture = self.shown.show(image, use.material, wrap, alpha_hides=use.alpha_hides)
+                part.drawn.append((faces, uv, texture))
+
+    def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
+        """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
+        parts: list[Hashable] = [
+            self.accessors.identity(position),
+            geometry.drawing(primitive, self.accessors),
+        ]
+        if use is not None:
+            parts += [use.texture, use.transform]
+            if use.coordinates in primitive.entry("attributes"):
+                coordinates = geometry.attribute_accessor(primitive, use.coordinates, self.accessors)
+                parts.append(self.accessors.identity(coordinates))
+        key = tuple(parts)
+        repeated = key in self._seen
+        self._seen.add(key)
+        return repeated
+
+    def _image(self, primitive: Entry, use: TextureUse | None) -> str | None:
+        """Return the key of the image that a texture shows on a primitive; None if it shows none."""
+        if use is None:
+            return None
+        if use.coordinates not in primitive.entry("attributes"):
+            self.counts["bare"] += 1
+            return None
+        place = self.images.textures[use.texture].place
+        try:
+            image = self.images.canonical(self.images.shown(use.texture))
+            if image_key(image) not in self.shown:
+                place = self.images.entries[image].place
+                self.shown.take(image_key(image), self.images.name(image), self.images.data(image))
+        except UnfitReferenceError as error:
+            self.shown.miss(f"{place}: {error}", use.material)
+            return None
+        return image_key(image)
+
+    def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
+        """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
+        index = geometry.fitting_accessor(primitive, use.coordinates, self.accessors, "VEC2", count)
+        if index not in self._decoded:  # parts of one large mesh may share it
+            self._decoded[index] = self.accessors.values(index)
+        uv = use.placed(self._decoded[index])
+        if not np.isfinite(uv).all():
+            raise use.info.fault("extensions", "its transform moves texture coordinates to infinity")
+        return uv
+
+    def surface(self) -> records.TexturedSurface:
+        positions, faces, spaces, rows = [], [], [], 0  # without vertices that no triangle uses
+        # Triangles of different looks or spaces do not meet.
+        looks_in_spaces = dict.fromkeys((part.placement.space, part.look) for part in self.parts.values())
+        space_of = {key: number for number, key in enumerate(looks_in_spaces)}
+        for part in self.parts.values():
+            corners = np.concatenate([faces for faces, _, _ in part.drawn])
+            used = np.zeros(self.accessors[part.position].count, bool)
+            used[corners] = True
+            faces.append((np.cumsum(used) - 1 + rows)[corners])
+            rows += int(np.count_nonzero(used))
+            if rows > _MOST_ROWS:
+                raise self.accessors[part.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
+            positions.append(geometry.in_world(part.placement, self.accessors, part.position, used))
+            spaces.append(np.full(len(positions[-1]), space_of[part.placement.space, part.look], np.int32))
+        drawn = [each for part in self.parts.values() for each in part.drawn]
+        return records.TexturedSurface(
+            positions=np.concatenate(positions),
+            faces=np.concatenate(faces).astype(np.int32),
+            uv=np.concatenate([uv for _, uv, _ in drawn]),
+            texture_of=np.concatenate([np.full(len(uv), number, np.int32) for _, uv, number in drawn]),
+            textures=self.shown.textures(),
+            space_of=np.concatenate(spaces) if len(space_of) > 1 else None,
+        )
+
+
+def read_textured_mesh(
+    root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
+) -> records.TexturedMesh:
+    """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
+    reading = _MeshReading(accessors, _Materials(root, images), colours)
+    for mesh, placement, name in geometry.instances(root):
+        for number, primitive in enumerate(root.entries("meshes")[mesh].entries("primitives")):
+            reading.take(primitive, placement, name, (mesh, number))
+    if not reading.parts:
+        raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
+    return reading.mesh(stored, source)
+
+
+class _Materials:
+    """The materials of a file, and the images that they show."""
+
+    def __init__(self, root: Entry, images: Images) -> None:
+        self.images, self.shown = images, MeshImages()
+        self.left_out: list[str] = []
+        uses = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
+        entries = root.entries("materials")
+        self.placed: list[TextureUse | None] = []
+        self.materials = [
+            self._material(entry, {slot: uses[slot][index][0] for slot in SLOT_PATHS if uses[slot][index]})
+            for index, entry in enumerate(entries)
+        ]
+        self.materials.append(records.Material(metalness=1.0))
+        self.placed.append(None)
+
+    def _material(self, entry: Entry, uses: Mapping[Slot, TextureUse]) -> records.Material:
+        maps: dict[Slot, records.MaterialMap] = {}
+        first: TextureUse | None = None
+        for slot, use in uses.items():
+            if first is not None and (use.coordinates, use.transform) != (first.coordinates, first.transform):
+                self.left_out.append(f"{slot} maps with texture coordinates of their own")
+                continue
+            try:
+                image = self.images.canonical(self.images.shown(use.texture))
+                name, read = self.images.name(image), partial(self.images.data, image)
+                number = self.shown.take(image_key(image), name, read)
+                maps[slot] = records.MaterialMap(number, self.images.wrap(use.texture))
+                first = first or use
+            except UnfitReferenceError as error:
+                self.left_out.append(f"a {slot} image, which {error}")
+        self.placed.append(first)
+        base = entry.entry("pbrMetallicRoughness")
+        factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
+        self.left_out += entry.entry("extensions").value
+        return records.Material(
+            name=entry.text("name") or "",
+            maps=maps,
+            colour=display_colour(factor[:3]),
+            emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
+            opacity=min(max(factor[3], 0.0), 1.0),
+            metalness=base.number("metallicFactor", default=1.0),
+            roughness=base.number("roughnessFactor", default=1.0),
+            alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
+        )
+
+
+@dataclass(frozen=True)
+class _MeshPart:
+    """The triangles of a primitive at one place; arrays have a row for each vertex, or for each corner."""
+
+    positions: Float64s
+    faces: Int64s
+    uv: Float64s
+    normals: Float64s
+    colours: Float32s | None
+    material: int
+    group: str
+
+
+class _MeshReading:
+    """Parts while primitives are being taken one by one."""
+
+    def __init__(self, accessors: Accessors, materials: _Materials, colours: PrimitiveColours) -> None:
+        self._accessors, self._materials, self._colours = accessors, materials, colours
+        self.parts: list[_MeshPart] = []
+        self._rows = 0
+        self._left_out: list[str] = []
+
+    def take(
+        self, primitive: Entry, placement: geometry.Placement, group: str, number: tuple[int, int]
+    ) -> None:
+        attributes = primitive.entry("attributes")
+        if geometry.drawing_mode(primitive) < geometry.TRIANGLES and "POSITION" in attributes:
+            self._left_out.append("points and lines")
+        found = geometry.textured_triangles(primitive, self._accessors, placement)
+        if found is None:
+            return
+        index, count, faces = found
+        self._rows += count
+        if self._rows > _MOST_ROWS:
+            raise self._accessors[index].entry.fault("", f"more than {_MOST_ROWS} vertices")
+        last = len(self._materials.materials) - 1
+        material = primitive.integer("material", below=last) if "material" in primitive else last
+        use = self._materials.placed[material]
+        self._note_others(attributes, use)
+        positions = geometry.in_world(placement, self._accessors, index)
+        uv = self._coordinates(primitive, use, count)
+        given = self._values(primitive, "NORMAL", "VEC3", count)
+        normals = np.full((count, 3), np.nan) if given is None else geometry.turned(given, placement.matrix)
+        colours = self._own_colours(primitive, number, count)
+        self.parts.append(_MeshPart(positions, faces, uv[faces], normals[faces], colours, material, group))
+
+    def _note_others(self, attributes: Entry, use: TextureUse | None) -> None:
+        coordinates = "TEXCOORD_0" if use is None else use.coordinates
+        for name in attributes.value:
+            if name.startswith("TEXCOORD_") and name != coordinates:
+                self._left_out.append("further texture coordinates")
+            elif name not in _KNOWN and name != coordinates and not name.startswith(("JOINTS_", "WEIGHTS_")):
+                self._left_out.append(f"attribute {name}")
+
+    def _values(self, primitive: Entry, name: str, shape: str, count: int) -> Float64s | None:
+        if name not in primitive.entry("attributes"):
+            return None
+        index = geometry.fitting_accessor(primitive, name, self._accessors, shape, count)
+        return self._accessors.values(index)
+
+    def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> Float64s:
+        uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, "VEC2", count)
+        if uv is None:
+            return np.full((count, 2), np.nan)
+        return usable_coordinates(uv if use is None else use.placed(uv))
+
+    def _own_colours(self, primitive: Entry, number: tuple[int, int], count: int) -> Float32s | None:
+        if number in self._colours:
+            material = primitive.value.get("material", len(self._materials.materials) - 1)
+            is_white = (self._colours[number][:, :3] == 1).all()
+            if "baseColor" in self._materials.materials[material].maps and not is_white:
+                self._left_out.append("the tint of textures by their vertex colours")
+            return self._colours[number]
+        if OWN_COLOURS not in primitive.entry("attributes"):
+            return None
+        index = geometry.attribute_accessor(primitive, OWN_COLOURS, self._accessors)
+        colours = fractions(self._accessors.finite(index, "colour"))
+        return colours if colours.shape in ((count, 3), (count, 4)) else None
+
+    def mesh(self, stored: str, source: str) -> records.TexturedMesh:
+        starts = np.cumsum([0, *(len(part.positions) for part in self.parts)])[:-1]
+        placed = zip(self.parts, starts.tolist(), strict=True)
+        normals = np.concatenate([part.normals for part in self.parts]).astype(np.float32)
+        counts = [len(part.faces) for part in self.parts]
+        groups = tuple(dict.fromkeys(part.group for part in self.parts))
+        group_of = np.repeat([groups.index(part.group) for part in self.parts], counts)
+        numbers = np.repeat([part.material for part in self.parts], counts)
+        materials, material_of = shown_materials(self._materials.materials, numbers)
+        return records.TexturedMesh(
+            positions=np.concatenate([part.positions for part in self.parts]),
+            faces=np.concatenate([part.faces + start for part, start in placed]).astype(np.int32),
+            uv=np.concatenate([part.uv for part in self.parts]),
+            materials=materials,
+            images=tuple(self._materials.shown.images),
+            source=source,
+            material_of=material_of,
+            groups=groups,
+            group_of=group_of.astype(np.int32),
+            normals=None if np.isnan(normals).all() else normals,
+            colours=self._vertex_colours(stored),
+            left_out=(*self._materials.left_out, *self._left_out),
+        )
+
+    def _vertex_colours(self, stored: str) -> records.VertexColours | None:
+        """Return the colours of all vertices; those of parts without any are white, as glTF has it."""
+        if all(part.colours is None for part in self.parts):
+            return None
+        rows, row = np.ones((self._rows, 4), np.float32), 0
+        for part in self.parts:
+            if part.colours is not None:
+                rows[row : row + len(part.colours), : part.colours.shape[1]] = part.colours
+            row += len(part.positions)
+        alpha = rows[:, 3] if (rows[:, 3] < 1).any() else None
+        return records.VertexColours(rows[:, :3], "linear", stored, alpha)
