@@ -23,8 +23,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
+from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import TexelColours
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
@@ -178,7 +178,7 @@ class GuidedTexels:
         pictures = [read_texture(texture) for texture in guiding.textures]
         textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
         plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)
-        colours = TexelColours(pictures, slot, plain)
+        colours = PictureColours(pictures, slot, plain)
         images = []
         for picture in pictures:
             height, width = picture.pixels.shape[:2]

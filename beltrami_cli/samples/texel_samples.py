@@ -26,9 +26,10 @@ from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
+from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
+from beltrami_cli.samples.texel_colours import Repainting, choose_textures, only_textures
 from beltrami_cli.samples.texture_groups import Common, TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
@@ -68,7 +69,7 @@ class TexelSamples(samples.Samples):
         self._tables: list[JpegTables | None] = []
         self.pictures = [self._picture(texture) for texture in self.surface.textures]
         self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
-        self.colours = TexelColours(self.pictures, slot, settings)
+        self.colours = PictureColours(self.pictures, slot, settings)
         self.names = self.colours.names
         hidden = self.colours.transparent(self.atlas, self.surface.textures)
         if hidden.any():
@@ -228,9 +229,9 @@ class TexelSamples(samples.Samples):
         kernel, picture = dataclasses.replace(self.settings.kernel, free=()), self.pictures[index]
         surface = only_textures(self.surface, [index])
         atlas = atlas_of(surface, [picture], kernel)
-        hidden = self.colours.hidden(index, surface.textures[0], atlas.owned_texels)
-        if hidden.any():
-            atlas = without_owned(atlas, hidden)
+        if surface.textures[0].alpha_hides:
+            hidden = self.colours.hidden(picture, atlas.owned_texels)
+            atlas = without_owned(atlas, hidden) if hidden.any() else atlas
 
         def working(block: slice) -> Float32s:
             return self.colours.working(picture, atlas.owned_texels[block])
@@ -257,7 +258,7 @@ class TexelSamples(samples.Samples):
             pixels, change = painter.repaint(index, new)
             changes.append(change)
             large_arrays.leave_memory()
-            columns = self.colours.columns(index)
+            columns = self.colours.columns(picture)
             pixels, slots = self._shared.join(self.slot, texture.key, pixels, columns)
             file, said = samples.rewritten(
                 picture, pixels, wanted, wanted.image_suffix, as_data=self._is_data

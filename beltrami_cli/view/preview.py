@@ -136,7 +136,7 @@ class Previewer:
         samples = self._pixels.window(place, kernel)
         flow = samples.flow()
         flow.run(progress)
-        pixels, _ = samples.colours.repainted(flow.manifold.new_colours(), kernel.thread_count)
+        pixels, _ = samples.painted(flow.manifold.new_colours())
         shown = displayed_pixels(dataclasses.replace(samples.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]

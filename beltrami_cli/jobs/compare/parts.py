@@ -28,10 +28,11 @@ from beltrami_cli.jobs.compare.figures import (
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.painted_samples import columns_of, only_rows
+from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.pixel_samples import PixelSamples
 from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
+from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import with_surface
 from beltrami_cli.samples.voxels import LevelSetDocument
@@ -163,11 +164,10 @@ def compare_images(
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
-    if not other.usable()[valid].all():
-        count = int(np.count_nonzero(~other.usable()[valid]))
+    if count := int(np.count_nonzero(~other.finite(samples[1].picture)[valid])):
         raise InputError(names[1], f"{count} of its pixels are no finite numbers, but are in {names[0]}")
     pixels = np.flatnonzero(valid)
-    colours = one.samples(pixels), other.samples(pixels)
+    colours = one.working(samples[0].picture, pixels), other.working(samples[1].picture, pixels)
     space = settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data"
     part = _part_of_image("image", "image", colours, pixels, valid.shape, np.ones(len(pixels)), space)
     opacity = [None if "alpha" in one.names else _opacity(document.picture()) for document in documents]
@@ -213,7 +213,7 @@ def compare_textures(
     pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
-    colours = TexelColours(pictures, slot, settings)
+    colours = PictureColours(pictures, slot, settings)
     if colours.names != prepared.colours.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(prepared.colours.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
@@ -232,15 +232,17 @@ def compare_textures(
 
 
 def _around(
-    prepared: TexelSamples, colours: TexelColours, pictures: Sequence[Picture], index: int
+    prepared: TexelSamples, colours: PictureColours, pictures: Sequence[Picture], index: int
 ) -> tuple[Float32s, Float32s]:
     """Return the colours, in both files, of a texture's texels that faces look up, but none covers."""
     atlas = prepared.atlas
     begin, end = atlas.texture_offsets[index : index + 2].tolist()
     every = np.concatenate([atlas.border_texels, atlas.lone_texels]).astype(np.int64)
     own = every[(every >= begin) & (every < end)] - begin
-    own = own[~prepared.colours.hidden(index, prepared.surface.textures[index], own)]
-    return prepared.colours.working(prepared.pictures[index], own), colours.working(pictures[index], own)
+    picture = prepared.pictures[index]
+    if prepared.surface.textures[index].alpha_hides:
+        own = own[~prepared.colours.hidden(picture, own)]
+    return prepared.colours.working(picture, own), colours.working(pictures[index], own)
 
 
 def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
