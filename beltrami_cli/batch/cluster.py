@@ -109,10 +109,6 @@ class ClusterExecutor:
     def is_full(self) -> bool:
         return self._at_once is not None and len(self._futures) >= self._at_once
 
-    @property
-    def is_busy(self) -> bool:
-        return bool(self._futures)
-
     def start(self, key: int, item: Item) -> None:
         future = self._client.submit(
             _do_on_worker, _portable(item), self._memory, self._topic, key, version("beltrami-cli"),

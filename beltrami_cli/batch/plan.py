@@ -12,18 +12,11 @@ import io
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from glob import has_magic
 from pathlib import Path, PurePath
 from typing import Any
 
-from beltrami_cli.batch.storage import (
-    find_at,
-    fixed_part,
-    has_magic,
-    is_url,
-    joined,
-    place_of,
-    without_scheme,
-)
+from beltrami_cli.batch.storage import find_at, fixed_part, is_url, joined, place_of, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import is_file, is_there
 from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text

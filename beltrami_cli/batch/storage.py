@@ -13,6 +13,7 @@ import re
 import tempfile
 import uuid
 from collections.abc import Iterator
+from glob import has_magic
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
@@ -22,7 +23,6 @@ from beltrami_cli.formats.access import Access, is_there, open_regular
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
-_MAGIC = set("*?[")
 _CHUNK = 1 << 20
 # Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
 _WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
@@ -50,11 +50,6 @@ def require_name(name: object) -> str:
 def place_of(name: str) -> str:
     """Return what two names of one file have in common: its resolved path, or its URL."""
     return name if is_url(name) else os.path.realpath(name)
-
-
-def has_magic(pattern: str) -> bool:
-    """Return whether a name is a glob."""
-    return bool(_MAGIC & set(pattern))
 
 
 def fixed_part(pattern: PurePath) -> PurePath:

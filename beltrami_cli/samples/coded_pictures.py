@@ -72,13 +72,8 @@ def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[
 def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | None]) -> list[CodedPicture]:
     """Return the pictures, unless one of them is no JPEG file, or some are grey and others are not."""
     known = [each for each in tables if each is not None]
-    channels = {own.shape[2] for own in pixels}
-    if (
-        not known
-        or len(known) < len(pixels)
-        or len(channels) != 1
-        or any(own.dtype != np.uint8 for own in pixels)
-    ):
+    alike = len(known) == len(pixels) and len({own.shape[2] for own in pixels}) == 1
+    if not alike or any(own.dtype != np.uint8 for own in pixels):
         return []
     used = [large_arrays.zeros(own.shape[:2], bool) for own in pixels]
     for block in large_arrays.blocks(len(atlas.owned_texels)):

@@ -155,7 +155,7 @@ class GuidedTexels:
             )
         image, picture = read_map(path, self.access), self.pictures[0]
         require_size(image, picture.pixels.shape[:2], path, picture.name)
-        values = _at(image, self.atlas.owned_texels)
+        values = image.reshape(-1, image.shape[2])[self.atlas.owned_texels]
         require_finite(values, path, "pixel")
         return values
 
@@ -210,14 +210,10 @@ class GuidedTexels:
         return int(shown[0])
 
 
-def _at(image: Float32s, texels: Int64s) -> Float32s:
-    return image.reshape(-1, image.shape[2])[texels]
-
-
 def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: Int64s) -> Float32s:
     """Sample an image at the centres of texels of an image of another size, or of the same."""
     if image.shape[:2] == size:
-        return _at(image, texels)
+        return image.reshape(-1, image.shape[2])[texels]
     row, column = np.divmod(texels, size[1])
     uv = np.column_stack([(column + 0.5) / size[1], (row + 0.5) / size[0]])
     return np.asarray(look_up(image, uv, texture.wrap), np.float32)

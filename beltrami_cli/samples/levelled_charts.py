@@ -41,7 +41,6 @@ class TextureCharts:
 
     @classmethod
     def of(cls, atlas: Atlas, textures: Sequence[Texture]) -> TextureCharts:
-        """Find them."""
         offsets, areas = atlas.texture_offsets, np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
         texel = np.zeros(len(areas), np.int64)
         for block in large_arrays.blocks(len(atlas.chart_of)):

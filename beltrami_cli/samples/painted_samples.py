@@ -86,13 +86,11 @@ class PaintedSamples(Samples):
         return coloured_rows(self.painted, in_triangles=self._in_triangles)
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
-        painted, channels, rows = self.painted, self.channels.changing, self.coloured()
+        painted, places = self.painted, (self.coloured()[:, None], self.channels.changing)
         back = from_space(after, painted.encoding, self.settings.space)
         colours = painted.colours.copy()
-        changed = colours[rows]
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
-        changed[:, channels] = np.where(after != grains.colours, back, changed[:, channels])
-        colours[rows] = changed
+        colours[places] = np.where(after != grains.colours, back, colours[places])
         return Repainted(Change.between(painted.colours, colours), colours)
 
     def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
@@ -137,8 +134,7 @@ def samples_of(
 def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.samples.guides import noise_of_vertices, vertex_guides
-    from beltrami_cli.samples.range_samples import RangeSamples
-    from beltrami_cli.samples.vertex_samples import VertexSamples
+    from beltrami_cli.samples.vertex_samples import RangeSamples, VertexSamples
     from beltrami_cli.samples.voxels import LevelSetDocument
 
     painted, grid = document.painted(), document.grid()
@@ -148,14 +144,6 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
         return RangeSamples(painted, grid, settings, guides, noise)
     is_level_set = isinstance(document, LevelSetDocument)
     return VertexSamples(painted, settings, guides, noise, in_triangles=is_level_set)
-
-
-def coloured_vertices(document: Document) -> NDArray[np.intp]:
-    """Return the vertices of a document that have a position and a colour."""
-    from beltrami_cli.samples.painted_samples import coloured_rows
-    from beltrami_cli.samples.voxels import LevelSetDocument
-
-    return coloured_rows(document.painted(), in_triangles=isinstance(document, LevelSetDocument))
 
 
 def require_geometry(

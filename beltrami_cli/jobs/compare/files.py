@@ -53,16 +53,11 @@ class Comparison:
     # "name", "kind" and figures of each texture, the image, or the vertices; "identical" is what is equal beside others
     parts: list[dict[str, Any]]
     overall: dict[str, Any]  # those of all parts together that are not identical
-    geometry: dict[str, float] | None  # how far vertices moved, in longest sides of the model; None: an image
+    geometry: Moves | None  # None: an image
     limits: list[Verdict]
     passed: bool  # whether each part keeps to each limit
     map_scale: float | None  # the Delta E that the brightest colour of the map stands for
     notices: list[str]
-
-    @property
-    def has_moved(self) -> bool:
-        """Whether vertices moved by more than rounding explains."""
-        return self.geometry is not None and not Moves(*self.geometry.values()).is_rounding
 
 
 def compare_files(
@@ -95,12 +90,11 @@ def compare_files(
     if output is not None:
         written, scale = draw_map(compared.parts, documents[0], output.target)
         output.write(written)
-    geometry = None if moves is None else dataclasses.asdict(moves)
     passed = all(verdict.kept for verdict in verdicts)
     notices = [*compared.all_notices(), *untested]
     return Comparison(
-        *names, weights, settings.space, described, figures(compared.measured()), geometry, verdicts, passed,
-        scale, notices,
+        *names, weights, settings.space, described, figures(compared.measured()), moves, verdicts, passed, scale,
+        notices,
     )  # fmt: skip
 
 

@@ -27,10 +27,9 @@ from beltrami_cli.jobs.compare.figures import (
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.painted_samples import columns_of, only_rows
+from beltrami_cli.samples.painted_samples import coloured_rows, columns_of, only_rows
 from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
@@ -100,7 +99,10 @@ def compare_vertices(
     """Bring the vertex colours of two models together; `is_extra`: beside textures."""
     one, other = (document.painted() for document in documents)
     require_one_model(documents, (one, other))
-    rows = np.intersect1d(coloured_vertices(documents[0]), coloured_vertices(documents[1]))
+    held = [
+        coloured_rows(each.painted(), in_triangles=isinstance(each, LevelSetDocument)) for each in documents
+    ]
+    rows = np.intersect1d(held[0], held[1])
     channels, space = columns_of(one, settings).changing, settings.space
     reference, test = (
         to_space(each.colours[rows][:, channels], each.encoding, space) for each in (one, other)
