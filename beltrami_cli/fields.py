@@ -88,7 +88,6 @@ class Parameter:
         return self.show(self.default)
 
     def files(self, value: Any) -> list[str]:
-        """Return the files that a value names."""
         if value is None or not (self.is_file or self.file_in):
             return []
         texts = list(map(str, value if isinstance(value, tuple) else [value]))

@@ -66,7 +66,6 @@ class PartitionExecutor:
         return self._thread is not None
 
     def start(self, key: int, item: Item) -> None:
-        """Begin with a file, in a thread, so that its progress can be shown."""
         self._thread = threading.Thread(target=self._do, args=(key, item), daemon=True)
         self._thread.start()
 

@@ -187,7 +187,6 @@ def _run(
 
 
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
-    """Print what a run would do, a line for each file, and how many there are."""
     from beltrami_cli.batch.storage import is_url
 
     is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
@@ -202,7 +201,6 @@ def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) ->
 
 
 def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
-    """Make the jobs of a batch from the options given here and what the manifests say besides."""
     from beltrami_cli.batch.item import Item
 
     common = _settings_from(values)

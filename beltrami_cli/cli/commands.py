@@ -183,14 +183,12 @@ class HelpfulCommand(click.Command):
         return groups
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the description: in the short help, its first paragraph."""
         text = inspect.cleandoc(self.help or "")
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(text if self._is_full(ctx) else text.partition("\n\n")[0])
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options: in the short help, those that matter daily, and which others there are."""
         groups = self.option_groups(ctx)
         for title, options in groups.items():
             if title == DAILY or self._is_full(ctx):
@@ -203,7 +201,6 @@ class HelpfulCommand(click.Command):
             formatter.write_text(f"--help-all shows more options: {others}.")
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write examples and notes: in the short help, the first examples."""
         text = inspect.cleandoc(self.epilog or "")
         formatter.write_paragraph()
         with formatter.indentation():

@@ -122,7 +122,6 @@ def command(
 
 
 def _show(comparison: Comparison) -> None:
-    """Print the figures of all parts, the worst sample, and how the limits were kept."""
     rows = [_row(part["name"], part) for part in comparison.parts]
     if len(rows) > 1:
         rows.append(_row("all", comparison.overall))

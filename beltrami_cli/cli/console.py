@@ -91,7 +91,6 @@ class Messages:
             click.echo(printable(text), err=True)
 
     def detail(self, text: str) -> None:
-        """Print what only --verbose shows."""
         if self.verbose:
             self.say(text)
 

@@ -181,7 +181,6 @@ def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
 
 
 def _typed(declared: Parameter, value: Any) -> list[str]:
-    """Return the option of a parameter with a value, as it is typed."""
     flag = flags_of(declared)[0].partition("/")[0]
     if declared.kind is bool:
         return [flag]

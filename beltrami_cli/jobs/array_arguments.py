@@ -53,7 +53,6 @@ def _deviations_in(overrides: dict[str, Any], shape: tuple[int, ...]) -> Float32
 
 
 def _channel(channel: object, names: Sequence[str]) -> str:
-    """Return the name of a channel that is given by its number or name."""
     if isinstance(channel, str) and channel in names:
         return channel
     if not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):

@@ -94,7 +94,6 @@ class Job:
         return output, output.files.watching(self.access)
 
     def progress_of(self, label: str) -> Callable[[int, int], None] | None:
-        """Return the callback for the progress of one part of the job."""
         return None if self.progress is None else partial(self.progress, label)
 
 
@@ -241,7 +240,6 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure what runs in the context as the stage `name`."""
         wall, cpu = time.perf_counter(), time.process_time()
         times = self.stages.setdefault(name, {"wall": 0.0, "cpu": 0.0})
         try:

@@ -20,6 +20,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.records import SampledKernel
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import open_input
@@ -60,16 +63,11 @@ def _drawn(facts: dict[str, Any], view: MeshView | WindowView, suffix: str) -> W
         )
     if isinstance(view, MeshView):
         return _mesh(view, facts)
-    from beltrami_cli.formats.image import write_image
-    from beltrami_cli.formats.image.picture import new_picture
-
     pixels = _picture(view, facts["radius"])
     return Written([write_image(new_picture(pixels, facts["output"]), pixels, suffix=suffix).data])
 
 
 def _mesh(view: MeshView, facts: dict[str, Any]) -> Written:
-    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-
     nearness = _nearness(view, facts["radius"])
     shades = as_bytes(colour_by_value(nearness, view.shades, np.isfinite(view.distances)))
     scalars = {"distance": view.distances, "weight": view.weights}

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.coded_picture import CodedPicture, decode
 from beltrami_cli.flow.noise.given import GivenNoise
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.image.jpeg_tables import JpegTables
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
-if TYPE_CHECKING:
-    from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.formats.image.jpeg_tables import JpegTables
-
-    Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
+Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
 
 # How often pictures are decoded before patches, which take what is left of ringing, as it repeats itself, for detail.
 # The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.

@@ -133,7 +133,6 @@ class GuidedTexels:
     access: Access
 
     def guides(self) -> list[Guide]:
-        """Read all guides, with one row per owned texel."""
         return [self._guide(name, beta) for name, beta in self.settings.embedding.weighted_guides]
 
     def _guide(self, name: str, beta: float | None) -> Guide:

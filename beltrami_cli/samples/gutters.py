@@ -28,11 +28,9 @@ class Refilled:
     shown: Callable[[Array], Float32s]  # colours, shape (K, N), of pixels, shape (K, C)
 
     def before(self, texels: Indices) -> Float32s:
-        """Return the colours that texels had."""
         return self.shown(_rows(self.old)[texels])
 
     def after(self, texels: Indices) -> Float32s:
-        """Return the colours that texels have now."""
         return self.shown(_rows(self.new)[texels])
 
     def restore(self, texels: Indices) -> None:

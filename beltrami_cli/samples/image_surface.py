@@ -57,7 +57,6 @@ class ImageSurface:
     notices: tuple[str, ...] = ()
 
     def window(self, place: tuple[slice, slice]) -> ImageSurface:
-        """Return the surface of a part of the image."""
         every = self.heights, self.positions, self.valid
         heights, positions, valid = (None if each is None else each[place] for each in every)
         return ImageSurface(heights, positions, valid)

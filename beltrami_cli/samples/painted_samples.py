@@ -82,7 +82,6 @@ class PaintedSamples(Samples):
         return positions, spacing_of(painted, rows, place_of)
 
     def coloured(self) -> NDArray[np.intp]:
-        """Return the vertices that have a position and a colour."""
         return coloured_rows(self.painted, in_triangles=self._in_triangles)
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.picture_colours import PictureColours
+from beltrami_cli.samples.probes.cells import PixelProbe
+from beltrami_cli.samples.probes.probe import Probe, WorkingColours
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
@@ -42,9 +44,6 @@ from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.probes.probe import Probe
 
 
 class PixelSamples(Samples):
@@ -142,9 +141,6 @@ class PixelSamples(Samples):
         return {"image": {**facts, "pitch": flow.manifold.spacing}, **self._planned(flow)}
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        from beltrami_cli.samples.probes.cells import PixelProbe
-        from beltrami_cli.samples.probes.probe import WorkingColours
-
         unit = "pixel" if self.surface.positions is None else ""
         return PixelProbe(self.flow(), WorkingColours(self.names, self.settings.space), self.picture, unit)
 

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,12 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.probes.probe import Probe
 
 Part = Literal["vertices", "textures", "image"]
 
@@ -231,12 +229,10 @@ class Samples(ABC):
         return {"noise": self.named(flow.noise), "noise_model": flow.noise_model, "smooth": smooth}
 
     def warnings(self, result: FlowResult) -> list[str]:
-        """Return warnings about a flow that was run."""
         del result
         return []
 
     def named(self, values: Float64s) -> dict[str, float]:
-        """Pair a value per channel with the channels' names."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
 
 
@@ -259,7 +255,6 @@ class Change:
 
     @classmethod
     def between(cls, before: Float32s, after: Float32s) -> Change:
-        """Compare two arrays of the same shape."""
         difference = np.abs(after - before)
         if not difference.size:
             return cls()
@@ -273,7 +268,6 @@ class Change:
         return cls(sum(counts), sum(totals), sum(squares), max(largest))
 
     def summary(self) -> dict[str, float]:
-        """Return the mean, the root mean square and the largest change."""
         count = max(1, self.count)
         return {"mean": self.total / count, "rms": (self.squares / count) ** 0.5, "largest": self.largest}
 

@@ -22,6 +22,7 @@ from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow, options_of_meshes
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours, only_rows
+from beltrami_cli.samples.probes.cells import RangeProbe
 from beltrami_cli.samples.probes.probe import Probe, VertexProbe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, VertexReport
 from beltrami_cli.samples.samples import Repainted
@@ -64,7 +65,6 @@ class VertexSamples(PaintedSamples):
 
     @property
     def surface(self) -> SampledSurface:
-        """The samples and the triangles between them."""
         return self._sampled[0]
 
     @property
@@ -246,8 +246,6 @@ class RangeSamples(PaintedSamples):
         }
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        from beltrami_cli.samples.probes.cells import RangeProbe
-
         colours = WorkingColours(self.names, self.settings.space)
         return RangeProbe(self.flow(), colours, self.painted, self.grid, document.name)
 

@@ -78,7 +78,6 @@ class ModelPacker:
         )  # fmt: skip
 
     def add_image(self, documents: tuple[ImageDocument, ImageDocument]) -> None:
-        """Add two images as flat textures."""
         numbers = [
             self.texture(Texture("", each.name, each.data), "baseColor", sheet_of(each.picture()))
             for each in documents
@@ -97,7 +96,6 @@ class ModelPacker:
         }  # fmt: skip
 
     def texture(self, texture: Texture, slot: Slot, sheet: Float32s | None = None) -> int:
-        """Add a texture once; return its number."""
         source = source_of(texture, slot, sheet)
         key = f"{source} {texture.wrap} {texture.alpha_hides}"
         if key not in self._number_of:

@@ -187,7 +187,6 @@ class Trial:
 
     @property
     def label(self) -> str:
-        """The parameters and the first figure, in short."""
         words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["smoothed"]
         return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
 
@@ -291,7 +290,6 @@ def _view(panel: Panel, picture: str, trial: Trial | None, *, is_best: bool) -> 
 
 
 def _rows(trials: Sequence[Trial]) -> list[list[str]]:
-    """Return the parameters and figures of all trials, below their names."""
     parameters, found = columns_of(trials)
     rows = [[*parameters, *(FIGURES[key] for key in found)]]
     for trial in trials:

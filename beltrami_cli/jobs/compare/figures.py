@@ -83,7 +83,6 @@ class ComparedColours:
         return np.asarray(np.square(self.test.astype(np.float64) - self.reference).mean(axis=1), np.float64)
 
     def described(self) -> dict[str, object]:
-        """Return what it is and its figures, in JSON types."""
         return {"name": self.name, "kind": self.kind, "identical": self.is_identical, **figures([self])}
 
     def worst(self) -> dict[str, object]:
@@ -141,7 +140,6 @@ def psnr(squares: Float64s, weights: Float64s) -> float | None:
 
 
 def _delta_e(looks: Sequence[tuple[Float64s, Float64s]]) -> dict[str, float] | None:
-    """Sum up differences and what they count."""
     every, weights = (np.concatenate([np.zeros(0), *(pair[k] for pair in looks)]) for k in (0, 1))
     if not weights.sum() > 0:
         return None

@@ -21,6 +21,7 @@ from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import ImageDocument, write_image
 from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
@@ -236,8 +237,6 @@ def _draw_vertices(part: ComparedColours, document: Document, target: str) -> tu
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
     if Path(target).suffix.lower() != ".ply":
         raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
-    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-
     painted, scale = document.painted(), _scale([part])
     values = np.full(len(painted.positions), np.nan, np.float32)
     errors = values.copy()

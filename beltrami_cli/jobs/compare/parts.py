@@ -276,7 +276,6 @@ def _parts(
 
 
 def _require_same_size(old: Picture, new: Picture, name: str) -> None:
-    """Raise InputError if two images have not the same numbers of rows and columns."""
     sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
     if sizes[0] != sizes[1]:
         cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"
