@@ -177,10 +177,7 @@ class Cancelled(BaseException):
 
 
 def _do_on_worker(item: Item, memory: int | None, topic: str, key: int, client_version: str) -> Attempt:
-    """Smooth one file in the process of a worker; progress goes to `topic`.
-
-    `memory` (bytes) None: the worker's share of its own limit.
-    """
+    """Smooth one file in the process of a worker; `memory` None: the worker's share of its own limit."""
     from distributed import get_client, get_worker
 
     worker = get_worker()

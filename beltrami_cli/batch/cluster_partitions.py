@@ -39,10 +39,7 @@ _GRACE = 5.0  # seconds that a file has to end when it is given up
 
 
 class PartitionExecutor:
-    """Reads, cuts, joins and writes one file at a time here, and has its partitions smoothed by workers; an `Executor`.
-
-    Every surface is cut into `count` partitions. `memory` is for a file on this machine, in bytes.
-    """
+    """Does one file at a time here, and has `count` partitions of each surface smoothed by workers; an `Executor`."""
 
     queues = False
     threads: int | None = None

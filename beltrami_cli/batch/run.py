@@ -57,10 +57,7 @@ class Executor(Protocol):
 
 
 class Batch:
-    """Many files to be smoothed, each as `smooth_file` would alone; `fail_fast`: up to the first failure.
-
-    What `record` says to be done, and still holds, is not done again.
-    """
+    """Files that are smoothed as by `smooth_file`, but for what `record` says to be done, and still holds."""
 
     def __init__(
         self, items: Sequence[Item], record: Record, watcher: Watcher, *, fail_fast: bool = False

@@ -131,11 +131,7 @@ def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:
 
 
 class Stage:
-    """The files of an item on this machine: those whose source or target is a URL as copies in `folder`.
-
-    `source` and `target` are the names of these, or their own. `read` has the SHA-256 of what was read, by its original
-    name.
-    """
+    """The files of an item, those at URLs as copies in `folder`; `read` has the SHA-256 of what was read, by name."""
 
     def __init__(self, source: str, target: str, folder: Path) -> None:
         self._original_source, self._original_target = source, target
@@ -167,10 +163,7 @@ class Stage:
             raise InputError(self._original_source, f"cannot be brought ({error})", "try again") from error
 
     def send(self, names: list[str], *, overwrite: bool, again: bool) -> dict[str, str]:
-        """Upload what was made, the model last, to the place of the target; return the hashes by URL.
-
-        `again`: what an attempt that was cut off has uploaded already may be there.
-        """
+        """Upload what was made, the model last, and return the hashes by URL; `again`: it may be there already."""
         own = Path(self.target)
         made = [*(self._outside / name for name in names), own]
         urls = {path: f"{self._to}/{path.relative_to(self._outside).as_posix()}" for path in made}
@@ -198,13 +191,11 @@ class Stage:
 @contextlib.contextmanager
 def staged(source: str, target: str) -> Iterator[Stage]:
     """Download the source, if it is a URL, and remove all copies in the end."""
-    has_copies = is_url(source) or is_url(target)
-    with (
-        tempfile.TemporaryDirectory(prefix="beltrami-")
-        if has_copies
-        else contextlib.nullcontext(os.devnull) as name
-    ):
-        stage = Stage(source, target, Path(name).resolve())
+    with contextlib.ExitStack() as stack:
+        folder = os.devnull
+        if is_url(source) or is_url(target):
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="beltrami-"))
+        stage = Stage(source, target, Path(folder).resolve())
         if is_url(source):
             stage.bring(Path(stage.source))
         yield stage

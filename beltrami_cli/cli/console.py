@@ -251,10 +251,7 @@ class _RawError(io.FileIO):
 
 
 def prepare_streams(*, hear_libraries: bool) -> None:
-    """Replace the standard streams of this process by ones that can be used.
-
-    Image decoders print on the standard error by themselves; unless `hear_libraries`, that is lost.
-    """
+    """Replace the standard streams by ones that can be used; `hear_libraries`: also by image decoders."""
     _fill_descriptors()
     if sys.stdin is None:
         sys.stdin = open(_INPUT, closefd=False)  # noqa: SIM115

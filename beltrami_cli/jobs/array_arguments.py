@@ -23,10 +23,7 @@ def settings_for(
     parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], shape: tuple[int, ...],
     overrides: dict[str, Any],
 ) -> tuple[SmoothSettings, list[Guide], Float32s | None]:  # fmt: skip
-    """Return the parameters with overrides, the channels of the metric by their names; guides; and deviations of noise.
-
-    The latter have a row a vertex or pixel, of which there are as many as `shape` says.
-    """
+    """Return the parameters with overrides, guides, and deviations of noise: a row for each vertex or pixel."""
     noise = _deviations_in(overrides, shape)
     wanted = overrides.get("metric_channels")
     if wanted is not None:

@@ -81,10 +81,7 @@ class Job:
     check: Callable[[Document], None] | None = None
 
     def output(self, target: str, guarded: Iterable[str]) -> tuple[Output | None, Access]:
-        """Check where OUTPUT goes, None on a dry run; and return the access to files that it does not replace.
-
-        It replaces none of the `guarded` files either.
-        """
+        """Check where OUTPUT goes, None on a dry run; return the access to what it, as the `guarded`, leaves alone."""
         from beltrami_cli.jobs.output import Output
 
         if self.dry_run:
@@ -208,10 +205,7 @@ def _data_limit(size: int | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def memory_reserved(size: int) -> Iterator[None]:
-    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left.
-
-    What it takes besides, for its threads, counts as memory of the program.
-    """
+    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left."""
     before = _UNLIMITED.get()
     if before is None:
         yield

@@ -34,10 +34,7 @@ def flow_on_pictures(
     kernel: KernelParameters,
     tick: Callable[[], None] | None,
 ) -> BeltramiFlow[GridManifold]:
-    """Return the flow on the cells of pictures, which are decoded anew if JPEG coded white noise in all of them.
-
-    `make` returns the manifold of other colours on the canvas and their noise, or of the pictures' own.
-    """
+    """Return the flow on pictures, decoded anew if JPEG coded white noise in all; `make`: on given colours."""
     pictures = _coded(atlas, pixels, tables) if kernel.evens_noise and not kernel.fast else []
     sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:

@@ -52,10 +52,7 @@ def checked_memory(
     document: Document, slots: Sequence[Slot], wanted: TextureSettings, access: Access, target: str | None,
     *, on_disk: bool = True, in_groups: bool,
 ) -> Iterator[None]:  # fmt: skip
-    """Paint the chosen textures of a document in temporary files, if that can be, where memory is too small for them.
-
-    `in_groups`: they can be painted by some at a time.
-    """
+    """Have large arrays in temporary files where memory is too small; `in_groups`: textures can be painted by some."""
     if not on_disk:
         require_memory_for_textures(document, slots, wanted, access)
         yield

@@ -45,10 +45,7 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
 
 
 class PaintedSamples(Samples):
-    """The common part of vertices on a mesh and on a grid.
-
-    `guides` and deviations of `noise` have a row a vertex. `in_triangles`: vertices in none have no colour.
-    """
+    """The common part of vertices on a mesh and on a grid; `in_triangles`: vertices in none have no colour."""
 
     part: ClassVar[Part] = "vertices"
 
@@ -65,9 +62,6 @@ class PaintedSamples(Samples):
         self._noise, self._in_triangles = noise, in_triangles
         self.channels = columns_of(painted, settings)
         self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
-
-    def require_writable(self) -> None:
-        """Accept all: documents raise errors about what they cannot store."""
 
     def grains(self) -> Grains:
         # One random number for each place, so that split vertices stay equal.

@@ -47,11 +47,7 @@ from beltrami_cli.surface.records import ImageFile
 
 
 class PixelSamples(Samples):
-    """Pixels of an image that are no holes: by its mask or surface, for numbers that are not finite, or unseen.
-
-    `suffix` names another format to write. `colours_only` leaves out channels that are no colours, unless they are
-    named.
-    """
+    """Pixels of an image but holes; `suffix`: of the format to write; `colours_only`: others if they are named."""
 
     part: ClassVar[Part] = "image"
     label = "image"
@@ -85,7 +81,6 @@ class PixelSamples(Samples):
         self._guides = read_guide_images(self.picture, self.valid, settings, access)
         pixels = np.flatnonzero(self.valid)
         self._noise = noise_of_pixels(settings.kernel, [self.picture], pixels, access)
-        self._is_data = settings.space == "data"
         self._is_noted = settings.channels is None and not colours_only
 
     def _colours_of(self, picture: Picture) -> PictureColours:
@@ -180,16 +175,11 @@ class PixelSamples(Samples):
         return painter.repaint(0, new)
 
     def repaint(self, new: NewColours) -> Repainted:
-        pixels, change = self.painted(new)
-        pixels, turned = upright(self.picture, pixels, self._suffix)
-        file, notices = rewritten(
-            self.picture, pixels, self.settings.textures, self._suffix, as_data=self._is_data
-        )
-        notices += [*turned, *self._own_notices()]
+        notices = self._own_notices()
         if self._suffix is None and not self.valid.all() and not is_exact(self.picture):
             label = label_of(self.picture.format)
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
-        return self._repainted(file, change, notices)
+        return self._written(new, rewritten, notices)
 
     def grains(self) -> Grains:
         pixels = np.flatnonzero(self.valid)
@@ -212,15 +202,16 @@ class PixelSamples(Samples):
         return to_space(as_jpeg(shown.reshape(*self.valid.shape, -1), quality)[self.valid], "srgb", space)
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
-        pixels, change = self.painted(NewColours.of(after, np.flatnonzero(self.valid)))
-        pixels, turned = upright(self.picture, pixels, self._suffix)
-        file, notices = encoded(
-            self.picture, pixels, self.settings.textures, self._suffix, as_data=self._is_data
-        )
-        notices += [*turned, *noise_losses(self.picture, self._suffix, "an OUTPUT in .png keeps all")]
-        return self._repainted(file, change, notices)
+        new = NewColours.of(after, np.flatnonzero(self.valid))
+        losses = noise_losses(self.picture, self._suffix, "an OUTPUT in .png keeps all")
+        return self._written(new, encoded, losses)
 
-    def _repainted(self, file: ImageFile, change: Change, notices: Sequence[str]) -> Repainted:
-        suffix = self._suffix or Path(self.picture.name).suffix
-        image = ImageFile(file.data, suffix)
-        return Repainted(change, images={("baseColor", ""): image}, notices=tuple(notices))
+    def _written(
+        self, new: NewColours, write: Callable[..., tuple[ImageFile, list[str]]], notices: Sequence[str]
+    ) -> Repainted:
+        pixels, change = self.painted(new)
+        pixels, turned = upright(self.picture, pixels, self._suffix)
+        textures, suffix = self.settings.textures, self._suffix
+        file, said = write(self.picture, pixels, textures, suffix, as_data=self.settings.space == "data")
+        image = ImageFile(file.data, suffix or Path(self.picture.name).suffix)
+        return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))

@@ -185,8 +185,7 @@ class Samples(ABC):
         """Return the colours after `level`."""
         raise NotImplementedError
 
-    @abstractmethod
-    def require_writable(self) -> None:
+    def require_writable(self) -> None:  # noqa: B027
         """Raise errors about images as outputs, before anything is computed."""
 
     @abstractmethod

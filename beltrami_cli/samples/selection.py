@@ -90,10 +90,7 @@ def samples_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Samples]:
-    """Take the samples of what is selected, one kind after the other.
-
-    `in_groups`: textures that touch each other nowhere are taken apart, and of too many for the memory some at a time.
-    """
+    """Take the samples of what is selected; `in_groups`: apart what does not touch, or too many textures in parts."""
     # For the other parameters see `PixelSamples`.
     if isinstance(document, ImageDocument):
         if selection.image:

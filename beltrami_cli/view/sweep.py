@@ -60,10 +60,7 @@ def sweep_file(
     kind: FigureFormat | None = None,
     job: Job = PLAIN_JOB,
 ) -> list[Trial]:
-    """Smooth a file with several settings, and write a picture, a page (.html), or only the figures of all results.
-
-    The page is written anew as results come, and stays if an error or Ctrl-C ends the sweep after the first.
-    """
+    """Smooth a file with several settings, and write a picture, a page, which grows as results come, or the figures."""
     _check(source, len(trials), looks if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
     suffix = "" if is_page or kind else picture_suffix(target, ", or .html for a page")

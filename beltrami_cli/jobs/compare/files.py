@@ -207,10 +207,7 @@ def is_map(head: bytes) -> bool:
 
 
 def draw_map(parts: Sequence[ComparedColours], model: Document, target: str) -> tuple[Written, float]:
-    """Draw the images and textures among parts, or else the vertices of a model; return also the scale.
-
-    That is the Delta E, or 100 times the error of data, that the brightest colour stands for.
-    """
+    """Draw images and textures, or else the vertices; return also the Delta E that the brightest colour stands for."""
     images = [part for part in parts if part.size is not None]
     if parts[0].kind == "vertices" and (not images or target.lower().endswith(".ply")):
         return _draw_vertices(parts[0], model, target)

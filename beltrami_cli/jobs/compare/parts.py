@@ -20,7 +20,6 @@ from beltrami_cli.formats.image import ImageDocument, Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
-    SeamJumps,
     cie_lab,
     delta_e_2000,
     structural_similarity,
@@ -142,7 +141,7 @@ def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSet
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
-def _jumps(colours: list[Float32s], place: Int32s) -> SeamJumps:
+def _jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
     """Measure how far the colours of vertices at one place are from each other: mean of the channels' ranges."""
     order = np.argsort(place, kind="stable")
     starts = np.flatnonzero(np.r_[True, place[order][1:] != place[order][:-1]])
@@ -151,7 +150,7 @@ def _jumps(colours: list[Float32s], place: Int32s) -> SeamJumps:
         (np.maximum.reduceat(values[order], starts) - np.minimum.reduceat(values[order], starts)).mean(axis=1)
         for values in colours
     )
-    return SeamJumps(reference[several].astype(np.float64), test[several].astype(np.float64))
+    return reference[several].astype(np.float64), test[several].astype(np.float64)
 
 
 def compare_images(
@@ -196,10 +195,7 @@ def compare_textures(
     documents: tuple[Document, Document], slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
     *, is_extra: bool,
 ) -> list[ComparedColours]:  # fmt: skip
-    """Bring the textures of a slot together, each a part of its own, texel by texel on the surface.
-
-    `is_extra`: beside another part, so that it is enough to say of equal files that they are.
-    """
+    """Bring textures of a slot together, each a part; `is_extra`: of equal files it is enough to say that they are."""
     reference, test = documents
     surface = reference.textured(slot)
     textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
@@ -270,7 +266,7 @@ def _parts(
         colours, size = (both[0][inside], both[1][inside]), picture.pixels.shape[:2]
         part = _part_of_image(names[index], "texture", colours, texels, size, weights[inside], space)
         near_here = near[inside] if near[inside].any() else None
-        jumps = SeamJumps(before[here], after[here]) if here.any() else None
+        jumps = (before[here], after[here]) if here.any() else None
         parts.append(dataclasses.replace(part, near_seams=near_here, jumps=jumps))
     return parts
 
