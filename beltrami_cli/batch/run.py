@@ -73,7 +73,12 @@ class Batch:
 
         Each has an equal share of `memory` (bytes); what that is not enough for is done alone at the end, with all.
         """
-        waiting = self._skip_done()
+        waiting: deque[int] = deque()
+        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
+            if earlier is not None and is_done(item, earlier):
+                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
+            else:
+                waiting.append(key)
         if executor is not None:
             self._work(waiting, executor, is_last=True)
         else:
@@ -85,16 +90,6 @@ class Batch:
         outcomes = [self._outcomes.get(key) or self._not_started(key) for key in range(len(self._items))]
         self._record.close(outcomes)
         return outcomes
-
-    def _skip_done(self) -> deque[int]:
-        """Return what is to be done, without what an earlier run has done."""
-        waiting: deque[int] = deque()
-        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
-            if earlier is not None and is_done(item, earlier):
-                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
-            else:
-                waiting.append(key)
-        return waiting
 
     def _work(self, waiting: deque[int], executor: Executor, *, is_last: bool) -> deque[int]:
         """Do what waits; return what wants more memory, unless `is_last`."""

@@ -251,7 +251,7 @@ class _RawError(io.FileIO):
 
 
 def prepare_streams(*, hear_libraries: bool) -> None:
-    """Replace the standard streams by ones that can be used; `hear_libraries`: also by image decoders."""
+    """Replace the standard streams by ones that can be used; unless `hear_libraries`, what decoders print is lost."""
     _fill_descriptors()
     if sys.stdin is None:
         sys.stdin = open(_INPUT, closefd=False)  # noqa: SIM115

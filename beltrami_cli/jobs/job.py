@@ -81,7 +81,7 @@ class Job:
     check: Callable[[Document], None] | None = None
 
     def output(self, target: str, guarded: Iterable[str]) -> tuple[Output | None, Access]:
-        """Check where OUTPUT goes, None on a dry run; return the access to what it, as the `guarded`, leaves alone."""
+        """Return where OUTPUT goes, None on a dry run, and an access by which it replaces nothing read or `guarded`."""
         from beltrami_cli.jobs.output import Output
 
         if self.dry_run:
@@ -219,6 +219,7 @@ def memory_reserved(size: int) -> Iterator[None]:
     try:
         yield
     finally:
+        # What it takes besides, for its threads, counts as memory of the program.
         raised = limit + max(0, (_status("VmData") or 0) - data - size)
         resource.setrlimit(
             resource.RLIMIT_DATA, (raised if most == resource.RLIM_INFINITY else min(raised, most), most)

@@ -18,7 +18,6 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.records import SampledKernel
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
@@ -124,7 +123,16 @@ def kernel_file(
         raise UsageError(message)
     location = read_location(at)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
-    probe = _probe_of(source, settings, output.files.watching(job.access), whole=whole)
+    access = output.files.watching(job.access)
+    document = open_input(source, settings, access)
+    selection = select(document, settings)
+    require_scale(document, selection)
+    if selection.vertices + len(selection.slots) + selection.image > 1:
+        remedy = "choose --on vertices, or --on texture and one of --slots"
+        raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
+    require_memory_for_textures(document, selection.slots, settings.textures, access)
+    (samples,) = samples_of(document, selection, settings, access)
+    probe = samples.probe(document, whole=whole)
     kernel, found = _kernel(probe, location, iteration - 1, job.progress_of("iterations before"))
     facts = {"input": source, "output": target, **found}
     if suffix not in _TABLES:
@@ -135,18 +143,6 @@ def kernel_file(
     columns |= dict(zip(probe.colours.names, kernel.colours.T, strict=True))
     output.write(Written([_as_table(facts, columns, suffix)]))
     return facts
-
-
-def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: bool) -> Probe:
-    document = open_input(source, settings, access)
-    selection = select(document, settings)
-    require_scale(document, selection)
-    if selection.vertices + len(selection.slots) + selection.image > 1:
-        remedy = "choose --on vertices, or --on texture and one of --slots"
-        raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
-    require_memory_for_textures(document, selection.slots, settings.textures, access)
-    (samples,) = samples_of(document, selection, settings, access)
-    return samples.probe(document, whole=whole)
 
 
 def _kernel(

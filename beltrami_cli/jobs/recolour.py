@@ -75,7 +75,14 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         painter.check(document, selection, kind)
         if job.check is not None:
             job.check(document)
-        naming, beside = _plan_sidecars(document, selection, settings, kind, (source, target), output, access)
+        others: dict[str, None] = {}
+        naming = naming_of(document, source, target, output, access, others)
+        if output is not None:
+            output.check_sidecars(_names(naming, document, selection, settings, kind))
+    beside = []
+    if others:
+        state = "is of something else, and stays" if len(others) == 1 else "are of something else, and stay"
+        beside = [f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name."]
     place = None if output is None else target
     use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
     with checked_memory(document, selection.slots, settings.textures, access, place, **use):
@@ -253,21 +260,6 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     touched[group_of[painted.faces[moved[painted.faces].any(axis=1)]]] = True
     normals[~touched[group_of] | ~normals.any(axis=1)] = np.nan
     return MovedVertices(positions, normals)
-
-
-def _plan_sidecars(
-    document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat, ends: tuple[str, str],
-    output: Output | None, access: Access,
-) -> tuple[Naming, tuple[str, ...]]:  # fmt: skip
-    """Return how files beside OUTPUT are named, and notices; OutputError if they cannot be written."""
-    others: dict[str, None] = {}
-    naming = naming_of(document, *ends, output, access, others)
-    if output is not None:
-        output.check_sidecars(_names(naming, document, selection, settings, kind))
-    if not others:
-        return naming, ()
-    state = "is of something else, and stays" if len(others) == 1 else "are of something else, and stay"
-    return naming, (f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name.",)
 
 
 def naming_of(

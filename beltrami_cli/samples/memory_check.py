@@ -52,7 +52,7 @@ def checked_memory(
     document: Document, slots: Sequence[Slot], wanted: TextureSettings, access: Access, target: str | None,
     *, on_disk: bool = True, in_groups: bool,
 ) -> Iterator[None]:  # fmt: skip
-    """Have large arrays in temporary files where memory is too small; `in_groups`: textures can be painted by some."""
+    """Keep large arrays in files where memory is too small; `in_groups`: some textures can be painted at a time."""
     if not on_disk:
         require_memory_for_textures(document, slots, wanted, access)
         yield

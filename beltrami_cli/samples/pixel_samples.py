@@ -47,7 +47,7 @@ from beltrami_cli.surface.records import ImageFile
 
 
 class PixelSamples(Samples):
-    """Pixels of an image but holes; `suffix`: of the format to write; `colours_only`: others if they are named."""
+    """Pixels of an image that are no holes; `colours_only` leaves out channels that are no colours, unless named."""
 
     part: ClassVar[Part] = "image"
     label = "image"

@@ -90,7 +90,7 @@ def samples_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Samples]:
-    """Take the samples of what is selected; `in_groups`: apart what does not touch, or too many textures in parts."""
+    """Take the samples of what is selected; `in_groups`: textures that do not touch, or do not fit, separately."""
     # For the other parameters see `PixelSamples`.
     if isinstance(document, ImageDocument):
         if selection.image:
