@@ -35,12 +35,9 @@ class Request:
 
     source: str
     target: str
-    options: Mapping[str, object] = field(default_factory=dict)
-    """What a manifest says for this file, by the names of options of `smooth`."""
-    origin: str = ""
-    """The manifest and the line or entry, for messages."""
-    folder: Path = Path()
-    """What paths among the options are relative to."""
+    options: Mapping[str, object] = field(default_factory=dict)  # that a manifest has for it, by their names
+    origin: str = ""  # the manifest and the line or entry, for messages
+    folder: Path = Path()  # what paths among the options are relative to
 
 
 def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None) -> list[Request]:

@@ -30,20 +30,11 @@ class PictureColours:
     `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are stored.
     """
 
-    names: tuple[str, ...]
-    """The channels of the samples: those that change, and those that enter the metric."""
-
-    written: list[int]
-    """Which of the N change."""
-
-    metric_channels: list[int] | None
-    """Which of the N enter the metric; None: all."""
-
-    space: Space
-    """The space of the samples: the working space, or data as stored."""
-
-    others: tuple[str, ...]
-    """The names of those that are neither colours nor opacity."""
+    names: tuple[str, ...]  # of the N channels: those that change, and those that enter the metric
+    written: list[int]  # which of the N change
+    metric_channels: list[int] | None  # which of the N enter the metric; None: all
+    space: Space  # of the samples: the working space, or data as stored
+    others: tuple[str, ...]  # the names of those that are neither colours nor opacity
 
     def __init__(
         self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *, is_image: bool = False

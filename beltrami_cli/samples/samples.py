@@ -86,12 +86,8 @@ class ChosenChannels:
 
     sampled: list[int]
     changing: list[int]
-    metric: list[int] | None  # among the sampled ones; None: all
-
-    @property
-    def written(self) -> list[int]:
-        """Those that change, counted among the sampled ones."""
-        return [self.sampled.index(channel) for channel in self.changing]
+    written: list[int]  # those that change, counted among the sampled ones
+    metric: list[int] | None  # counted so, too; None: all
 
 
 def choose_channels(
@@ -122,22 +118,17 @@ def choose_channels(
     in_metric = changing if wanted is None else numbers_of(wanted)
     sampled = sorted({*changing, *in_metric})
     metric = None if in_metric == sampled else [sampled.index(channel) for channel in in_metric]
-    return ChosenChannels(sampled, changing, metric)
+    written = [sampled.index(channel) for channel in changing]
+    return ChosenChannels(sampled, changing, written, metric)
 
 
 class Samples(ABC):
     """Coloured samples of a document; UsageError if settings name absent channels or contradict the document."""
 
-    part: ClassVar[Part]
-    """The part of a document that they belong to."""
-
-    label: str
-    """Their name in messages."""
-
+    part: ClassVar[Part]  # of a document, that they belong to
+    label: str  # their name in messages
     settings: SmoothSettings
-
-    names: tuple[str, ...]
-    """The sampled channels: those that change, and those that only enter the metric."""
+    names: tuple[str, ...]  # of the sampled channels: those that change, and those that only enter the metric
 
     @abstractmethod
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[Any]:
