@@ -12,88 +12,53 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from beltrami_cli.errors import BeltramiError, InputError, OutputError, ProcessingError, UsageError
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.formats.access import Access
-    from beltrami_cli.jobs.arrays import ImageResult, SmoothResult, smooth, smooth_image
-    from beltrami_cli.jobs.inspect import inspect_file
-    from beltrami_cli.jobs.job import Job
-    from beltrami_cli.jobs.level import LevelFileReport, level_file
-    from beltrami_cli.jobs.noise import NoiseReport, noise_file
-    from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
-    from beltrami_cli.jobs.smooth import smooth_file
-    from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.image_surface import ImageSurface
-    from beltrami_cli.samples.settings import (
-        EmbeddingSettings,
-        ImageSettings,
-        LevelSetSettings,
-        LevelSettings,
-        SmoothSettings,
-        TextureSettings,
-    )
+    from beltrami_cli.errors import BeltramiError as BeltramiError
+    from beltrami_cli.errors import InputError as InputError
+    from beltrami_cli.errors import OutputError as OutputError
+    from beltrami_cli.errors import ProcessingError as ProcessingError
+    from beltrami_cli.errors import UsageError as UsageError
+    from beltrami_cli.flow.parameters import KernelParameters as KernelParameters
+    from beltrami_cli.formats.access import Access as Access
+    from beltrami_cli.jobs.arrays import ImageResult as ImageResult
+    from beltrami_cli.jobs.arrays import SmoothResult as SmoothResult
+    from beltrami_cli.jobs.arrays import smooth as smooth
+    from beltrami_cli.jobs.arrays import smooth_image as smooth_image
+    from beltrami_cli.jobs.inspect import inspect_file as inspect_file
+    from beltrami_cli.jobs.job import Job as Job
+    from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
+    from beltrami_cli.jobs.level import level_file as level_file
+    from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
+    from beltrami_cli.jobs.noise import noise_file as noise_file
+    from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
+    from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
+    from beltrami_cli.jobs.smooth import smooth_file as smooth_file
+    from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
+    from beltrami_cli.samples.image_surface import ImageSurface as ImageSurface
+    from beltrami_cli.samples.settings import EmbeddingSettings as EmbeddingSettings
+    from beltrami_cli.samples.settings import ImageSettings as ImageSettings
+    from beltrami_cli.samples.settings import LevelSetSettings as LevelSetSettings
+    from beltrami_cli.samples.settings import LevelSettings as LevelSettings
+    from beltrami_cli.samples.settings import SmoothSettings as SmoothSettings
+    from beltrami_cli.samples.settings import TextureSettings as TextureSettings
 
-_HOME_OF = {
-    "Access": "formats.access",
-    "BakeSettings": "jobs.settings",
-    "BeltramiError": "errors",
-    "EmbeddingSettings": "samples.settings",
-    "ImageResult": "jobs.arrays",
-    "ImageSettings": "samples.settings",
-    "ImageSurface": "samples.image_surface",
-    "InputError": "errors",
-    "Job": "jobs.job",
-    "KernelParameters": "flow.parameters",
-    "LevelFileReport": "jobs.level",
-    "LevelSetSettings": "samples.settings",
-    "LevelSettings": "samples.settings",
-    "NoiseReport": "jobs.noise",
-    "NoiseSettings": "jobs.settings",
-    "OutputError": "errors",
-    "ProcessingError": "errors",
-    "SmoothReport": "jobs.smoothing",
-    "SmoothResult": "jobs.arrays",
-    "SmoothSettings": "samples.settings",
-    "TextureSettings": "samples.settings",
-    "UsageError": "errors",
-    "inspect_file": "jobs.inspect",
-    "level_file": "jobs.level",
-    "noise_file": "jobs.noise",
-    "smooth": "jobs.arrays",
-    "smooth_file": "jobs.smooth",
-    "smooth_image": "jobs.arrays",
+_NAMES_IN = {
+    "errors": "BeltramiError InputError OutputError ProcessingError UsageError",
+    "flow.parameters": "KernelParameters",
+    "formats.access": "Access",
+    "jobs.arrays": "ImageResult SmoothResult smooth smooth_image",
+    "jobs.inspect": "inspect_file",
+    "jobs.job": "Job",
+    "jobs.level": "LevelFileReport level_file",
+    "jobs.noise": "NoiseReport noise_file",
+    "jobs.settings": "BakeSettings NoiseSettings",
+    "jobs.smooth": "smooth_file",
+    "jobs.smoothing": "SmoothReport",
+    "samples.image_surface": "ImageSurface",
+    "samples.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
 }
+_HOME_OF = {name: module for module, names in _NAMES_IN.items() for name in names.split()}
 
-__all__ = [
-    "Access",
-    "BakeSettings",
-    "BeltramiError",
-    "EmbeddingSettings",
-    "ImageResult",
-    "ImageSettings",
-    "ImageSurface",
-    "InputError",
-    "Job",
-    "KernelParameters",
-    "LevelFileReport",
-    "LevelSetSettings",
-    "LevelSettings",
-    "NoiseReport",
-    "NoiseSettings",
-    "OutputError",
-    "ProcessingError",
-    "SmoothReport",
-    "SmoothResult",
-    "SmoothSettings",
-    "TextureSettings",
-    "UsageError",
-    "inspect_file",
-    "level_file",
-    "noise_file",
-    "smooth",
-    "smooth_file",
-    "smooth_image",
-]
+__all__ = sorted(_HOME_OF)
 
 
 def __getattr__(name: str) -> object:

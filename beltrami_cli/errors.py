@@ -35,17 +35,7 @@ class UsageError(BeltramiError):
 
 
 class FileError(BeltramiError):
-    """A file cannot be read or written.
-
-    Parameters
-    ----------
-    name : str
-        The file, as the user named it.
-    cause : str
-        What is wrong, where in the file if that is known.
-    remedy : str, optional
-        What the user can do about it.
-    """
+    """A file, named as by the user, cannot be read or written: why and where in it, and what can be done about it."""
 
     def __init__(self, name: str, cause: str, remedy: str = "") -> None:
         self.name, self.cause, self.remedy = name, one_line(cause), remedy

@@ -88,7 +88,6 @@ class Parameter:
         return self.show(self.default)
 
     def files(self, value: Any) -> list[str]:
-        """Return the files that a value names."""
         if value is None or not (self.is_file or self.file_in):
             return []
         texts = list(map(str, value if isinstance(value, tuple) else [value]))
@@ -253,15 +252,7 @@ class Checked:
 
 
 def override(record: Record, **values: Any) -> Record:
-    """Return a record with other values, by the names of parameters in it or in records in it.
-
-    A record with a method `with_values` makes the changed one by itself.
-
-    Raises
-    ------
-    UsageError
-        If there is no such parameter, or it cannot have the value.
-    """
+    """Return a record with other values of parameters in it, or in records in it; UsageError if it cannot have them."""
     known = {each.name for each in parameters(record, deep=True)}
     for name in values:
         if name not in known:
@@ -271,7 +262,7 @@ def override(record: Record, **values: Any) -> Record:
         theirs = {each.name: values[each.name] for each in parameters(kind, deep=True) if each.name in values}
         if theirs:
             changed[name] = override(getattr(record, name), **theirs)
-    if hasattr(record, "with_values"):
+    if hasattr(record, "with_values"):  # which depend on each other
         return record.with_values(**changed)  # type: ignore[no-any-return]
     return dataclasses.replace(record, **changed)  # type: ignore[type-var]
 

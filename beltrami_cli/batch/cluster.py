@@ -109,10 +109,6 @@ class ClusterExecutor:
     def is_full(self) -> bool:
         return self._at_once is not None and len(self._futures) >= self._at_once
 
-    @property
-    def is_busy(self) -> bool:
-        return bool(self._futures)
-
     def start(self, key: int, item: Item) -> None:
         future = self._client.submit(
             _do_on_worker, _portable(item), self._memory, self._topic, key, version("beltrami-cli"),
@@ -181,10 +177,7 @@ class Cancelled(BaseException):
 
 
 def _do_on_worker(item: Item, memory: int | None, topic: str, key: int, client_version: str) -> Attempt:
-    """Smooth one file in the process of a worker; progress goes to `topic`.
-
-    `memory` (bytes) None: the worker's share of its own limit.
-    """
+    """Smooth one file in the process of a worker; `memory` None: the worker's share of its own limit."""
     from distributed import get_client, get_worker
 
     worker = get_worker()

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from operator import attrgetter
 from typing import Any
 
 from beltrami_cli.arrays import Float32s, Int64s
@@ -38,10 +39,7 @@ _GRACE = 5.0  # seconds that a file has to end when it is given up
 
 
 class PartitionExecutor:
-    """Reads, cuts, joins and writes one file at a time here, and has its partitions smoothed by workers; an `Executor`.
-
-    Every surface is cut into `count` partitions. `memory` is for a file on this machine, in bytes.
-    """
+    """Does one file at a time here, and has `count` partitions of each surface smoothed by workers; an `Executor`."""
 
     queues = False
     threads: int | None = None
@@ -64,12 +62,7 @@ class PartitionExecutor:
     def is_full(self) -> bool:
         return self._thread is not None
 
-    @property
-    def is_busy(self) -> bool:
-        return self._thread is not None
-
     def start(self, key: int, item: Item) -> None:
-        """Begin with a file, in a thread, so that its progress can be shown."""
         self._thread = threading.Thread(target=self._do, args=(key, item), daemon=True)
         self._thread.start()
 
@@ -159,7 +152,7 @@ class ClusterRunner:
             counts = self._wait(steps, iteration, iterations, progress)
             samples += sum(each[0] for each in counts)
             truncated += sum(each[1] for each in counts)
-        own = self._client.gather([self._submit(_values, step) for step in steps])
+        own = self._client.gather([self._submit(attrgetter("values"), step) for step in steps])
         return Joined(joined(partitions, own, values), samples, truncated)
 
     def _wait(
@@ -168,7 +161,7 @@ class ClusterRunner:
         """Wait for an iteration; return the samples held and the kernels cut short of every partition."""
         from distributed import as_completed
 
-        counts = [self._submit(_counts, step) for step in steps]
+        counts = [self._submit(attrgetter("samples", "truncated", "is_exact"), step) for step in steps]
         ended = as_completed(counts, with_results=True, loop=self._client.loop)
         for number, (_, held) in enumerate(ended, 1):
             if isinstance(held, Exception):  # as Dask gives what was lost with a worker
@@ -196,11 +189,3 @@ def _advance(sent: _Portion, step: Advance, received: list[Float32s], iteration:
 
 def _rows_of(step: Advance, rows: Int64s) -> Float32s:
     return step.values[rows]
-
-
-def _counts(step: Advance) -> tuple[float, int, bool]:
-    return step.samples, step.truncated, step.is_exact
-
-
-def _values(step: Advance) -> Float32s:
-    return step.values

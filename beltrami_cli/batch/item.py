@@ -93,11 +93,7 @@ def failed(item: Item, error: str, exit_code: int, seconds: float = 0.0) -> Outc
 def do_item(
     item: Item, memory: int | None, progress: Progress | None = None, *, is_alone: bool = True
 ) -> Attempt:
-    """Smooth one file within `memory` bytes; any failure of the file is returned, not raised.
-
-    `is_alone`: the process does nothing else, so its memory can be limited. Otherwise only what can be refused
-    beforehand is refused.
-    """
+    """Smooth one file; a failure is returned, not raised. Only if the process `is_alone` can its memory be limited."""
     start = time.monotonic()
     try:
         with limited_memory(memory if is_alone else None, item.source):
@@ -135,7 +131,9 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
         if to_url:
             written = stage.send(beside, overwrite=item.overwrite, again=item.again)
         else:
-            written = _hashes(item.target, beside)
+            output = Path(os.path.realpath(item.target))
+            files = (output, *(output.parent / name for name in beside))
+            written = {str(file): hash_at(str(file)) for file in files}
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 
 
@@ -154,8 +152,3 @@ def _made(item: Item, access: Access, progress: Progress | None) -> SmoothReport
             files.keep_equal()
         files.put_in_place()
     return report
-
-
-def _hashes(target: str, beside: list[str]) -> dict[str, str]:
-    output = Path(os.path.realpath(target))
-    return {str(file): hash_at(str(file)) for file in [output, *(output.parent / name for name in beside)]}

@@ -12,18 +12,11 @@ import io
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from glob import has_magic
 from pathlib import Path, PurePath
 from typing import Any
 
-from beltrami_cli.batch.storage import (
-    find_at,
-    fixed_part,
-    has_magic,
-    is_url,
-    joined,
-    place_of,
-    without_scheme,
-)
+from beltrami_cli.batch.storage import find_at, fixed_part, is_url, joined, place_of, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import is_file, is_there
 from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
@@ -42,12 +35,9 @@ class Request:
 
     source: str
     target: str
-    options: Mapping[str, object] = field(default_factory=dict)
-    """What a manifest says for this file, by the names of options of `smooth`."""
-    origin: str = ""
-    """The manifest and the line or entry, for messages."""
-    folder: Path = Path()
-    """What paths among the options are relative to."""
+    options: Mapping[str, object] = field(default_factory=dict)  # that a manifest has for it, by their names
+    origin: str = ""  # the manifest and the line or entry, for messages
+    folder: Path = Path()  # what paths among the options are relative to
 
 
 def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None) -> list[Request]:

@@ -44,7 +44,6 @@ class Record:
         self._output.overwrite = True  # from now on it is ours
 
     def latest(self, item: Item) -> Outcome | None:
-        """Return the last line of an item's output."""
         return self._latest.get(place_of(item.target))
 
     def add(self, outcome: Outcome) -> None:

@@ -51,43 +51,34 @@ class Executor(Protocol):
     def __exit__(self, *error: object) -> None: ...
     @property
     def is_full(self) -> bool: ...  # so that it takes no more items for now
-    @property
-    def is_busy(self) -> bool: ...  # with any item
     def start(self, key: int, item: Item) -> None: ...
     def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
         """Wait, and give for a key either its progress or its result; `items` gives the item of a key."""
 
 
-def run_batch(
-    items: Sequence[Item],
-    record: Record,
-    watcher: Watcher,
-    *,
-    at_once: int,
-    memory: int | None,
-    fail_fast: bool = False,
-    executor: Executor | None = None,
-) -> list[Outcome]:
-    """Smooth many files, each as `smooth_file` would alone; return one outcome an item, in their order.
+class Batch:
+    """Files that are smoothed as by `smooth_file`, but for what `record` says to be done, and still holds."""
 
-    What `record` says to be done, and still holds, is not done again. `at_once` files are in work at the same
-    time, each in a process of its own, with an equal share of `memory` (bytes); those for which that is not enough are
-    done alone at the end, with all of it. With an `executor` both are its concern. `fail_fast` ends the batch at the
-    first failure.
-    """
-    return _Batch(items, record, watcher, fail_fast=fail_fast).run(at_once, memory, executor)
-
-
-class _Batch:
-    def __init__(self, items: Sequence[Item], record: Record, watcher: Watcher, *, fail_fast: bool) -> None:
+    def __init__(
+        self, items: Sequence[Item], record: Record, watcher: Watcher, *, fail_fast: bool = False
+    ) -> None:
         self._items, self._record, self._watcher = items, record, watcher
         self._fail_fast, self._stopped = fail_fast, False
         self._earlier = [record.latest(item) for item in items]
         self._outcomes: dict[int, Outcome] = {}
         self._writers: dict[str, tuple[int, str]] = {}  # who wrote a file, and its hash
 
-    def run(self, at_once: int, memory: int | None, executor: Executor | None) -> list[Outcome]:
-        waiting = self._skip_done()
+    def run(self, at_once: int, memory: int | None, executor: Executor | None = None) -> list[Outcome]:
+        """Return one outcome an item, in their order; without an executor by `at_once` processes at a time.
+
+        Each has an equal share of `memory` (bytes); what that is not enough for is done alone at the end, with all.
+        """
+        waiting: deque[int] = deque()
+        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
+            if earlier is not None and is_done(item, earlier):
+                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
+            else:
+                waiting.append(key)
         if executor is not None:
             self._work(waiting, executor, is_last=True)
         else:
@@ -100,34 +91,28 @@ class _Batch:
         self._record.close(outcomes)
         return outcomes
 
-    def _skip_done(self) -> deque[int]:
-        """Return what is to be done, without what an earlier run has done."""
-        waiting: deque[int] = deque()
-        for key, (item, earlier) in enumerate(zip(self._items, self._earlier, strict=True)):
-            if earlier is not None and is_done(item, earlier):
-                self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
-            else:
-                waiting.append(key)
-        return waiting
-
     def _work(self, waiting: deque[int], executor: Executor, *, is_last: bool) -> deque[int]:
         """Do what waits; return what wants more memory, unless `is_last`."""
         larger: deque[int] = deque()
+        in_work = set[int]()
         with executor as workers:
-            while not self._stopped and (waiting or workers.is_busy):
+            while not self._stopped and (waiting or in_work):
                 while waiting and not workers.is_full and not self._stopped:
-                    self._start(waiting.popleft(), workers)
-                for key, event in workers.events(self._items.__getitem__) if workers.is_busy else ():
+                    in_work |= self._started(waiting.popleft(), workers)
+                for key, event in workers.events(self._items.__getitem__) if in_work else ():
                     if not isinstance(event, Attempt):
                         self._watcher.advanced(key, *event)
-                    elif event.wants_memory and not is_last:
+                        continue
+                    in_work.discard(key)
+                    if event.wants_memory and not is_last:
                         self._watcher.postponed(key)
                         larger.append(key)
                     else:
                         self._finish(key, event)
         return larger
 
-    def _start(self, key: int, executor: Executor) -> None:
+    def _started(self, key: int, executor: Executor) -> set[int]:
+        """Begin with an item; return it, unless it failed already."""
         item, earlier = self._items[key], self._earlier[key]
         overwrite = item.overwrite or is_ours(earlier)
         again = earlier is not None and earlier.status == "started"
@@ -138,7 +123,7 @@ class _Batch:
             make_folder_of(item.target)
         except OutputError as error:
             self._finish(key, Attempt(failed(item, str(error), error.exit_code)))
-            return
+            return set()
         if item.settings.kernel.threads is None:
             kernel = dataclasses.replace(item.settings.kernel, threads=executor.threads)
             item = dataclasses.replace(item, settings=dataclasses.replace(item.settings, kernel=kernel))
@@ -146,6 +131,7 @@ class _Batch:
         executor.start(key, dataclasses.replace(item, overwrite=overwrite, again=again))
         if not executor.queues:
             self._watcher.started(key)
+        return {key}
 
     def _finish(self, key: int, attempt: Attempt) -> None:
         outcome = self._checked(key, attempt.outcome)
@@ -221,10 +207,6 @@ class Workers:
     @property
     def is_full(self) -> bool:
         return len(self._busy) >= self._count
-
-    @property
-    def is_busy(self) -> bool:
-        return bool(self._busy)
 
     def start(self, key: int, item: Item) -> None:
         while True:

@@ -13,6 +13,7 @@ import re
 import tempfile
 import uuid
 from collections.abc import Iterator
+from glob import has_magic
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
@@ -22,7 +23,6 @@ from beltrami_cli.formats.access import Access, is_there, open_regular
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
-_MAGIC = set("*?[")
 _CHUNK = 1 << 20
 # Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
 _WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
@@ -50,11 +50,6 @@ def require_name(name: object) -> str:
 def place_of(name: str) -> str:
     """Return what two names of one file have in common: its resolved path, or its URL."""
     return name if is_url(name) else os.path.realpath(name)
-
-
-def has_magic(pattern: str) -> bool:
-    """Return whether a name is a glob."""
-    return bool(_MAGIC & set(pattern))
 
 
 def fixed_part(pattern: PurePath) -> PurePath:
@@ -136,11 +131,7 @@ def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:
 
 
 class Stage:
-    """The files of an item on this machine: those whose source or target is a URL as copies in `folder`.
-
-    `source` and `target` are the names of these, or their own. `read` has the SHA-256 of what was read, by its original
-    name.
-    """
+    """The files of an item, those at URLs as copies in `folder`; `read` has the SHA-256 of what was read, by name."""
 
     def __init__(self, source: str, target: str, folder: Path) -> None:
         self._original_source, self._original_target = source, target
@@ -172,10 +163,7 @@ class Stage:
             raise InputError(self._original_source, f"cannot be brought ({error})", "try again") from error
 
     def send(self, names: list[str], *, overwrite: bool, again: bool) -> dict[str, str]:
-        """Upload what was made, the model last, to the place of the target; return the hashes by URL.
-
-        `again`: what an attempt that was cut off has uploaded already may be there.
-        """
+        """Upload what was made, the model last, and return the hashes by URL; `again`: it may be there already."""
         own = Path(self.target)
         made = [*(self._outside / name for name in names), own]
         urls = {path: f"{self._to}/{path.relative_to(self._outside).as_posix()}" for path in made}
@@ -203,13 +191,11 @@ class Stage:
 @contextlib.contextmanager
 def staged(source: str, target: str) -> Iterator[Stage]:
     """Download the source, if it is a URL, and remove all copies in the end."""
-    has_copies = is_url(source) or is_url(target)
-    with (
-        tempfile.TemporaryDirectory(prefix="beltrami-")
-        if has_copies
-        else contextlib.nullcontext(os.devnull) as name
-    ):
-        stage = Stage(source, target, Path(name).resolve())
+    with contextlib.ExitStack() as stack:
+        folder = os.devnull
+        if is_url(source) or is_url(target):
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="beltrami-"))
+        stage = Stage(source, target, Path(folder).resolve())
         if is_url(source):
             stage.bring(Path(stage.source))
         yield stage

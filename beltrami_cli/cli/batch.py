@@ -173,26 +173,20 @@ def _run(
 ) -> list[Outcome]:  # fmt: skip
     """Do the files, and show how far they are; `report` is its path, and whether it may be replaced."""
     from beltrami_cli.batch.record import Record
-    from beltrami_cli.batch.run import run_batch
+    from beltrami_cli.batch.run import Batch
     from beltrami_cli.cli.batch_display import Display
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.jobs.job import default_memory
 
     path, rewritten = report
     with Display(jobs, messages) as display:
-        return run_batch(
-            jobs,
-            Record(path, resume=given["resume"], overwrite=rewritten),
-            display,
-            at_once=given["at_once"] or KernelParameters().thread_count,
-            memory=given["max_memory"] or default_memory(),
-            fail_fast=given["fail_fast"],
-            executor=executor,
-        )
+        record = Record(path, resume=given["resume"], overwrite=rewritten)
+        batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
+        at_once = given["at_once"] or KernelParameters().thread_count
+        return batch.run(at_once, given["max_memory"] or default_memory(), executor)
 
 
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
-    """Print what a run would do, a line for each file, and how many there are."""
     from beltrami_cli.batch.storage import is_url
 
     is_there = {each.target: not is_url(each.target) and Path(each.target).exists() for each in requests}
@@ -207,7 +201,6 @@ def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) ->
 
 
 def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
-    """Make the jobs of a batch from the options given here and what the manifests say besides."""
     from beltrami_cli.batch.item import Item
 
     common = _settings_from(values)
@@ -254,8 +247,21 @@ def _settings(request: Request, given: dict[str, Any]) -> Settings:
 
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
-    """Return where the report goes; OutputError if it would replace a file of the batch."""
-    path = given or _report_in(out_dir)
+    """Return where the report goes, by default in a folder that is made; OutputError if it would replace a file."""
+    from beltrami_cli.batch.storage import is_url, without_scheme
+
+    path = given
+    if path is None:
+        if is_url(out_dir):
+            remedy = "with a URL as --out-dir, name it with --report"
+            raise UsageError(f"the report is a file of this machine; {remedy}")
+        folder = Path(without_scheme(out_dir))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            cause = f"the folder cannot be made ({error.strerror})"
+            raise OutputError(out_dir, cause, "choose another") from error
+        path = str(folder / "batch.jsonl")
     if path == "-":
         raise OutputError(path, "the report is a file, so that a run can go on from it", "name a file")
     named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
@@ -282,22 +288,6 @@ def _executor(
             yield ClusterExecutor(client, at_once, memory)
         else:
             yield PartitionExecutor(client, pieces, memory)
-
-
-def _report_in(out_dir: str) -> str:
-    """Return where the report stands if nothing else is said, and make the folder."""
-    from beltrami_cli.batch.storage import is_url, without_scheme
-
-    if is_url(out_dir):
-        remedy = "with a URL as --out-dir, name it with --report"
-        raise UsageError(f"the report is a file of this machine; {remedy}")
-    folder = Path(without_scheme(out_dir))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        cause = f"the folder cannot be made ({error.strerror})"
-        raise OutputError(out_dir, cause, "choose another") from error
-    return str(folder / "batch.jsonl")
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

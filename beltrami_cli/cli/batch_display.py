@@ -114,7 +114,6 @@ def _figures(outcome: Outcome) -> tuple[str, str, str]:
 
 
 def _parts(report: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what was smoothed of a file."""
     parts = [report.get("vertices"), report.get("image"), *report.get("textures", [])]
     return [part for part in parts if part]
 

@@ -48,10 +48,7 @@ def options_by_name(command: click.Command) -> dict[str, click.Option]:
 
 
 def values_for(options: Mapping[str, click.Option], table: Mapping[str, object]) -> dict[str, Any]:
-    """Return values for a default map, by the names that click has for the options.
-
-    ValueError if there is no such option, or it cannot have the value.
-    """
+    """Return values for a default map, by click's names of the options; ValueError if an option cannot have one."""
     values: dict[str, Any] = {}
     for name, value in table.items():
         option = options.get(plain(name))
@@ -111,10 +108,7 @@ def variable_behind(option: click.Parameter | None, context: click.Context | Non
 
 
 def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
-    """Whether the file that an option names may be replaced.
-
-    One that this program did not write may be only if the command line itself names it and says --overwrite.
-    """
+    """Whether a file may be replaced: what this program did not write only if the command line itself says so."""
     sources = [click.get_current_context().get_parameter_source(name) for name in (option, "overwrite")]
     is_direct = all(source is ParameterSource.COMMANDLINE for source in sources)
     return "own" if overwrite and not is_direct else overwrite
@@ -183,14 +177,12 @@ class HelpfulCommand(click.Command):
         return groups
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the description: in the short help, its first paragraph."""
         text = inspect.cleandoc(self.help or "")
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(text if self._is_full(ctx) else text.partition("\n\n")[0])
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options: in the short help, those that matter daily, and which others there are."""
         groups = self.option_groups(ctx)
         for title, options in groups.items():
             if title == DAILY or self._is_full(ctx):
@@ -203,7 +195,6 @@ class HelpfulCommand(click.Command):
             formatter.write_text(f"--help-all shows more options: {others}.")
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write examples and notes: in the short help, the first examples."""
         text = inspect.cleandoc(self.epilog or "")
         formatter.write_paragraph()
         with formatter.indentation():

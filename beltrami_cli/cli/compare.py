@@ -122,7 +122,6 @@ def command(
 
 
 def _show(comparison: Comparison) -> None:
-    """Print the figures of all parts, the worst sample, and how the limits were kept."""
     rows = [_row(part["name"], part) for part in comparison.parts]
     if len(rows) > 1:
         rows.append(_row("all", comparison.overall))
@@ -134,7 +133,7 @@ def _show(comparison: Comparison) -> None:
     if around is not None and around["worst"] > 0:
         off = f"PSNR {around['psnr']:.2f}, off by up to {255 * around['worst']:.1f}/255"
         click.echo(f"around charts: {around['samples']} texels that faces look up, {off}")
-    if comparison.geometry is not None and not comparison.has_moved:
+    if comparison.geometry is not None and comparison.geometry.is_rounding:
         click.echo("geometry: equal")
     for verdict in comparison.limits:
         click.echo(printable(f"{'ok' if verdict.kept else 'BROKEN':>6}  {_describe(verdict)}"))

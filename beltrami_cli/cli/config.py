@@ -46,10 +46,7 @@ class Configuration:
     def values(
         self, name: str, command: Callable[[str], click.Command], names: Collection[str], shared: Collection[str]
     ) -> dict[str, Any]:  # fmt: skip
-        """Return the values of a command's options, as a default map of click; UsageError if one cannot be set.
-
-        For the options in `shared` the table of `smooth` counts as well.
-        """
+        """Return values of a command's options, of the `shared` ones also by the table of `smooth`; or UsageError."""
         try:
             for table in set(self.tables) - set(names):
                 raise ValueError(f"there is no command {table}")

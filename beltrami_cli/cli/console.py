@@ -91,7 +91,6 @@ class Messages:
             click.echo(printable(text), err=True)
 
     def detail(self, text: str) -> None:
-        """Print what only --verbose shows."""
         if self.verbose:
             self.say(text)
 
@@ -252,10 +251,7 @@ class _RawError(io.FileIO):
 
 
 def prepare_streams(*, hear_libraries: bool) -> None:
-    """Replace the standard streams of this process by ones that can be used.
-
-    Image decoders print on the standard error by themselves; unless `hear_libraries`, that is lost.
-    """
+    """Replace the standard streams by ones that can be used; unless `hear_libraries`, what decoders print is lost."""
     _fill_descriptors()
     if sys.stdin is None:
         sys.stdin = open(_INPUT, closefd=False)  # noqa: SIM115

@@ -93,7 +93,6 @@ def _show_many(
 
 
 def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
-    """Give a row for each part of a file that would be smoothed."""
     surface, image = facts.get("surface", {}), facts.get("image", {})
     parts = [(each["slot"], each.get("covered"), each) for each in facts.get("textures", [])]
     if "smooth" in facts:
@@ -160,7 +159,6 @@ def _lines(content: Any, section: str) -> list[str]:
 
 
 def _noise_of(values: dict[str, float]) -> dict[str, str]:
-    """Show standard deviations, and the width of the grain."""
     shown = {name: _noise(value) for name, value in values.items()}
     return shown | ({"grain": f"{values['grain']:.1f} samples"} if "grain" in values else {})
 

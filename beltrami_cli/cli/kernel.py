@@ -80,7 +80,6 @@ def command(
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Say of which iteration a kernel is, how large it is, and with which beta."""
     number, iterations = facts["iteration"], facts["iterations"]
     which = f"in iteration {number}" + (f" of {iterations}" if number <= iterations else "")
     reach = f"{facts['furthest']:.3g} of {facts['radius']:.3g}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
 from typing import Any, TypeVar
@@ -73,19 +73,22 @@ def options_of(
     without: Collection[str] = (),
     changed: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Decorator:
-    """Return a decorator that adds the options of the parameters in a record, and in the records in it.
-
-    What a command declares otherwise, such as fewer choices, is in `changed`: attributes of `Parameter` by its name.
-    """
+    """Return a decorator that adds the options of a record; `changed`: attributes of `Parameter` that differ."""
     chosen = [
         dataclasses.replace(each, **(changed or {}).get(each.name, {}))
         for each in parameters(record, deep=True)
         if each.flags is not None and (only is None or each.name in only) and each.name not in without
     ]
 
+    return adding(chosen)
+
+
+def adding(parameters: Sequence[Parameter]) -> Decorator:
+    """Return a decorator that adds the options of parameters."""
+
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        for declared in reversed(chosen):
-            command = option_of(declared)(command)
+        for declared in reversed(parameters):
+            command = _option_of(declared)(command)
         return command
 
     return decorate
@@ -101,8 +104,7 @@ def _flag(declared: Parameter) -> str:
     return next((each for each in flags_of(declared) if each.startswith("--")), flags_of(declared)[0])
 
 
-def option_of(declared: Parameter) -> Decorator:
-    """Return the option of a parameter."""
+def _option_of(declared: Parameter) -> Decorator:
     attributes: dict[str, Any] = {}
     if declared.kind is bool:
         attributes = {"is_flag": True, "default": declared.default}
@@ -181,7 +183,6 @@ def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
 
 
 def _typed(declared: Parameter, value: Any) -> list[str]:
-    """Return the option of a parameter with a value, as it is typed."""
     flag = flags_of(declared)[0].partition("/")[0]
     if declared.kind is bool:
         return [flag]
@@ -209,10 +210,7 @@ def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
 
 
 def is_given(name: str) -> bool:
-    """Whether an option was given: on the command line, by a variable of the environment, or in a file.
-
-    What a preset says counts for more than what was given less directly than the preset.
-    """
+    """Whether an option was given, and not less directly than a preset that says otherwise."""
     context = click.get_current_context()
     source, preset_source = context.get_parameter_source(name), context.get_parameter_source("preset")
     if source not in _BY_DIRECTNESS:

@@ -199,7 +199,6 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
-    """Say that no iterations were asked for, and the warnings."""
     messages.warn_of(report.input, report.warnings)
     if report.textures and not unwrapped:
         messages.say(f"{report.output}: no iterations, so only the type of images is changed")
@@ -212,7 +211,6 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 
 
 def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
-    """Say what was done to the colours; in detail also the times, and which parameters were chosen by what."""
     messages.warn_of(report.input, report.warnings)
     for stage, seconds in report.stages.items():
         messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")

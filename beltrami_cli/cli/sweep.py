@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -57,12 +56,6 @@ def _listed(declared: Parameter) -> Parameter:
 _LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in _SWEPT]
 
 
-def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
-    for declared in _LISTS:
-        command = options.option_of(declared)(command)
-    return command
-
-
 @click.command("sweep", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUT.png|OUT.html|OUT")
@@ -73,7 +66,7 @@ def _sweeping(command: Callable[..., Any]) -> Callable[..., Any]:
     "--format", "kind", type=click.Choice(["csv", "json"]),
     help="Write only the parameters and figures, and draw nothing; OUT may be - then.",
 )  # fmt: skip
-@_sweeping
+@options.adding(_LISTS[::-1])
 @options.options_of(SmoothSettings, without=_SWEPT)
 @options.preset
 @view

@@ -23,10 +23,7 @@ def settings_for(
     parameters: SmoothSettings, guide: ArrayLike | None, channels: Sequence[str], shape: tuple[int, ...],
     overrides: dict[str, Any],
 ) -> tuple[SmoothSettings, list[Guide], Float32s | None]:  # fmt: skip
-    """Return the parameters with overrides, the channels of the metric by their names; guides; and deviations of noise.
-
-    The latter have a row a vertex or pixel, of which there are as many as `shape` says.
-    """
+    """Return the parameters with overrides, guides, and deviations of noise: a row for each vertex or pixel."""
     noise = _deviations_in(overrides, shape)
     wanted = overrides.get("metric_channels")
     if wanted is not None:
@@ -53,7 +50,6 @@ def _deviations_in(overrides: dict[str, Any], shape: tuple[int, ...]) -> Float32
 
 
 def _channel(channel: object, names: Sequence[str]) -> str:
-    """Return the name of a channel that is given by its number or name."""
     if isinstance(channel, str) and channel in names:
         return channel
     if not isinstance(channel, (int, np.integer)) or not 0 <= channel < len(names):

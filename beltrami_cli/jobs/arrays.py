@@ -184,7 +184,11 @@ def smooth(
     painted = painted_arrays(positions, faces, colours, encoding)
     shape = (len(painted.positions),)
     settings, guides, noise = settings_for(parameters, guide, painted.channels, shape, overrides)
-    _check_dimensions(painted.positions.shape[1], settings, is_cloud=faces is None)
+    dimensions = painted.positions.shape[1]
+    if settings.embedding.smooth_geometry and dimensions != 3:
+        raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
+    if faces is None and dimensions > 3:
+        raise UsageError(f"positions in {dimensions} dimensions need faces")
     samples = VertexSamples(painted, settings, guides, noise)
     samples.is_cloud = faces is None
     flow = samples.flow()
@@ -279,11 +283,3 @@ def smooth_image(
         smoothed.reshape(*shape, -1), result.beta, result.spacing, result.sigma, len(pixels),
         result.samples_per_kernel, result.choice, result.patches,
     )  # fmt: skip
-
-
-def _check_dimensions(dimensions: int, settings: SmoothSettings, *, is_cloud: bool) -> None:
-    """Raise UsageError if positions of vertices have too many dimensions."""
-    if settings.embedding.smooth_geometry and dimensions != 3:
-        raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
-    if is_cloud and dimensions > 3:
-        raise UsageError(f"positions in {dimensions} dimensions need faces")

@@ -12,7 +12,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.levelled_charts import describe_level, photograph_attribute, photographs_of
 from beltrami_cli.samples.memory_check import checked_memory, memory_beside, too_many_together
-from beltrami_cli.samples.selection import Selection, require_scale, samples_of, select, vertex_samples
+from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures, only_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
@@ -61,14 +61,18 @@ def inspect_file(
         facts |= _describe_under_textures(document, selection.slots[0], settings, access)
     notices, textures = [*document.notices, *selection.notices], list[dict[str, object]]()
     in_groups = settings.fits_parts
+    memory, rest = memory_beside(document, access) if in_groups else None, list[Slot]()
     with checked_memory(document, selection.slots, settings.textures, access, None, in_groups=in_groups):
-        many = _too_many_together(document, selection, settings, access)
-        for slot, groups in many.items():
-            textures.append(_describe_one_by_one(groups, slot, settings))
+        for slot in selection.slots:
+            surface = choose_textures(document.textured(slot), settings.textures)
+            many = too_many_together(surface.textures, memory)
+            if many is None:
+                rest.append(slot)
+                continue
+            textures.append(_describe_one_by_one(TileGroups(surface, *many), slot, settings))
             which = "those of some textures, as memory is small for all"
             notices.append(f"{slot}: noise and parameters are {which}.")
-        rest = tuple(slot for slot in selection.slots if slot not in many)
-        chosen = dataclasses.replace(selection, slots=rest)
+        chosen = dataclasses.replace(selection, slots=tuple(rest))
         for samples in samples_of(document, chosen, settings, access, in_groups=in_groups):
             if samples.part == "textures":
                 textures.append(samples.describe())
@@ -95,21 +99,6 @@ def inspect_file(
     # Of images they are known once there is enough memory to decode them.
     file = {"name": document.name, "format": document.format, **document.facts()}
     return {"file": file, **facts, "notices": notices}
-
-
-def _too_many_together(
-    document: Document, selection: Selection, settings: SmoothSettings, access: Access
-) -> dict[Slot, TileGroups]:
-    """Return the slots whose textures do not fit into memory together, not even in files."""
-    if not selection.slots or not settings.fits_parts:
-        return {}
-    chosen = {slot: choose_textures(document.textured(slot), settings.textures) for slot in selection.slots}
-    memory = memory_beside(document, access)
-    return {
-        slot: TileGroups(surface, *many)
-        for slot, surface in chosen.items()
-        if (many := too_many_together(surface.textures, memory)) is not None
-    }
 
 
 def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:

@@ -81,10 +81,7 @@ class Job:
     check: Callable[[Document], None] | None = None
 
     def output(self, target: str, guarded: Iterable[str]) -> tuple[Output | None, Access]:
-        """Check where OUTPUT goes, None on a dry run; and return the access to files that it does not replace.
-
-        It replaces none of the `guarded` files either.
-        """
+        """Return where OUTPUT goes, None on a dry run, and an access by which it replaces nothing read or `guarded`."""
         from beltrami_cli.jobs.output import Output
 
         if self.dry_run:
@@ -94,7 +91,6 @@ class Job:
         return output, output.files.watching(self.access)
 
     def progress_of(self, label: str) -> Callable[[int, int], None] | None:
-        """Return the callback for the progress of one part of the job."""
         return None if self.progress is None else partial(self.progress, label)
 
 
@@ -209,10 +205,7 @@ def _data_limit(size: int | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def memory_reserved(size: int) -> Iterator[None]:
-    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left.
-
-    What it takes besides, for its threads, counts as memory of the program.
-    """
+    """Lift the limit for a library that crashes at it, and takes `size` bytes; MemoryError if there are none left."""
     before = _UNLIMITED.get()
     if before is None:
         yield
@@ -226,6 +219,7 @@ def memory_reserved(size: int) -> Iterator[None]:
     try:
         yield
     finally:
+        # What it takes besides, for its threads, counts as memory of the program.
         raised = limit + max(0, (_status("VmData") or 0) - data - size)
         resource.setrlimit(
             resource.RLIMIT_DATA, (raised if most == resource.RLIM_INFINITY else min(raised, most), most)
@@ -241,7 +235,6 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure what runs in the context as the stage `name`."""
         wall, cpu = time.perf_counter(), time.process_time()
         times = self.stages.setdefault(name, {"wall": 0.0, "cpu": 0.0})
         try:

@@ -10,16 +10,18 @@ import io
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Uint8s
+from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.formats.access import Access
+from beltrami_cli.flow.records import SampledKernel
 from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import open_input
@@ -36,50 +38,37 @@ _PANEL, _GAP = 420, 12  # pixels
 _SOURCE = np.array([0.9, 0.1, 0.1])
 
 
-@dataclass(frozen=True)
-class ProbedKernel:
-    """One kernel, in facts and numbers, and what to draw of it."""
-
-    facts: dict[str, object]  # in JSON types
-    columns: dict[str, NDArray[np.generic]]  # for each sample: which it is, distance, weight, colour
-    radius: float  # the distance at which kernels end
-    view: MeshView | WindowView
-
-
-def encode(kernel: ProbedKernel, facts: dict[str, object], suffix: str) -> Written:
-    """Encode a kernel, and its facts with the names of input and output, as one of `SUFFIXES` asks."""
+def _as_table(facts: dict[str, Any], columns: dict[str, Array], suffix: str) -> bytes:
     if suffix == ".csv":
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(kernel.columns)
-        rows.writerows(zip(*(values.tolist() for values in kernel.columns.values()), strict=True))
-        return Written([text.getvalue().encode()])
+        rows.writerow(columns)
+        rows.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+        return text.getvalue().encode()
     if suffix == ".json":
-        columns = {name: values.tolist() for name, values in kernel.columns.items()}
-        return Written([(json.dumps({**facts, "columns": columns}, indent=2) + "\n").encode()])
-    if suffix == ".npz":
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, facts=json.dumps(facts), **kernel.columns)
-        return Written([buffer.getvalue()])
-    drawn_as = ".ply" if isinstance(kernel.view, MeshView) else ".png"
+        listed = {name: values.tolist() for name, values in columns.items()}
+        return (json.dumps({**facts, "columns": listed}, indent=2) + "\n").encode()
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, facts=json.dumps(facts), **columns)
+    return buffer.getvalue()
+
+
+def _drawn(facts: dict[str, Any], view: MeshView | WindowView, suffix: str) -> Written:
+    drawn_as = ".ply" if isinstance(view, MeshView) else ".png"
     if (drawn_as == ".ply") != (suffix == ".ply"):
         raise UsageError(
-            f"{facts['output']}: the kernel of a {str(facts['at']).split()[0]} is drawn as {drawn_as}, or written as "
+            f"{facts['output']}: the kernel of a {facts['at'].split()[0]} is drawn as {drawn_as}, or written as "
             f"{', '.join(_TABLES)}"
         )
-    if isinstance(kernel.view, MeshView):
-        return _mesh(kernel.view, kernel.radius, facts)
-    from beltrami_cli.formats.image import write_image
-    from beltrami_cli.formats.image.picture import new_picture
-
-    pixels = _picture(kernel.view, kernel.radius)
-    return Written([write_image(new_picture(pixels, str(facts["output"])), pixels, suffix=suffix).data])
+    if isinstance(view, MeshView):
+        return _mesh(view, facts)
+    pixels = _picture(view, facts["radius"])
+    return Written([write_image(new_picture(pixels, facts["output"]), pixels, suffix=suffix).data])
 
 
-def _mesh(view: MeshView, radius: float, facts: dict[str, object]) -> Written:
-    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-
-    shades = as_bytes(colour_by_value(_nearness(view, radius), view.shades, np.isfinite(view.distances)))
+def _mesh(view: MeshView, facts: dict[str, Any]) -> Written:
+    nearness = _nearness(view, facts["radius"])
+    shades = as_bytes(colour_by_value(nearness, view.shades, np.isfinite(view.distances)))
     scalars = {"distance": view.distances, "weight": view.weights}
     comments = [f"kernel of {facts['at']}, beta {facts['beta']:.6g}, t {facts['t']:.6g}"]
     return write_scalars_as_ply(view.positions, view.faces, shades, scalars, comments)
@@ -103,18 +92,15 @@ def _picture(view: WindowView, radius: float) -> Uint8s:
     shown = [np.where(view.filled[..., None], panel, _NOTHING) for panel in panels]
     drawn = [panel.repeat(zoom, axis=0).repeat(zoom, axis=1) for panel in shown]
     if zoom > 2:
+        thickness = max(1, zoom // 14)
+        row, column = (zoom * index for index in view.source)
         for panel in drawn:
-            _frame(panel, view.source, zoom)
+            square = panel[row : row + zoom, column : column + zoom]
+            inside = square[thickness:-thickness, thickness:-thickness].copy()
+            square[:] = _SOURCE
+            square[thickness:-thickness, thickness:-thickness] = inside
     gap = np.full((len(drawn[0]), _GAP, 3), _NOTHING)
     return as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
-
-
-def _frame(panel: Float64s, cell: tuple[int, int], zoom: int) -> None:
-    thickness = max(1, zoom // 14)
-    square = panel[cell[0] * zoom : (cell[0] + 1) * zoom, cell[1] * zoom : (cell[1] + 1) * zoom]
-    inside = square[thickness:-thickness, thickness:-thickness].copy()
-    square[:] = _SOURCE
-    square[thickness:-thickness, thickness:-thickness] = inside
 
 
 def kernel_file(
@@ -126,7 +112,7 @@ def kernel_file(
     iteration: int = 1,
     whole: bool = False,
     job: Job = PLAIN_JOB,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Write the geodesic distances and the weights of the kernel at a sample, in an iteration; return its facts."""
     source, target = os.fspath(source), os.fspath(target)
     if iteration < 1:
@@ -137,14 +123,7 @@ def kernel_file(
         raise UsageError(message)
     location = read_location(at)
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
-    probe = _probe_of(source, settings, output.files.watching(job.access), whole=whole)
-    probed = _kernel(probe, location, iteration - 1, job.progress_of("iterations before"))
-    facts = {"input": source, "output": target, **probed.facts}
-    output.write(encode(probed, facts, suffix))
-    return facts
-
-
-def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: bool) -> Probe:
+    access = output.files.watching(job.access)
     document = open_input(source, settings, access)
     selection = select(document, settings)
     require_scale(document, selection)
@@ -153,13 +132,23 @@ def _probe_of(source: str, settings: SmoothSettings, access: Access, *, whole: b
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = samples_of(document, selection, settings, access)
-    return samples.probe(document, whole=whole)
+    probe = samples.probe(document, whole=whole)
+    kernel, found = _kernel(probe, location, iteration - 1, job.progress_of("iterations before"))
+    facts = {"input": source, "output": target, **found}
+    if suffix not in _TABLES:
+        output.write(_drawn(facts, probe.view(kernel), suffix))
+        return facts
+    # For each sample: which it is, distance, weight, colour.
+    columns = probe.columns(kernel.samples) | {"distance": kernel.distances, "weight": kernel.weights}
+    columns |= dict(zip(probe.colours.names, kernel.colours.T, strict=True))
+    output.write(Written([_as_table(facts, columns, suffix)]))
+    return facts
 
 
 def _kernel(
     probe: Probe, location: Location, iteration: int, progress: Callable[[int, int], None] | None
-) -> ProbedKernel:
-    """Run the iterations before one, counted from 0, and take the kernel of the sample at a location in that."""
+) -> tuple[SampledKernel, dict[str, Any]]:
+    """Run the iterations before one, counted from 0; return the kernel of a sample in that, and facts in JSON types."""
     sample, facts = probe.find(location)
     iterations = probe.flow.parameters.iterations
     # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
@@ -169,9 +158,8 @@ def _kernel(
     kernel = probe.flow.kernel_at(sample)
     units = {"spacing": "sample spacing", "world": "that of the file"}
     names = probe.colours.names
-    colours = {name: kernel.colours[:, i] for i, name in enumerate(names)}
     facts |= probe.facts(kernel)
-    facts |= {
+    return kernel, facts | {
         "iteration": iteration + 1,
         "iterations": iterations,
         "regularised_metric": parameters.is_regularised(iteration),
@@ -188,6 +176,3 @@ def _kernel(
         "before": dict(zip(names, kernel.colours[0].tolist(), strict=True)),
         "after": dict(zip(names, kernel.mean.tolist(), strict=True)),
     }
-    columns = probe.columns(kernel.samples)
-    columns |= {"distance": kernel.distances, "weight": kernel.weights, **colours}
-    return ProbedKernel(facts, columns, parameters.radius, probe.view(kernel))

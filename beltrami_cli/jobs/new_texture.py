@@ -53,7 +53,6 @@ class NewTexture:
 
     @property
     def in_words(self) -> str:
-        """What kind of texture it is, and its size."""
         height, width = self.pixels.shape[:2]
         return f"{'an 8-bit' if self.pixels.itemsize == 1 else 'a 16-bit'} texture of {width} x {height}"
 
@@ -237,5 +236,4 @@ def _as_srgb(values: Float64s, encoding: Encoding) -> Float64s:
 
 
 def _rounded(values: Float64s, dtype: Depth) -> Array:
-    """Round values of full scale 1 to a type, clipping them to its range."""
     return np.rint(np.clip(values, 0, 1) * np.iinfo(dtype).max).astype(dtype)

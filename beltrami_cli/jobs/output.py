@@ -254,7 +254,6 @@ class FileSet:
                 taken[place] = output.what if name == output.target else f"a file beside {output.what}"
 
     def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]], names: Mapping[Path, str]) -> None:
-        """Write files of an output aside; OutputError if that fails."""
         from beltrami_cli.surface.large_arrays import leave_memory
 
         own = {output.path, *(output.path.parent / name for name in output.replaceable)}

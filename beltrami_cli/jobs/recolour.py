@@ -13,7 +13,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -23,19 +23,19 @@ from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, read_regular, read_source
 from beltrami_cli.formats.document import Document, Naming, Written
+from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Job, Stopwatch
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
+from beltrami_cli.samples.samples import Repainted, Samples
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
 from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.samples import Repainted, Samples
 
 
 class Painter(Protocol):
@@ -75,7 +75,14 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         painter.check(document, selection, kind)
         if job.check is not None:
             job.check(document)
-        naming, beside = _plan_sidecars(document, selection, settings, kind, (source, target), output, access)
+        others: dict[str, None] = {}
+        naming = naming_of(document, source, target, output, access, others)
+        if output is not None:
+            output.check_sidecars(_names(naming, document, selection, settings, kind))
+    beside = []
+    if others:
+        state = "is of something else, and stays" if len(others) == 1 else "are of something else, and stay"
+        beside = [f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name."]
     place = None if output is None else target
     use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
     with checked_memory(document, selection.slots, settings.textures, access, place, **use):
@@ -157,16 +164,12 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
     if wrong := given_options(settings.level_set):
         raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
     if kind == "image":
-        from beltrami_cli.formats.image import ImageDocument
-
         return ImageDocument(data, name, folder, access)
     return registry.document_of(data, source, access)
 
 
 def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
     """Return a document that looks like one with other colours, for reading only: it has no bytes of its own."""
-    from beltrami_cli.formats.image import ImageDocument
-
     images = {key: image.data for each in painted for key, image in each.images.items()}
     if isinstance(document, ImageDocument):
         data = images.get(("baseColor", ""), document.data)
@@ -259,21 +262,6 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     return MovedVertices(positions, normals)
 
 
-def _plan_sidecars(
-    document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat, ends: tuple[str, str],
-    output: Output | None, access: Access,
-) -> tuple[Naming, tuple[str, ...]]:  # fmt: skip
-    """Return how files beside OUTPUT are named, and notices; OutputError if they cannot be written."""
-    others: dict[str, None] = {}
-    naming = naming_of(document, *ends, output, access, others)
-    if output is not None:
-        output.check_sidecars(_names(naming, document, selection, settings, kind))
-    if not others:
-        return naming, ()
-    state = "is of something else, and stays" if len(others) == 1 else "are of something else, and stay"
-    return naming, (f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name.",)
-
-
 def naming_of(
     document: Document, source: str, target: str, output: Output | None, access: Access,
     others: dict[str, None] | None = None,
@@ -304,8 +292,6 @@ def _names(
     naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
 ) -> list[str]:
     """Find the files that would be written beside the output, by writing the old images anew."""
-    from beltrami_cli.samples.texel_colours import choose_textures
-
     suffix = settings.textures.image_suffix
     images = {
         (slot, texture.key): ImageFile(

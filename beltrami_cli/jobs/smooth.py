@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,18 +12,22 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import sidecar_names, write_textured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Stopwatch
+from beltrami_cli.jobs.new_texture import NewTexture, texels_of, texture_from_textures, texture_from_vertices
 from beltrami_cli.jobs.recolour import naming_of, open_input, recolour
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, make_report, smooth_samples
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.samples.vertex_samples import require_surface
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
-if TYPE_CHECKING:
-    from beltrami_cli.jobs.new_texture import NewTexture
+# A new texture, its smoothed image, what users should know, and what was smoothed.
+_InTexture = tuple[NewTexture, ImageFile, list[str], list[Smoothed]]
 
 
 def smooth_file(
@@ -80,16 +83,6 @@ def smooth_file(
     return make_report(ends, made.format, settings, painter.done, made.stages, made.written, warnings)
 
 
-@dataclass(frozen=True)
-class _Done:
-    """A new texture, its smoothed image, what users should know, and what was smoothed."""
-
-    made: NewTexture
-    image: ImageFile
-    notices: list[str]
-    smoothed: list[Smoothed]
-
-
 def _smooth_unwrapped(
     source: str, target: str, settings: SmoothSettings, wanted: BakeSettings, job: Job
 ) -> SmoothReport:
@@ -116,18 +109,18 @@ def _smooth_unwrapped(
         if settings.embedding.guides:
             raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
         require_memory_for_textures(document, ("baseColor",), settings.textures, access)
-        done = _smooth_in_texture(document, settings, wanted, watch, job)
+        made, image, notices, done = _smooth_in_texture(document, settings, wanted, watch, job)
     else:
-        done = _smooth_on_vertices(document, settings, wanted, watch, job, access)
+        made, image, notices, done = _smooth_on_vertices(document, settings, wanted, watch, job, access)
     with watch.stage("write"):
-        written = write_textured(done.made.mesh(done.image), kind, stem)
+        written = write_textured(made.mesh(image), kind, stem)
         if output is not None:
             output.write(written)
     names = [] if output is None else [target, *written.sidecars]
-    late = [warning for each in done.smoothed for warning in each.warnings]
-    warnings = [*document.notices, *done.notices, *written.notices, *late]
-    report = make_report((source, target), kind, settings, done.smoothed, watch.stages, names, warnings)
-    return dataclasses.replace(report, new_texture=done.made.in_words)
+    late = [warning for each in done for warning in each.warnings]
+    warnings = [*document.notices, *notices, *written.notices, *late]
+    report = make_report((source, target), kind, settings, done, watch.stages, names, warnings)
+    return dataclasses.replace(report, new_texture=made.in_words)
 
 
 def _check(settings: SmoothSettings) -> None:
@@ -147,11 +140,8 @@ def _check(settings: SmoothSettings) -> None:
 
 def _smooth_in_texture(
     document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job
-) -> _Done:
+) -> _InTexture:
     """Smooth the textures, then make the new one; in the opposite order where textures are too small."""
-    from beltrami_cli.jobs.new_texture import texture_from_textures
-    from beltrami_cli.samples.texel_samples import TexelSamples
-
     # A new texture shows the old ones between texels, which spreads noise over several and makes it look like a
     # pattern.
     iterations, first = settings.kernel.iterations, None
@@ -173,22 +163,19 @@ def _smooth_in_texture(
     if first is not None or not iterations:
         done = [] if first is None else [first]
         notices += [notice for each in done for notice in each.repainted.notices]
-        return _Done(made, _encoded(made, settings), notices, done)
+        return made, _encoded(made, settings), notices, done
     with watch.stage("smooth"):
         samples = TexelSamples(made.surface(), "baseColor", settings)
         samples.require_writable()
         smoothed = smooth_samples(samples, job, "the new texture")
     (image,) = smoothed.repainted.images.values()
-    return _Done(made, image, [*notices, *smoothed.repainted.notices], [smoothed])
+    return made, image, [*notices, *smoothed.repainted.notices], [smoothed]
 
 
 def _smooth_on_vertices(
     document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job, access: Access
-) -> _Done:  # fmt: skip
+) -> _InTexture:  # fmt: skip
     """Smooth the vertex colours, then make the texture."""
-    from beltrami_cli.jobs.new_texture import texture_from_vertices
-    from beltrami_cli.samples.vertex_samples import require_surface
-
     # In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
     smoothed: list[Smoothed] = []
     require_surface(document.painted(), document.name)
@@ -198,14 +185,11 @@ def _smooth_on_vertices(
     with watch.stage("unwrap"):
         colours = smoothed[0].repainted.colours if smoothed else None
         made = texture_from_vertices(document, wanted, job.progress, colours)
-    return _Done(made, _encoded(made, settings), list(made.notices), smoothed)
+    return made, _encoded(made, settings), list(made.notices), smoothed
 
 
 def _are_large_enough(surface: TexturedSurface) -> bool:
     """Whether textures have a texel for each triangle, unlike palettes."""
-    from beltrami_cli.formats.image.reading import measure_image
-    from beltrami_cli.jobs.new_texture import texels_of
-
     sizes = [measure_image(texture.data) for texture in surface.textures]
     sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
     return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))

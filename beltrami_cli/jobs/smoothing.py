@@ -76,11 +76,9 @@ class Levelling:
             self._photographs = photographs_of(document, self._wanted.photographs)
 
     def level(self, samples: Samples) -> LevelReport:
-        """Level samples, before they are painted otherwise."""
         return samples.level(self._wanted, self._photographs if samples.part == "vertices" else None)
 
     def paint(self, samples: Samples, job: Job) -> Repainted:
-        """Level samples, and do nothing else to them."""
         del job
         report = self.level(samples)
         repainted = samples.repaint(samples.levelled())

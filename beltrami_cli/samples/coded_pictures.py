@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.coded_picture import CodedPicture, decode
 from beltrami_cli.flow.noise.given import GivenNoise
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
-if TYPE_CHECKING:
-    from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.formats.image.metadata import JpegTables
-
-    Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
+Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
 
 # How often pictures are decoded before patches, which take what is left of ringing, as it repeats itself, for detail.
 # The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
@@ -37,10 +34,7 @@ def flow_on_pictures(
     kernel: KernelParameters,
     tick: Callable[[], None] | None,
 ) -> BeltramiFlow[GridManifold]:
-    """Return the flow on the cells of pictures, which are decoded anew if JPEG coded white noise in all of them.
-
-    `make` returns the manifold of other colours on the canvas and their noise, or of the pictures' own.
-    """
+    """Return the flow on pictures, decoded anew if JPEG coded white noise in all; `make`: on given colours."""
     pictures = _coded(atlas, pixels, tables) if kernel.evens_noise and not kernel.fast else []
     sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:
@@ -72,13 +66,8 @@ def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[
 def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | None]) -> list[CodedPicture]:
     """Return the pictures, unless one of them is no JPEG file, or some are grey and others are not."""
     known = [each for each in tables if each is not None]
-    channels = {own.shape[2] for own in pixels}
-    if (
-        not known
-        or len(known) < len(pixels)
-        or len(channels) != 1
-        or any(own.dtype != np.uint8 for own in pixels)
-    ):
+    alike = len(known) == len(pixels) and len({own.shape[2] for own in pixels}) == 1
+    if not alike or any(own.dtype != np.uint8 for own in pixels):
         return []
     used = [large_arrays.zeros(own.shape[:2], bool) for own in pixels]
     for block in large_arrays.blocks(len(atlas.owned_texels)):

@@ -23,8 +23,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
+from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import TexelColours
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
@@ -133,7 +133,6 @@ class GuidedTexels:
     access: Access
 
     def guides(self) -> list[Guide]:
-        """Read all guides, with one row per owned texel."""
         return [self._guide(name, beta) for name, beta in self.settings.embedding.weighted_guides]
 
     def _guide(self, name: str, beta: float | None) -> Guide:
@@ -155,7 +154,7 @@ class GuidedTexels:
             )
         image, picture = read_map(path, self.access), self.pictures[0]
         require_size(image, picture.pixels.shape[:2], path, picture.name)
-        values = _at(image, self.atlas.owned_texels)
+        values = image.reshape(-1, image.shape[2])[self.atlas.owned_texels]
         require_finite(values, path, "pixel")
         return values
 
@@ -178,7 +177,7 @@ class GuidedTexels:
         pictures = [read_texture(texture) for texture in guiding.textures]
         textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
         plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)
-        colours = TexelColours(pictures, slot, plain)
+        colours = PictureColours(pictures, slot, plain)
         images = []
         for picture in pictures:
             height, width = picture.pixels.shape[:2]
@@ -210,14 +209,10 @@ class GuidedTexels:
         return int(shown[0])
 
 
-def _at(image: Float32s, texels: Int64s) -> Float32s:
-    return image.reshape(-1, image.shape[2])[texels]
-
-
 def _at_size(image: Float32s, size: tuple[int, ...], texture: Texture, texels: Int64s) -> Float32s:
     """Sample an image at the centres of texels of an image of another size, or of the same."""
     if image.shape[:2] == size:
-        return _at(image, texels)
+        return image.reshape(-1, image.shape[2])[texels]
     row, column = np.divmod(texels, size[1])
     uv = np.column_stack([(column + 0.5) / size[1], (row + 0.5) / size[0]])
     return np.asarray(look_up(image, uv, texture.wrap), np.float32)

@@ -57,7 +57,6 @@ class ImageSurface:
     notices: tuple[str, ...] = ()
 
     def window(self, place: tuple[slice, slice]) -> ImageSurface:
-        """Return the surface of a part of the image."""
         every = self.heights, self.positions, self.valid
         heights, positions, valid = (None if each is None else each[place] for each in every)
         return ImageSurface(heights, positions, valid)
@@ -162,7 +161,8 @@ def grid_flow(
     assert valid is not None
     if surface.heights is not None:
         valid = valid & np.isfinite(surface.heights)
-        positions = _over_the_plane(surface.heights)
+        rows_of, columns_of = np.indices(valid.shape, sparse=True)
+        positions = np.stack(np.broadcast_arrays(columns_of, rows_of, surface.heights), axis=2)
         kernel = dataclasses.replace(kernel, units="world")
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as all that follows
@@ -185,15 +185,6 @@ def grid_flow(
 
     pictures = ([coded[0]], [coded[1]]) if coded else ([], [])
     return flow_on_pictures(manifold, atlas, *pictures, kernel, tick)
-
-
-def _over_the_plane(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the positions (x, y, height) of pixels, shape (H, W, 3)."""
-    rows, columns = heights.shape
-    positions = np.empty((rows, columns, 3))
-    positions[..., 0], positions[..., 1] = np.arange(columns), np.arange(rows)[:, None]
-    positions[..., 2] = heights
-    return positions
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:

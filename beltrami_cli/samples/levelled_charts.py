@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Int64s
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import Picture
+from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.levelling.correction import Levelled
 from beltrami_cli.samples.reports import LevelReport
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import Texture
-
-if TYPE_CHECKING:
-    from beltrami_cli.formats.document import Document
-    from beltrami_cli.formats.image import Picture
-    from beltrami_cli.formats.image.metadata import JpegTables
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
@@ -41,7 +38,6 @@ class TextureCharts:
 
     @classmethod
     def of(cls, atlas: Atlas, textures: Sequence[Texture]) -> TextureCharts:
-        """Find them."""
         offsets, areas = atlas.texture_offsets, np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
         texel = np.zeros(len(areas), np.int64)
         for block in large_arrays.blocks(len(atlas.chart_of)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.samples.settings import TextureSettings
+from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.surface.large_arrays import kept_on_disk
 from beltrami_cli.surface.records import Slot, Texture
 
@@ -41,7 +43,7 @@ def require_memory_for_textures(
 ) -> None:
     """Raise InputError if the chosen textures of a document cannot fit into memory, slot by slot."""
     for slot in slots:
-        textures = _chosen(document, slot, wanted)
+        textures = choose_textures(document.textured(slot), wanted).textures
         require_memory(((texture.name, texture.data) for texture in textures), access)
 
 
@@ -50,10 +52,7 @@ def checked_memory(
     document: Document, slots: Sequence[Slot], wanted: TextureSettings, access: Access, target: str | None,
     *, on_disk: bool = True, in_groups: bool,
 ) -> Iterator[None]:  # fmt: skip
-    """Paint the chosen textures of a document in temporary files, if that can be, where memory is too small for them.
-
-    `in_groups`: they can be painted by some at a time.
-    """
+    """Keep large arrays in files where memory is too small; `in_groups`: some textures can be painted at a time."""
     if not on_disk:
         require_memory_for_textures(document, slots, wanted, access)
         yield
@@ -63,15 +62,13 @@ def checked_memory(
     memory = memory_beside(document, access)
     if memory is not None:
         for slot in slots:
-            textures = _chosen(document, slot, wanted)
+            textures = choose_textures(document.textured(slot), wanted).textures
             sizes = list(_measured((texture.name, texture.data) for texture in textures))
             left = memory - held_by_files(textures)
             is_too_much |= _is_too_much(sizes, left, in_groups=in_groups)
     if not is_too_much:
         yield
         return
-    import tempfile
-
     with kept_on_disk(Path(target).absolute().parent if target else Path(tempfile.gettempdir()), memory):
         yield
 
@@ -112,12 +109,6 @@ def memory_beside(document: Document, access: Access) -> int | None:
 def held_by_files(textures: Iterable[Texture]) -> int:
     """Return how many bytes image files take in memory all the time."""
     return sum(_FILES * len(texture.data) for texture in textures if not texture.is_read_anew)
-
-
-def _chosen(document: Document, slot: Slot, wanted: TextureSettings) -> Sequence[Texture]:
-    from beltrami_cli.samples.texel_colours import choose_textures
-
-    return choose_textures(document.textured(slot), wanted).textures
 
 
 def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:

@@ -45,10 +45,7 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
 
 
 class PaintedSamples(Samples):
-    """The common part of vertices on a mesh and on a grid.
-
-    `guides` and deviations of `noise` have a row a vertex. `in_triangles`: vertices in none have no colour.
-    """
+    """The common part of vertices on a mesh and on a grid; `in_triangles`: vertices in none have no colour."""
 
     part: ClassVar[Part] = "vertices"
 
@@ -66,9 +63,6 @@ class PaintedSamples(Samples):
         self.channels = columns_of(painted, settings)
         self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
 
-    def require_writable(self) -> None:
-        """Accept all: documents raise errors about what they cannot store."""
-
     def grains(self) -> Grains:
         # One random number for each place, so that split vertices stay equal.
         rows = self.coloured()
@@ -82,17 +76,14 @@ class PaintedSamples(Samples):
         return positions, spacing_of(painted, rows, place_of)
 
     def coloured(self) -> NDArray[np.intp]:
-        """Return the vertices that have a position and a colour."""
         return coloured_rows(self.painted, in_triangles=self._in_triangles)
 
     def shift(self, grains: Grains, after: Float32s) -> Repainted:
-        painted, channels, rows = self.painted, self.channels.changing, self.coloured()
+        painted, places = self.painted, (self.coloured()[:, None], self.channels.changing)
         back = from_space(after, painted.encoding, self.settings.space)
         colours = painted.colours.copy()
-        changed = colours[rows]
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
-        changed[:, channels] = np.where(after != grains.colours, back, changed[:, channels])
-        colours[rows] = changed
+        colours[places] = np.where(after != grains.colours, back, colours[places])
         return Repainted(Change.between(painted.colours, colours), colours)
 
     def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,12 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.probes.probe import Probe
 
 Part = Literal["vertices", "textures", "image"]
 
@@ -88,12 +86,8 @@ class ChosenChannels:
 
     sampled: list[int]
     changing: list[int]
-    metric: list[int] | None  # among the sampled ones; None: all
-
-    @property
-    def written(self) -> list[int]:
-        """Those that change, counted among the sampled ones."""
-        return [self.sampled.index(channel) for channel in self.changing]
+    written: list[int]  # those that change, counted among the sampled ones
+    metric: list[int] | None  # counted so, too; None: all
 
 
 def choose_channels(
@@ -124,22 +118,17 @@ def choose_channels(
     in_metric = changing if wanted is None else numbers_of(wanted)
     sampled = sorted({*changing, *in_metric})
     metric = None if in_metric == sampled else [sampled.index(channel) for channel in in_metric]
-    return ChosenChannels(sampled, changing, metric)
+    written = [sampled.index(channel) for channel in changing]
+    return ChosenChannels(sampled, changing, written, metric)
 
 
 class Samples(ABC):
     """Coloured samples of a document; UsageError if settings name absent channels or contradict the document."""
 
-    part: ClassVar[Part]
-    """The part of a document that they belong to."""
-
-    label: str
-    """Their name in messages."""
-
+    part: ClassVar[Part]  # of a document, that they belong to
+    label: str  # their name in messages
     settings: SmoothSettings
-
-    names: tuple[str, ...]
-    """The sampled channels: those that change, and those that only enter the metric."""
+    names: tuple[str, ...]  # of the sampled channels: those that change, and those that only enter the metric
 
     @abstractmethod
     def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[Any]:
@@ -187,8 +176,7 @@ class Samples(ABC):
         """Return the colours after `level`."""
         raise NotImplementedError
 
-    @abstractmethod
-    def require_writable(self) -> None:
+    def require_writable(self) -> None:  # noqa: B027
         """Raise errors about images as outputs, before anything is computed."""
 
     @abstractmethod
@@ -231,12 +219,10 @@ class Samples(ABC):
         return {"noise": self.named(flow.noise), "noise_model": flow.noise_model, "smooth": smooth}
 
     def warnings(self, result: FlowResult) -> list[str]:
-        """Return warnings about a flow that was run."""
         del result
         return []
 
     def named(self, values: Float64s) -> dict[str, float]:
-        """Pair a value per channel with the channels' names."""
         return {name: float(value) for name, value in zip(self.names, values, strict=True)}
 
 
@@ -259,7 +245,6 @@ class Change:
 
     @classmethod
     def between(cls, before: Float32s, after: Float32s) -> Change:
-        """Compare two arrays of the same shape."""
         difference = np.abs(after - before)
         if not difference.size:
             return cls()
@@ -273,7 +258,6 @@ class Change:
         return cls(sum(counts), sum(totals), sum(squares), max(largest))
 
     def summary(self) -> dict[str, float]:
-        """Return the mean, the root mean square and the largest change."""
         count = max(1, self.count)
         return {"mean": self.total / count, "rms": (self.squares / count) ** 0.5, "largest": self.largest}
 

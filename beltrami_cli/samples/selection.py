@@ -5,10 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
@@ -19,14 +15,18 @@ from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
+from beltrami_cli.samples.image_surface import refuse_options_of_meshes
+from beltrami_cli.samples.memory_check import memory_beside, too_many_together
+from beltrami_cli.samples.painted_samples import PaintedSamples
+from beltrami_cli.samples.pixel_samples import PixelSamples
+from beltrami_cli.samples.samples import Samples, SharedImages
 from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.samples.texel_colours import choose_textures
+from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.samples.texture_groups import TextureGroup, separate_groups
+from beltrami_cli.samples.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.painted_samples import PaintedSamples
-    from beltrami_cli.samples.samples import Samples
-    from beltrami_cli.samples.texture_groups import TextureGroup
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,6 @@ class OutputFormat:
 def select(document: Document, settings: SmoothSettings) -> Selection:
     """Choose what is painted, by the settings and the document; errors if there is nothing, or for unfit options."""
     if isinstance(document, ImageDocument):
-        from beltrami_cli.samples.image_surface import refuse_options_of_meshes
-
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)
     if wrong := given_options(settings.image):
@@ -92,53 +90,37 @@ def samples_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Samples]:
-    """Take the samples of what is selected, one kind after the other.
-
-    `in_groups`: textures that touch each other nowhere are taken apart, and of too many for the memory some at a time.
-    """
+    """Take the samples of what is selected; `in_groups`: textures that do not touch, or do not fit, separately."""
     # For the other parameters see `PixelSamples`.
     if isinstance(document, ImageDocument):
         if selection.image:
-            from beltrami_cli.samples.pixel_samples import PixelSamples
-
             yield PixelSamples(document, settings, access, suffix, colours_only=colours_only)
         return
     if selection.vertices:
         yield vertex_samples(document, settings, access)
-    if selection.slots:
-        from beltrami_cli.samples.memory_check import memory_beside, too_many_together
-        from beltrami_cli.samples.samples import SharedImages
-        from beltrami_cli.samples.texel_colours import choose_textures
-        from beltrami_cli.samples.texel_samples import TexelSamples
-
-        chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
-        shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
-        for slot, surface in zip(selection.slots, chosen, strict=True):
-            many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
-            groups: list[TextureGroup] = []
-            if many is None:
-                samples = TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
-                if in_groups and len(surface.textures) > 1:
-                    from beltrami_cli.samples.texture_groups import separate_groups
-
-                    groups = separate_groups(samples.surface, samples.atlas, settings.kernel, samples.common)
-                if not groups:
-                    yield samples
-                del samples
-            else:
-                from beltrami_cli.samples.tile_groups import TileGroups
-
-                tiles = TileGroups(surface, *many)
-                groups = tiles.parted(tiles.common(slot, settings))
-            for group in groups:
-                yield TexelSamples(group.surface, slot, group.common.settings, shared=shared, group=group)
+    chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
+    shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
+    for slot, surface in zip(selection.slots, chosen, strict=True):
+        many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
+        groups: list[TextureGroup] = []
+        if many is None:
+            samples = TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
+            if in_groups and len(surface.textures) > 1:
+                groups = separate_groups(samples.surface, samples.atlas, settings.kernel, samples.common)
+            if not groups:
+                yield samples
+            del samples
+        else:
+            tiles = TileGroups(surface, *many)
+            groups = tiles.parted(tiles.common(slot, settings))
+        for group in groups:
+            yield TexelSamples(group.surface, slot, group.common.settings, shared=shared, group=group)
 
 
 def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.samples.guides import noise_of_vertices, vertex_guides
-    from beltrami_cli.samples.range_samples import RangeSamples
-    from beltrami_cli.samples.vertex_samples import VertexSamples
+    from beltrami_cli.samples.vertex_samples import RangeSamples, VertexSamples
     from beltrami_cli.samples.voxels import LevelSetDocument
 
     painted, grid = document.painted(), document.grid()
@@ -148,14 +130,6 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
         return RangeSamples(painted, grid, settings, guides, noise)
     is_level_set = isinstance(document, LevelSetDocument)
     return VertexSamples(painted, settings, guides, noise, in_triangles=is_level_set)
-
-
-def coloured_vertices(document: Document) -> NDArray[np.intp]:
-    """Return the vertices of a document that have a position and a colour."""
-    from beltrami_cli.samples.painted_samples import coloured_rows
-    from beltrami_cli.samples.voxels import LevelSetDocument
-
-    return coloured_rows(document.painted(), in_triangles=isinstance(document, LevelSetDocument))
 
 
 def require_geometry(
@@ -217,8 +191,6 @@ def _with_chosen_textures(
     wanted = settings.textures
     if not (wanted.names or wanted.materials):
         return slots
-    from beltrami_cli.samples.texel_colours import choose_textures
-
     kept = tuple(slot for slot in slots if choose_textures(document.textured(slot), wanted).textures)
     if not kept:
         textures = [texture for slot in slots for texture in document.textured(slot).textures]

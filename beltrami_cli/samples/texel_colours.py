@@ -1,4 +1,4 @@
-"""From pictures to the colours of samples in the working space, and back with the gutters around charts refilled."""
+"""Which textures are meant, and new colours of their texels, with the gutters around charts refilled."""
 
 from __future__ import annotations
 
@@ -10,20 +10,15 @@ from functools import partial
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
-from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.canvas import painted_by
-from beltrami_cli.flow.embedding import from_space, to_space
-from beltrami_cli.flow.parameters import Space
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
-from beltrami_cli.samples.gutters import Refilled, keep_others
-from beltrami_cli.samples.samples import Change, choose_channels, store
-from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.samples.picture_colours import PictureColours
+from beltrami_cli.samples.samples import Change, store
+from beltrami_cli.samples.settings import TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, Indices, fill_gutter, texels_by_texture, within
-from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+from beltrami_cli.surface.atlas import Indices, fill_gutter, within
+from beltrami_cli.surface.records import Texture, TexturedSurface
 
 
 def choose_textures(surface: TexturedSurface, wanted: TextureSettings) -> TexturedSurface:
@@ -47,178 +42,11 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
     return dataclasses.replace(surface, textures=textures, texture_of=new_index[surface.texture_of])
 
 
-# The channels that a data slot uses; others of the same image belong to another slot.
-_SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
-
-
-class TexelColours:
-    """Colours of the texels of several pictures as samples with the same N channels, and back."""
-
-    names: tuple[str, ...]
-    """The channels of the samples: those that change, and those that enter the metric."""
-
-    metric_channels: list[int] | None
-    """The channels in the metric; None: all."""
-
-    space: Space
-    """The space of the samples: the working space, or data as stored."""
-
-    def __init__(self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings) -> None:
-        self._pictures = pictures
-        self.space = settings.space if slot in COLOUR_SLOTS else "data"
-        self._is_normal = slot == "normal"
-        self._width = max(len(picture.colour) for picture in pictures)
-        # Grey pictures beside coloured ones have red = green = blue.
-        names = ("red", "green", "blue") if self._width == 3 else ("grey",)
-        if self.space == "oklab" and self._width != 3:
-            raise UsageError("the space oklab needs red, green and blue, but all textures are grey")
-        used = _SLOT_CHANNELS.get(slot, set(names))
-        self._hides = slot in COLOUR_SLOTS and settings.textures.alpha != "smooth"
-        self._alpha = settings.textures.alpha == "smooth" and any(p.alpha is not None for p in pictures)
-        chosen = choose_channels(names, settings, "the textures have", used=used, opacity=self._alpha)
-        self._changing = [i for i in chosen.changing if i < len(names)]
-        if not self._changing:
-            cause = f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
-            raise UsageError(cause)
-        self._kept = [i for i in chosen.sampled if i < len(names)]
-        self._written, self.metric_channels = chosen.written, chosen.metric
-        self.names = tuple((*names, "alpha")[i] for i in chosen.sampled)
-
-    @property
-    def shows_all(self) -> bool:
-        """Whether samples have the colours of pictures as they are stored, with all of their channels."""
-        alike = self.space in ("srgb", "data") and not self._alpha and not self._is_normal
-        return alike and len(self._kept) == self._width
-
-    def samples(self, atlas: Atlas) -> Float32s:
-        """Return the colours of the owned cells in the working space, shape (T, N)."""
-        table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
-        for block in large_arrays.blocks(len(table)):
-            table[block] = self._of_block(atlas, block)
-        return table
-
-    def on_canvas(self, atlas: Atlas, threads: int) -> Float32s:
-        """Return the colours of the owned cells, and of what continues them, on the canvas, shape (N, R, C)."""
-        return painted_by(atlas, len(self.names), lambda block: self._of_block(atlas, block), threads)
-
-    def _of_block(self, atlas: Atlas, block: slice) -> Float32s:
-        texels = atlas.owned_texels[block]
-        table = np.empty((len(texels), len(self.names)), np.float32)
-        for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
-            table[inside] = self.working(self._pictures[index], own)
-        return table
-
-    def working(self, picture: Picture, texels: Int64s) -> Float32s:
-        """Return the colours of some texels (row * width + column) of a picture in the working space."""
-        table = picture.pixels.reshape(-1, picture.pixels.shape[2])
-        return self._working(picture, np.take(table, texels, axis=0))
-
-    def shown(self, picture: Picture, stored: Array) -> Float32s:
-        """Return the channels that are written of some pixels of a picture, shape (K, C), in the working space."""
-        return self._working(picture, stored)[:, self._written]
-
-    def _working(self, picture: Picture, stored: Array) -> Float32s:
-        """Return the colours of some pixels of a picture, shape (K, C), in the working space."""
-        pixels = self._straight(picture, full_scale_one(stored))
-        working = to_space(self._widened(picture, pixels), picture.encoding, self.space)
-        if len(self._kept) < self._width:
-            working = working[:, self._kept]
-        if not self._alpha:
-            return working
-        opacity = pixels[:, picture.alpha] if picture.alpha is not None else np.ones(len(pixels), np.float32)
-        return np.column_stack([working, opacity])
-
-    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> Bools:
-        """Return which owned cells supply no colour because their texel is transparent."""
-        hidden = np.zeros(len(atlas.owned_texels), bool)
-        if not any(self._can_hide(index, texture) for index, texture in enumerate(textures)):
-            return hidden
-        for block in large_arrays.blocks(len(hidden)):
-            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-                hidden[block][inside] = self.hidden(index, textures[index], texels)
-        return hidden
-
-    def hidden(self, index: int, texture: Texture, texels: Int64s) -> Bools:
-        """Return which of some texels (row * width + column) of a picture supply no colour."""
-        picture = self._pictures[index]
-        if not self._can_hide(index, texture):
-            return np.zeros(len(texels), bool)
-        table = picture.pixels.reshape(-1, picture.pixels.shape[2])
-        return ~supplies_colour(picture, table[texels, picture.alpha])
-
-    def _can_hide(self, index: int, texture: Texture) -> bool:
-        return self._hides and self._pictures[index].alpha is not None and texture.alpha_hides
-
-    def columns(self, index: int) -> list[int]:
-        """Return which channels of a picture change."""
-        picture = self._pictures[index]
-        is_grey = len(picture.colour) == 1
-        colour = list(picture.colour) if is_grey else [picture.colour[i] for i in self._changing]
-        return colour + ([picture.alpha] if self._alpha and picture.alpha is not None else [])
-
-    def are_converted(self, index: int) -> bool:
-        """Return whether samples of a picture differ from the numbers that it stores."""
-        picture = self._pictures[index]
-        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
-        return not is_plain or self._is_normal or self._is_divided(picture)
-
-    def written(self, index: int, samples: Float32s) -> Float32s:
-        """Return the channels of unconverted samples that are stored, in the order of `columns`."""
-        chosen = self._written[: len(self.columns(index))]
-        return samples if chosen == list(range(samples.shape[1])) else samples[:, chosen]
-
-    def changed(self, picture: Picture, stored: Array, samples: Float32s) -> Bools:
-        """Return for which pixels of a picture, shape (K, C), samples differ in a channel that is written."""
-        working = self._working(picture, stored)
-        different = np.zeros(len(stored), bool)
-        for channel in self._written:
-            different |= working[:, channel] != samples[:, channel]
-        return different
-
-    def write(self, values: Float32s, index: int, samples: Float32s) -> None:
-        """Write samples, shape (K, N), to pixels of a picture, shape (K, C), of full scale 1, in place."""
-        picture = self._pictures[index]
-        whole = self._widened(picture, self._straight(picture, values))
-        working = to_space(whole, picture.encoding, self.space).copy()
-        working[:, self._changing] = samples[:, self._written[: len(self._changing)]]
-        stored = from_space(working, picture.encoding, self.space)
-        if self._is_normal:  # stored as (n + 1) / 2
-            normals = 2 * stored - 1
-            length = np.linalg.norm(normals, axis=1, keepdims=True)
-            unit = (normals / np.maximum(length, 1e-12) + 1) / 2
-            stored = np.where(length > 0, unit, stored).astype(np.float32)
-        if picture.stored in ("uint8", "uint16"):
-            stored = np.clip(stored, 0, 1)
-        if self._is_divided(picture):
-            stored *= values[:, picture.alpha, None]
-        if len(picture.colour) == 1:
-            values[:, picture.colour[0]] = stored.mean(axis=1)
-        else:
-            for i in self._changing:
-                values[:, picture.colour[i]] = stored[:, i]
-        if self._alpha and picture.alpha is not None:
-            values[:, picture.alpha] = samples[:, -1]
-
-    def opacity(self, picture: Picture) -> Float32s | None:
-        """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
-        if not self._is_divided(picture):
-            return None
-        return full_scale_one(picture.pixels[..., picture.alpha])
-
-    def _is_divided(self, picture: Picture) -> bool:
-        # Colours that are averaged together with alpha are weighted by it already.
-        return self._hides and self.space != "data" and is_associated(picture)
-
-    def _straight(self, picture: Picture, pixels: Float32s) -> Float32s:
-        return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
-
-    def _widened(self, picture: Picture, pixels: Float32s) -> Float32s:
-        every = tuple(range(pixels.shape[1]))
-        colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
-        return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
-
-
 _BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats
+# A step between two texels has the noise of both; beyond this many deviations of what smoothing took away it is real.
+_REAL_STEP = 3.0
+# The neighbours of a texel, row and column, in the order in which `fill_gutter` takes their colours.
+_AROUND = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1))
 
 
 @dataclass(frozen=True)
@@ -226,7 +54,7 @@ class Repainting:
     """Writes texels of an atlas to its textures; `gutter`: texels around charts that are refilled, None: none."""
 
     pictures: Sequence[Picture]
-    colours: TexelColours
+    colours: PictureColours
     texture_offsets: Int64s
     looked_up: tuple[Indices, Indices]  # uncovered texels that faces look up: beside charts, and lone ones
     gutter: int | None
@@ -245,7 +73,7 @@ class Repainting:
             refilled = Refilled(picture.pixels, pixels, covered, known, partial(self.colours.shown, picture))
             border, lone = (self._of_texture(texels, index)[1] for texels in self.looked_up)
             keep_others(refilled, border, lone)
-            opacity, columns = self.colours.opacity(picture), self.colours.columns(index)
+            opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
             fill_gutter(pixels, covered, None, self.gutter, known, self.threads, columns, opacity)
         return pixels, change
 
@@ -294,27 +122,14 @@ class Repainting:
         """Write samples into pixels like a picture's own, in place, and return how these change."""
         picture, colours = self.pictures[index], self.colours
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
-        channels = colours.columns(index)
         for block in large_arrays.blocks(len(texels), _BLOCK):
             inside, here = self._of_texture(texels[block], index)
             if not len(here):
                 continue
-            after = take(block, inside)
-            count = len(here) * len(channels)  # Texels that did not change count, too.
-            if colours.are_converted(index):
-                stored = np.take(table, here, axis=0)
-                moved = colours.changed(picture, stored, after)
-                if not moved.all():
-                    here, after, stored = here[moved], after[moved], stored[moved]
-                whole = full_scale_one(stored)
-                colours.write(whole, index, after)
-                values = whole[:, channels]
-            else:
-                values = colours.written(index, after)
+            values = colours.stored(picture, table, here, take(block, inside))
             if self.is_dithered and picture.stored == "uint8":
                 values = dithered(values, here, picture.pixels.shape[1])
-            change = store(picture, table, here, values, channels, self.threads)
-            changes.append(dataclasses.replace(change, count=count))
+            changes.append(store(picture, table, here, values, colours.columns(picture), self.threads))
         return Change.joined(changes)
 
 
@@ -330,3 +145,78 @@ def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
     is_whole = np.abs(steps - np.rint(steps)) < 2e-3
     spread = (steps + (0.98 * (pattern - 0.5)).astype(np.float32)[:, None]) / np.float32(255)
     return np.where(is_whole, values, spread)
+
+
+@dataclass(frozen=True)
+class Refilled:
+    """A picture whose charts are repainted, and continued beyond seams, but not yet filled around them."""
+
+    old: Array  # its pixels as they were, shape (H, W, C)
+    new: Array  # and as they are now
+    covered: Bools  # (H, W)
+    known: Bools  # (H, W): texels around charts whose colours stay as they are now
+    shown: Callable[[Array], Float32s]  # colours, shape (K, N), of pixels, shape (K, C)
+
+    def before(self, texels: Indices) -> Float32s:
+        return self.shown(_rows(self.old)[texels])
+
+    def after(self, texels: Indices) -> Float32s:
+        return self.shown(_rows(self.new)[texels])
+
+    def restore(self, texels: Indices) -> None:
+        """Give texels, in place, the colours that they had, which they keep."""
+        _rows(self.new)[texels] = _rows(self.old)[texels]
+        self.known.reshape(-1)[texels] = True
+
+
+def keep_others(refilled: Refilled, border: Indices, lone: Indices) -> None:
+    """Let texels that faces look up, but that do not continue the chart beside them, keep their colours, in place.
+
+    A texel continues its chart if the step to the covered texel beside it was, but for noise, what it is now; or if
+    there was none, and then it is left to be filled from there. Others are painted otherwise: the edge of a colour that
+    lies on the chart's border, or of another chart. Of lone texels it is not known which part of the surface they show.
+    """
+    refilled.restore(lone)
+    beside = _covered_beside(refilled.covered, border)
+    border, beside = border[beside >= 0], beside[beside >= 0]
+    limit = _REAL_STEP * _taken_away(refilled, beside)
+    for block in large_arrays.blocks(len(border), large_arrays.SCATTERED):
+        texels, nearest = border[block], beside[block]
+        step = refilled.before(texels) - refilled.before(nearest)
+        now = refilled.after(texels) - refilled.after(nearest)
+        has_halo = refilled.known.reshape(-1)[texels]
+        continues = has_halo & (_size(step - now) <= limit)
+        is_alike = _size(step) <= limit
+        refilled.known.reshape(-1)[texels[~continues & is_alike]] = False
+        refilled.restore(texels[~continues & ~is_alike])
+
+
+def _rows(pixels: Array) -> Array:
+    return pixels.reshape(-1, pixels.shape[2])
+
+
+def _covered_beside(covered: Bools, texels: Indices) -> Int64s:
+    """Return a covered neighbour of each texel, the nearest; -1 where there is none."""
+    height, width = covered.shape
+    rows, columns = np.divmod(texels, width)
+    found = np.full(len(texels), -1, np.int64)
+    for down, right in _AROUND:
+        row, column = rows + down, columns + right
+        inside = (found < 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        inside[inside] = covered[row[inside], column[inside]]
+        found[inside] = row[inside] * np.int64(width) + column[inside]
+    return found
+
+
+def _taken_away(refilled: Refilled, texels: Indices) -> float:
+    """Return the root mean square by which texels changed."""
+    total = 0.0
+    for block in large_arrays.blocks(len(texels), large_arrays.SCATTERED):
+        change = refilled.after(texels[block]) - refilled.before(texels[block])
+        total += float(np.square(_size(change)).sum())
+    return float(np.sqrt(total / max(1, len(texels))))
+
+
+def _size(differences: Float32s) -> Float64s:
+    """Return the root mean square over the channels."""
+    return np.asarray(np.sqrt(np.square(differences, dtype=np.float64).mean(axis=1)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,18 +25,19 @@ from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import flow_on_pictures
+from beltrami_cli.samples.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
+from beltrami_cli.samples.picture_colours import PictureColours
+from beltrami_cli.samples.probes.cells import TexelProbe
+from beltrami_cli.samples.probes.probe import Probe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import Repainting, TexelColours, choose_textures, only_textures
+from beltrami_cli.samples.texel_colours import Repainting, choose_textures, only_textures
 from beltrami_cli.samples.texture_groups import Common, TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
 from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
-
-if TYPE_CHECKING:
-    from beltrami_cli.samples.probes.probe import Probe
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
 _UNSEEN = (
@@ -68,7 +69,7 @@ class TexelSamples(samples.Samples):
         self._tables: list[JpegTables | None] = []
         self.pictures = [self._picture(texture) for texture in self.surface.textures]
         self.atlas = atlas_of(self.surface, self.pictures, settings.kernel)
-        self.colours = TexelColours(self.pictures, slot, settings)
+        self.colours = PictureColours(self.pictures, slot, settings)
         self.names = self.colours.names
         hidden = self.colours.transparent(self.atlas, self.surface.textures)
         if hidden.any():
@@ -77,14 +78,10 @@ class TexelSamples(samples.Samples):
         self._guides: list[Guide] = []
         self._noise: Float32s | None = None
         if guided is not None and settings.kernel.noise is not None:
-            from beltrami_cli.samples.guides import noise_of_pixels
-
             texels = self.atlas.owned_texels
             noise = noise_of_pixels(settings.kernel, self.pictures, texels, guided[1])
             self._noise = None if noise is None else noise.reshape(-1, noise.shape[2])[texels]
         if guided is not None and settings.embedding.guides:
-            from beltrami_cli.samples.guides import GuidedTexels
-
             known = self.surface, self.pictures, self.atlas, settings
             self._guides = GuidedTexels(guided[0], *known, guided[1]).guides()
         self._is_data = slot not in COLOUR_SLOTS
@@ -228,9 +225,9 @@ class TexelSamples(samples.Samples):
         kernel, picture = dataclasses.replace(self.settings.kernel, free=()), self.pictures[index]
         surface = only_textures(self.surface, [index])
         atlas = atlas_of(surface, [picture], kernel)
-        hidden = self.colours.hidden(index, surface.textures[0], atlas.owned_texels)
-        if hidden.any():
-            atlas = without_owned(atlas, hidden)
+        if surface.textures[0].alpha_hides:
+            hidden = self.colours.hidden(picture, atlas.owned_texels)
+            atlas = without_owned(atlas, hidden) if hidden.any() else atlas
 
         def working(block: slice) -> Float32s:
             return self.colours.working(picture, atlas.owned_texels[block])
@@ -239,9 +236,6 @@ class TexelSamples(samples.Samples):
         return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
 
     def probe(self, document: Document, *, whole: bool) -> Probe:
-        from beltrami_cli.samples.probes.cells import TexelProbe
-        from beltrami_cli.samples.probes.probe import WorkingColours
-
         colours = WorkingColours(self.names, self.colours.space)
         return TexelProbe(self.flow(), colours, document, self.surface.textures, self.pictures)
 
@@ -257,7 +251,7 @@ class TexelSamples(samples.Samples):
             pixels, change = painter.repaint(index, new)
             changes.append(change)
             large_arrays.leave_memory()
-            columns = self.colours.columns(index)
+            columns = self.colours.columns(picture)
             pixels, slots = self._shared.join(self.slot, texture.key, pixels, columns)
             file, said = samples.rewritten(
                 picture, pixels, wanted, wanted.image_suffix, as_data=self._is_data

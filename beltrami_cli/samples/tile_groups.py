@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float64s, Int64s
+from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow
 from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.parameters import KernelParameters
@@ -102,8 +102,11 @@ class TileGroups:
         surface = self.surface
         kept = np.isin(surface.texture_of, [-1, *group])
         kept[np.concatenate([near[index] for index in group])] = True
+        faces, uv, texture_of = surface.faces[kept], surface.uv[kept], surface.texture_of[kept]
+        part = dataclasses.replace(surface, faces=faces, uv=uv, texture_of=texture_of)
+        shown = np.unique(texture_of[texture_of >= 0]).tolist()
         own = frozenset(surface.textures[index].key for index in group)
-        return TextureGroup(label, _only_faces(surface, kept), own, common)
+        return TextureGroup(label, only_textures(part, shown), own, common)
 
     @property
     def _most_texels(self) -> int:
@@ -117,13 +120,6 @@ class TileGroups:
             self.memory // _RESIDENT_BYTES,
             int(_SHARE_OF_DISK * large_arrays.free_space() / memory_check.TEXEL_BYTES),
         )
-
-
-def _only_faces(surface: TexturedSurface, kept: Bools) -> TexturedSurface:
-    shown = np.unique(surface.texture_of[kept])
-    faces, uv, texture_of = surface.faces[kept], surface.uv[kept], surface.texture_of[kept]
-    part = dataclasses.replace(surface, faces=faces, uv=uv, texture_of=texture_of)
-    return only_textures(part, shown[shown >= 0].tolist())
 
 
 def _near_faces(

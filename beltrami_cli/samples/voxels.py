@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
@@ -30,25 +29,7 @@ _BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marc
 _LARGEST_PLANE = 1 << 29  # samples in a layer, four to each counted in 32 bits
 
 
-@dataclass(frozen=True)
-class Paint:
-    """Colours at the V vertices of a level set."""
-
-    colours: Float32s  # full scale 1, one or three channels; white where there is none
-    alpha: Float32s | None  # opacity, shape (V,), where the source has it
-    found: Bools  # where there is a colour, shape (V,)
-    encoding: Encoding
-    stored: str  # type of the source
-    notices: list[str] = field(default_factory=list)
-
-    def vertices(self, positions: Float64s, faces: Int32s) -> PaintedVertices:
-        """Return the vertices to smooth; triangles with a vertex without a colour are left out."""
-        names = ("red", "green", "blue") if self.colours.shape[1] == 3 else ("grey",)
-        whole = np.ascontiguousarray(faces[self.found[faces].all(axis=1)])
-        return PaintedVertices(positions, whole, self.colours, names, self.encoding, self.stored)
-
-
-def find_colours(
+def _find_colours(
     volume: level_set.Volume, path: str | None, name: str, access: Access, max_size: int
 ) -> tuple[Source, str]:
     """Return the colours of a level set, from its file or the file at `path`, and the name of that file."""
@@ -66,31 +47,23 @@ def find_colours(
     return colours, path
 
 
-def paint(
-    source: Source,
-    where: str,
-    lattice: level_set.Lattice,
-    known: Bools,
-    positions: Float64s,
-    threads: int,
-) -> Paint:
-    """Return the colours of the vertices, shape (V, 3); voxels that are not `known` supply none."""
+def _colours_at(
+    source: Source, lattice: level_set.Lattice, known: Bools, positions: Float64s, threads: int
+) -> Float64s:
+    """Return the colours of vertices, shape (V, 3), as they are stored; voxels that are not `known` supply none."""
     if isinstance(source, level_set.GridColours):
         own = source.lattice
         same = source.samples.shape[:3] == known.shape
         same = same and np.array_equal(own.axes, lattice.axes) and np.array_equal(own.origin, lattice.origin)
-        stored = level_set.interpolate_colours(source, positions, known if same else None)
-    else:
-        voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
-        stored = level_set.nearest_colours(source, positions, voxel, threads)
-    found = level_set.has_colour(stored)
-    if not found.any():
-        raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
-    return _scaled(source, stored, found, where)
+        return level_set.interpolate_colours(source, positions, known if same else None)
+    voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
+    return level_set.nearest_colours(source, positions, voxel, threads)
 
 
-def _scaled(source: Source, stored: Float64s, found: Bools, name: str) -> Paint:
-    """Scale stored numbers to full scale 1, and separate opacity from colours."""
+def _scaled(
+    source: Source, stored: Float64s, found: Bools, name: str
+) -> tuple[Float32s, Float32s | None, list[str]]:
+    """Return colours and opacity of full scale 1, white where nothing is found, and what users should know."""
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name
     notices: list[str] = []
@@ -99,20 +72,16 @@ def _scaled(source: Source, stored: Float64s, found: Bools, name: str) -> Paint:
         scale, notice = full_scale(stored[found, :width], name)
         notices += [notice] if notice else []
     colours = np.where(found[:, None], stored[:, :width] / scale, 1.0).astype(np.float32)
-    alpha = None if stored.shape[1] == width else _opacity(stored[:, width], found, scale)
+    alpha = None
+    if stored.shape[1] > width:
+        opacity = stored[:, width] / (scale if stored[found, width].max() > 1 else 1.0)
+        # Vertices without a colour belong to the surface.
+        alpha = np.where(found, np.clip(opacity, 0, 1), 1.0).astype(np.float32)
     if not found.all():
         bare = int(len(found) - np.count_nonzero(found))
         far = f"{bare} of {len(found)} vertices have no colour nearby"
         notices.append(f"{far}; they are white and lend none.")
-    encoding = source.encoding if isinstance(source, level_set.NearColours) else "srgb"
-    stored_as = source.stored if isinstance(source, level_set.NearColours) and source.stored else kind
-    return Paint(colours, alpha, found, encoding, stored_as, notices)
-
-
-def _opacity(stored: Array, found: Bools, scale: float) -> Float32s:
-    """Return opacity of full scale 1; it is 1 at vertices without a colour, which belong to the surface."""
-    scale = scale if stored[found].max() > 1 else 1.0
-    return np.where(found, np.clip(stored / scale, 0, 1), 1.0).astype(np.float32)
+    return colours, alpha, notices
 
 
 class LevelSetDocument(Document):
@@ -149,23 +118,25 @@ class LevelSetDocument(Document):
         }
         vertices, faces = _triangulated(volume, known, level, settings.inside, name)
         positions = level_set.places(volume.lattice, vertices)
-        source, where = find_colours(volume, settings.colours, name, access, max_voxels)
-        painted = paint(source, where, volume.lattice, known, positions, threads)
-        self.notices += painted.notices
-        self._vertices = painted.vertices(positions, faces)
-        self._contents = MeshContents(
-            positions,
-            faces.ravel(),
-            np.arange(0, faces.size + 1, 3, dtype=np.int64),
-            self._vertices.colours,
-            self._vertices.encoding,
-            self._vertices.stored,
-            painted.alpha,
-        )
+        source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
+        values = _colours_at(source, volume.lattice, known, positions, threads)
+        found = level_set.has_colour(values)
+        if not found.any():
+            raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
+        colours, alpha, notices = _scaled(source, values, found, where)
+        self.notices += notices
+        names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
+        encoding: Encoding = "srgb"
+        stored = source.samples.dtype.name
+        if isinstance(source, level_set.NearColours):
+            encoding, stored = source.encoding, source.stored or stored
+        whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # whose corners have colours
+        self._vertices = PaintedVertices(positions, whole, colours, names, encoding, stored)
+        offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
+        self._contents = MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha)
 
     @property
     def _painted(self) -> PaintedVertices:
-        """Vertices with all triangles whose corners have colours; the others are isolated."""
         return self._vertices
 
     def contents(self) -> MeshContents:

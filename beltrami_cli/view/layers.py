@@ -91,7 +91,6 @@ class Layers:
         return shown[key]
 
     def whole(self, shown: Shown, result: Document) -> list[dict[str, Any]]:
-        """Return all layers as they are after smoothing."""
         shown.clear()
         return [patch for layer in range(len(self.slots)) for patch in self._smoothed(shown, result, layer)]
 

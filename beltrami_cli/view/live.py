@@ -116,13 +116,11 @@ class Live:
             return self._pages.setdefault(page, _Page()).events
 
     def leave(self, page: str) -> None:
-        """Forget a page, and what it waits for."""
         with self._changed:
             self._pages.pop(page, None)
             self._changed.notify_all()
 
     def answer(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
-        """Take new values, or save what some values give."""
         if name not in ("change", "save"):
             raise KeyError(name)
         try:

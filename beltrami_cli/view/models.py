@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
@@ -78,7 +80,6 @@ class ModelPacker:
         )  # fmt: skip
 
     def add_image(self, documents: tuple[ImageDocument, ImageDocument]) -> None:
-        """Add two images as flat textures."""
         numbers = [
             self.texture(Texture("", each.name, each.data), "baseColor", sheet_of(each.picture()))
             for each in documents
@@ -97,7 +98,6 @@ class ModelPacker:
         }  # fmt: skip
 
     def texture(self, texture: Texture, slot: Slot, sheet: Float32s | None = None) -> int:
-        """Add a texture once; return its number."""
         source = source_of(texture, slot, sheet)
         key = f"{source} {texture.wrap} {texture.alpha_hides}"
         if key not in self._number_of:
@@ -187,9 +187,6 @@ class Box:
 
 def _sorted(faces: NDArray[np.integer[Any]], count: int) -> tuple[Int64s, Int64s]:
     """Return vertices in an order in which neighbours are near, and the triangles of these, in order, too."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = np.concatenate([sides, sides[:, ::-1]]).T
     graph = coo_array((np.ones(ends.shape[1], np.int8), (ends[0], ends[1])), (count, count)).tocsr()
@@ -257,9 +254,6 @@ def displayed_colours(painted: PaintedVertices) -> NDArray[np.uint16]:
 
 def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     """Return the chart of each triangle, and the seams, (K, 2), as triangles and the corners they begin at."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     count = len(surface.faces)
     place_of, _ = group_places(surface.positions, surface.space_of)
     starts = place_of[surface.faces]

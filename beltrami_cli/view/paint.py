@@ -7,7 +7,6 @@ doi:10.1145/800059.801126.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -22,26 +21,17 @@ _EXACT = 1 << 13  # texels from the origin up to which single precision does
 _UNPAINTED = 0.32  # linear light of a middle grey
 
 
-class Paint(Protocol):
-    """The colours of a surface."""
-
-    is_opaque: bool  # whether nothing behind the surface can be seen through it
-    is_linear: bool  # whether colours change steadily across each triangle
-
-    def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""
-        ...
-
-
 class VertexPaint:
     """Linear light at vertices, (V, 3), interpolated between them."""
 
-    is_opaque = is_linear = True
+    is_opaque = True  # whether nothing behind the surface can be seen through it
+    is_linear = True  # whether colours change steadily across each triangle
 
     def __init__(self, faces: Int32s, colours: Float64s) -> None:
         self._corners = colours.astype(np.float32)[faces]
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
+        """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""
         mixed = np.ones((len(faces), 4), np.float32)
         mixed[:, :3] = _interpolated(self._corners, faces, weights)
         return mixed
@@ -89,6 +79,9 @@ class TexturePaint:
         if not texture.alpha_hides:
             found[:, 3] = 1
         return found
+
+
+Paint = VertexPaint | TexturePaint
 
 
 class Pyramid:

@@ -21,10 +21,9 @@ from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.samples.guides import vertex_guides
 from beltrami_cli.samples.painted_samples import PaintedSamples, only_rows
 from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.range_samples import RangeSamples
 from beltrami_cli.samples.settings import EmbeddingSettings, SmoothSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.vertex_samples import VertexSamples
+from beltrami_cli.samples.vertex_samples import RangeSamples, VertexSamples
 from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 
@@ -136,7 +135,7 @@ class Previewer:
         samples = self._pixels.window(place, kernel)
         flow = samples.flow()
         flow.run(progress)
-        pixels, _ = samples.colours.repainted(flow.manifold.new_colours(), kernel.thread_count)
+        pixels, _ = samples.painted(flow.manifold.new_colours())
         shown = displayed_pixels(dataclasses.replace(samples.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]

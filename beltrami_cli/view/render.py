@@ -104,7 +104,6 @@ class Preview:
             require_embree()
 
     def check(self, document: Document) -> None:
-        """Raise InputError if INPUT and OUTPUT cannot be drawn together."""
         both = document, document
         require_memory_to_draw(both, self._looks, self._access, ", or leave out --preview")
 
@@ -145,7 +144,6 @@ def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
 
 
 def _imported(suffix: str) -> Any:
-    """Return the module that writes a kind of animation."""
     return imported(*_PACKAGES[suffix], "animation", f"to write turntables as {suffix}")
 
 

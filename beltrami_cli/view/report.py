@@ -76,7 +76,6 @@ def report_file(
 def _models(
     compared: Compared, documents: tuple[Document, Document], progress: Progress | None
 ) -> dict[str, Any]:
-    """Return what is compared of two models or images for the viewer."""
     packer, (one, other) = ModelPacker(), documents
     if isinstance(one, ImageDocument) and isinstance(other, ImageDocument):
         packer.add_image((one, other))
@@ -123,7 +122,6 @@ def _page(
 
 
 def _rows(compared: Compared) -> list[list[str]]:
-    """Return the figures of each part, and of all together."""
     rows, measured = [_COLUMNS], compared.measured()
     parts = [(pair.name, [pair]) for pair in measured]
     for name, chosen in [*parts, *([("all", measured)] if len(measured) > 1 else [])]:

@@ -65,7 +65,6 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """The address of the page."""
         return f"http://{self.host}/{self.token}/"
 
     @property
@@ -93,7 +92,6 @@ class PageServer(ThreadingHTTPServer):
             self.server_close()
 
     def page_came(self) -> None:
-        """Count a page that is open."""
         with self._lock:
             self._pages += 1
             if self._left is not None:
@@ -176,7 +174,6 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def _stream(self, page: str) -> None:
-        """Send events to a page until it is closed."""
         self.close_connection = True
         events = self.server.application.events_of(page)
         self.server.page_came()

@@ -30,11 +30,6 @@ class Background:
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     opacity: float = 1.0
 
-    @property
-    def ink(self) -> float:
-        """The grey of letters that is easiest to read on it."""
-        return _DARK if self.opacity == 0 or np.dot(self.colour, LUMINANCE) > 0.4 else _LIGHT
-
 
 @dataclass(frozen=True)
 class Panel:
@@ -142,7 +137,8 @@ def _label(text: str, width: int, background: Background) -> Float64s:
     if not text:
         return strip
     cover = _lettering(text, (width, len(strip)), letters)[..., None]
-    return strip * (1 - cover) + np.array([background.ink] * 3 + [1.0]) * cover
+    is_light = background.opacity == 0 or np.dot(background.colour, LUMINANCE) > 0.4
+    return strip * (1 - cover) + np.array([_DARK if is_light else _LIGHT] * 3 + [1.0]) * cover
 
 
 def _lettering(text: str, size: tuple[int, int], height: int) -> Float32s:

@@ -60,10 +60,7 @@ def sweep_file(
     kind: FigureFormat | None = None,
     job: Job = PLAIN_JOB,
 ) -> list[Trial]:
-    """Smooth a file with several settings, and write a picture, a page (.html), or only the figures of all results.
-
-    The page is written anew as results come, and stays if an error or Ctrl-C ends the sweep after the first.
-    """
+    """Smooth a file with several settings, and write a picture, a page, which grows as results come, or the figures."""
     _check(source, len(trials), looks if kind is None else None)
     is_page = Path(target).suffix.lower() in PAGES
     suffix = "" if is_page or kind else picture_suffix(target, ", or .html for a page")
@@ -187,7 +184,6 @@ class Trial:
 
     @property
     def label(self) -> str:
-        """The parameters and the first figure, in short."""
         words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["smoothed"]
         return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
 
@@ -291,7 +287,6 @@ def _view(panel: Panel, picture: str, trial: Trial | None, *, is_best: bool) -> 
 
 
 def _rows(trials: Sequence[Trial]) -> list[list[str]]:
-    """Return the parameters and figures of all trials, below their names."""
     parameters, found = columns_of(trials)
     rows = [[*parameters, *(FIGURES[key] for key in found)]]
     for trial in trials:

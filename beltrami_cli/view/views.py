@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.jobs.recolour import open_input
-from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SmoothSettings
+from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
@@ -121,24 +121,13 @@ def require_memory_to_draw(
         return
     texels = largest = 0
     for document in documents:
-        for data, name in _seen_images(document, settings):
+        for data, name in image_files(document, () if settings.on == "vertices" else (settings.slot,)):
             size = measure_image(data, name)
             if size is not None:  # of others the decoder says what is wrong
                 texels, largest = texels + size.texels, max(largest, size.decoded)
         if _SHEET_BYTES * texels + largest > access.memory:
             cause = f"{texels / 1e6:.3g} million texels do not fit into memory to be drawn"
             raise InputError(document.name, cause, f"raise --max-memory{remedy}")
-
-
-def _seen_images(document: Document, settings: RenderSettings) -> list[tuple[bytes, str]]:
-    """Return the image files of what is seen of a document."""
-    if isinstance(document, ImageDocument):
-        return [(document.data, document.name)]
-    if settings.on == "vertices":
-        return []
-    slots = document.readable(slot for slot in document.slots() if slot == settings.slot)
-    textures = [texture for slot in slots for texture in document.textured(slot).textures]
-    return [(texture.data, texture.name) for texture in textures]
 
 
 def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:
@@ -165,12 +154,12 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
     return CloudView(positions[finite], light[finite])
 
 
-def image_files(document: Document) -> list[tuple[bytes, str]]:
-    """Return the image files of a document, with their names."""
+def image_files(document: Document, slots: Collection[str] = SLOTS) -> list[tuple[bytes, str]]:
+    """Return the image files of a document, with their names; of a model those of some slots."""
     if isinstance(document, ImageDocument):
         return [(document.data, document.name)]
-    slots = document.readable(document.slots())
-    textures = [texture for slot in slots for texture in document.textured(slot).textures]
+    readable = document.readable(slot for slot in document.slots() if slot in slots)
+    textures = [texture for slot in readable for texture in document.textured(slot).textures]
     return [(texture.data, texture.name) for texture in textures]
 
 

@@ -20,7 +20,7 @@ from beltrami_cli.batch.cluster import ClusterExecutor
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record
-from beltrami_cli.batch.run import run_batch
+from beltrami_cli.batch.run import Batch
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow, in_partitions
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.parameters import KernelParameters
@@ -54,9 +54,7 @@ def many_files(client):
         ]
         record = Record(f"{folder}/batch.jsonl", resume=False, overwrite=False)
         start = time.perf_counter()
-        outcomes = run_batch(
-            jobs, record, Silent(), at_once=1, memory=None, executor=ClusterExecutor(client, None, None)
-        )
+        outcomes = Batch(jobs, record, Silent()).run(1, None, ClusterExecutor(client, None, None))
         assert all(outcome.status == "done" for outcome in outcomes)
         return time.perf_counter() - start
 

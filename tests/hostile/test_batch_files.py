@@ -11,7 +11,7 @@ import pytest
 from batch.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record
-from beltrami_cli.batch.run import run_batch
+from beltrami_cli.batch.run import Batch
 from beltrami_cli.errors import InputError
 from beltrami_cli.samples.settings import DEFAULTS
 from cli.commands import SAMPLES
@@ -143,7 +143,7 @@ def test_a_file_that_is_begun_again_still_has_the_hashes_of_its_results(scan, ma
         """The power is cut."""
 
     class CutOff:
-        threads, queues, is_full, is_busy = 1, False, False, False
+        threads, queues, is_full = 1, False, False
 
         def __enter__(self):
             return self
@@ -157,7 +157,7 @@ def test_a_file_that_is_begun_again_still_has_the_hashes_of_its_results(scan, ma
     item = Item(str(scan), str(out / "a.ply"), DEFAULTS)
     record = Record(str(out / "batch.jsonl"), resume=True, overwrite=False)
     with pytest.raises(Cut):
-        run_batch([item], record, None, at_once=1, memory=None, executor=CutOff())
+        Batch([item], record, None).run(1, None, CutOff())
     last = lines_of(out / "batch.jsonl")[-1]
     assert (last["status"], last["written"]) == ("started", line["written"])
 

@@ -48,15 +48,6 @@ _REMEDY = "leave that limit out, or choose what has it with --on, --slots, --tex
 
 
 @dataclass(frozen=True)
-class SeamJumps:
-    """How far colours jump where the surface goes on in another chart, at K places."""
-
-    # (K,): the difference of the colours that both sides have at the seam, mean over channels, full scale 1.
-    reference: Float64s
-    test: Float64s
-
-
-@dataclass(frozen=True)
 class ComparedColours:
     """A texture, an image, or the vertices of a mesh, in two files."""
 
@@ -70,7 +61,8 @@ class ComparedColours:
     ssim: float | None = None  # structural similarity, of images and textures
     # (S,): within 4 texels of a seam, or at a place where the file splits vertices; None: no seams.
     near_seams: Bools | None = None
-    jumps: SeamJumps | None = None
+    # (K,) in both: how far colours jump where the surface goes on in another chart, mean over channels.
+    jumps: tuple[Float64s, Float64s] | None = None
     size: tuple[int, int] | None = None  # rows and columns of an image or texture
     # Whether it has the same colours in both, beside a part that is measured; of a texture they are not taken then.
     is_identical: bool = False
@@ -83,7 +75,6 @@ class ComparedColours:
         return np.asarray(np.square(self.test.astype(np.float64) - self.reference).mean(axis=1), np.float64)
 
     def described(self) -> dict[str, object]:
-        """Return what it is and its figures, in JSON types."""
         return {"name": self.name, "kind": self.kind, "identical": self.is_identical, **figures([self])}
 
     def worst(self) -> dict[str, object]:
@@ -141,7 +132,6 @@ def psnr(squares: Float64s, weights: Float64s) -> float | None:
 
 
 def _delta_e(looks: Sequence[tuple[Float64s, Float64s]]) -> dict[str, float] | None:
-    """Sum up differences and what they count."""
     every, weights = (np.concatenate([np.zeros(0), *(pair[k] for pair in looks)]) for k in (0, 1))
     if not weights.sum() > 0:
         return None
@@ -165,11 +155,10 @@ def _near_seams(parts: Sequence[ComparedColours]) -> dict[str, object] | None:
     return {"samples": count, "psnr": psnr(squares, weights), "delta_e": mean}
 
 
-def _jumps(jumps: Sequence[SeamJumps]) -> dict[str, object] | None:
-    reference = np.concatenate([jump.reference for jump in jumps]) if jumps else np.zeros(0)
+def _jumps(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | None:
+    reference, test = (np.concatenate([np.zeros(0), *(pair[k] for pair in jumps)]) for k in (0, 1))
     if not reference.size:
         return None
-    test = np.concatenate([jump.test for jump in jumps])
     means = {"reference": float(reference.mean()), "test": float(test.mean())}
     return {"steps": len(reference), **means, "change": float((test - reference).mean())}
 

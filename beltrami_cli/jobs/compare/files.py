@@ -21,6 +21,7 @@ from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import ImageDocument, write_image
 from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.formats.registry import kind_of
 from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
@@ -53,16 +54,11 @@ class Comparison:
     # "name", "kind" and figures of each texture, the image, or the vertices; "identical" is what is equal beside others
     parts: list[dict[str, Any]]
     overall: dict[str, Any]  # those of all parts together that are not identical
-    geometry: dict[str, float] | None  # how far vertices moved, in longest sides of the model; None: an image
+    geometry: Moves | None  # None: an image
     limits: list[Verdict]
     passed: bool  # whether each part keeps to each limit
     map_scale: float | None  # the Delta E that the brightest colour of the map stands for
     notices: list[str]
-
-    @property
-    def has_moved(self) -> bool:
-        """Whether vertices moved by more than rounding explains."""
-        return self.geometry is not None and not Moves(*self.geometry.values()).is_rounding
 
 
 def compare_files(
@@ -95,12 +91,11 @@ def compare_files(
     if output is not None:
         written, scale = draw_map(compared.parts, documents[0], output.target)
         output.write(written)
-    geometry = None if moves is None else dataclasses.asdict(moves)
     passed = all(verdict.kept for verdict in verdicts)
     notices = [*compared.all_notices(), *untested]
     return Comparison(
-        *names, weights, settings.space, described, figures(compared.measured()), geometry, verdicts, passed,
-        scale, notices,
+        *names, weights, settings.space, described, figures(compared.measured()), moves, verdicts, passed, scale,
+        notices,
     )  # fmt: skip
 
 
@@ -212,10 +207,7 @@ def is_map(head: bytes) -> bool:
 
 
 def draw_map(parts: Sequence[ComparedColours], model: Document, target: str) -> tuple[Written, float]:
-    """Draw the images and textures among parts, or else the vertices of a model; return also the scale.
-
-    That is the Delta E, or 100 times the error of data, that the brightest colour stands for.
-    """
+    """Draw images and textures, or else the vertices; return also the Delta E that the brightest colour stands for."""
     images = [part for part in parts if part.size is not None]
     if parts[0].kind == "vertices" and (not images or target.lower().endswith(".ply")):
         return _draw_vertices(parts[0], model, target)
@@ -242,8 +234,6 @@ def _draw_vertices(part: ComparedColours, document: Document, target: str) -> tu
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
     if Path(target).suffix.lower() != ".ply":
         raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
-    from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-
     painted, scale = document.painted(), _scale([part])
     values = np.full(len(painted.positions), np.nan, np.float32)
     errors = values.copy()

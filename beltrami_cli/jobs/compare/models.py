@@ -134,7 +134,11 @@ def require_one_model(documents: Pair, painted: tuple[PaintedVertices, PaintedVe
     if counts[0] != counts[1]:
         cause = f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}"
         raise InputError(names[1], cause, _OTHER_MODEL)
-    _require_same_triangles(_triangles(documents[0]), _triangles(documents[1]), names)
+    faces, others = map(_triangles, documents)
+    _require_as_many(faces, others, names)
+    if not np.array_equal(faces, others):
+        first = int((faces != others).any(axis=1).argmax())
+        raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
     if one.channels != other.channels:
         channels = [", ".join(each.channels) for each in painted]
         cause = f"its colours are {channels[1]}, but those of {names[0]} {channels[0]}"
@@ -151,18 +155,9 @@ def _triangles(document: Document) -> Int32s:
 
 
 def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
-    """Raise InputError if two models have other numbers of triangles."""
     if len(faces) != len(others):
         cause = f"it has {len(others)} triangles, but {names[0]} {len(faces)}"
         raise InputError(names[1], cause, _OTHER_MODEL)
-
-
-def _require_same_triangles(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
-    """Raise InputError if two models have other triangles."""
-    _require_as_many(faces, others, names)
-    if not np.array_equal(faces, others):
-        first = int((faces != others).any(axis=1).argmax())
-        raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
 
 
 def same_textures(

@@ -20,18 +20,17 @@ from beltrami_cli.formats.image import ImageDocument, Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
-    SeamJumps,
     cie_lab,
     delta_e_2000,
     structural_similarity,
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.painted_samples import columns_of, only_rows
+from beltrami_cli.samples.painted_samples import coloured_rows, columns_of, only_rows
+from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.selection import coloured_vertices
 from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import TexelColours, choose_textures
+from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import with_surface
 from beltrami_cli.samples.voxels import LevelSetDocument
@@ -99,7 +98,10 @@ def compare_vertices(
     """Bring the vertex colours of two models together; `is_extra`: beside textures."""
     one, other = (document.painted() for document in documents)
     require_one_model(documents, (one, other))
-    rows = np.intersect1d(coloured_vertices(documents[0]), coloured_vertices(documents[1]))
+    held = [
+        coloured_rows(each.painted(), in_triangles=isinstance(each, LevelSetDocument)) for each in documents
+    ]
+    rows = np.intersect1d(held[0], held[1])
     channels, space = columns_of(one, settings).changing, settings.space
     reference, test = (
         to_space(each.colours[rows][:, channels], each.encoding, space) for each in (one, other)
@@ -139,7 +141,7 @@ def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSet
     return vertex_areas(surface.positions, surface.faces).astype(np.float64)
 
 
-def _jumps(colours: list[Float32s], place: Int32s) -> SeamJumps:
+def _jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
     """Measure how far the colours of vertices at one place are from each other: mean of the channels' ranges."""
     order = np.argsort(place, kind="stable")
     starts = np.flatnonzero(np.r_[True, place[order][1:] != place[order][:-1]])
@@ -148,7 +150,7 @@ def _jumps(colours: list[Float32s], place: Int32s) -> SeamJumps:
         (np.maximum.reduceat(values[order], starts) - np.minimum.reduceat(values[order], starts)).mean(axis=1)
         for values in colours
     )
-    return SeamJumps(reference[several].astype(np.float64), test[several].astype(np.float64))
+    return reference[several].astype(np.float64), test[several].astype(np.float64)
 
 
 def compare_images(
@@ -163,11 +165,10 @@ def compare_images(
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
-    if not other.usable()[valid].all():
-        count = int(np.count_nonzero(~other.usable()[valid]))
+    if count := int(np.count_nonzero(~other.finite(samples[1].picture)[valid])):
         raise InputError(names[1], f"{count} of its pixels are no finite numbers, but are in {names[0]}")
     pixels = np.flatnonzero(valid)
-    colours = one.samples(pixels), other.samples(pixels)
+    colours = one.working(samples[0].picture, pixels), other.working(samples[1].picture, pixels)
     space = settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data"
     part = _part_of_image("image", "image", colours, pixels, valid.shape, np.ones(len(pixels)), space)
     opacity = [None if "alpha" in one.names else _opacity(document.picture()) for document in documents]
@@ -194,10 +195,7 @@ def compare_textures(
     documents: tuple[Document, Document], slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
     *, is_extra: bool,
 ) -> list[ComparedColours]:  # fmt: skip
-    """Bring the textures of a slot together, each a part of its own, texel by texel on the surface.
-
-    `is_extra`: beside another part, so that it is enough to say of equal files that they are.
-    """
+    """Bring textures of a slot together, each a part; `is_extra`: of equal files it is enough to say that they are."""
     reference, test = documents
     surface = reference.textured(slot)
     textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
@@ -213,7 +211,7 @@ def compare_textures(
     pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
-    colours = TexelColours(pictures, slot, settings)
+    colours = PictureColours(pictures, slot, settings)
     if colours.names != prepared.colours.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(prepared.colours.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
@@ -232,15 +230,17 @@ def compare_textures(
 
 
 def _around(
-    prepared: TexelSamples, colours: TexelColours, pictures: Sequence[Picture], index: int
+    prepared: TexelSamples, colours: PictureColours, pictures: Sequence[Picture], index: int
 ) -> tuple[Float32s, Float32s]:
     """Return the colours, in both files, of a texture's texels that faces look up, but none covers."""
     atlas = prepared.atlas
     begin, end = atlas.texture_offsets[index : index + 2].tolist()
     every = np.concatenate([atlas.border_texels, atlas.lone_texels]).astype(np.int64)
     own = every[(every >= begin) & (every < end)] - begin
-    own = own[~prepared.colours.hidden(index, prepared.surface.textures[index], own)]
-    return prepared.colours.working(prepared.pictures[index], own), colours.working(pictures[index], own)
+    picture = prepared.pictures[index]
+    if prepared.surface.textures[index].alpha_hides:
+        own = own[~prepared.colours.hidden(picture, own)]
+    return prepared.colours.working(picture, own), colours.working(pictures[index], own)
 
 
 def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
@@ -266,13 +266,12 @@ def _parts(
         colours, size = (both[0][inside], both[1][inside]), picture.pixels.shape[:2]
         part = _part_of_image(names[index], "texture", colours, texels, size, weights[inside], space)
         near_here = near[inside] if near[inside].any() else None
-        jumps = SeamJumps(before[here], after[here]) if here.any() else None
+        jumps = (before[here], after[here]) if here.any() else None
         parts.append(dataclasses.replace(part, near_seams=near_here, jumps=jumps))
     return parts
 
 
 def _require_same_size(old: Picture, new: Picture, name: str) -> None:
-    """Raise InputError if two images have not the same numbers of rows and columns."""
     sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
     if sizes[0] != sizes[1]:
         cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"

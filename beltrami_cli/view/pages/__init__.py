@@ -26,10 +26,7 @@ VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "painting.js", "operating.js", "v
 def page_from(
     template: str, scripts: Sequence[str], data: Mapping[str, object], library: str = "", **parts: str
 ) -> bytes:
-    """Fill in a template of this folder: each ``$name`` in it becomes HTML; scripts of this folder may run, no others.
-
-    `data` are elements with JSON for the scripts, by their identity; `library` is a script that these may add.
-    """
+    """Fill in a template: ``$name`` by HTML, `data` as JSON elements for the scripts, which may add the `library`."""
     texts = [asset(script) for script in scripts]
     allowing = [*texts, asset(library)] if library else texts
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in allowing]

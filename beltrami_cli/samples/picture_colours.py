@@ -1,0 +1,217 @@
+"""Colours of pictures as samples in the working space, and back: of textures, or of an image with all its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.canvas import painted_by
+from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.parameters import Space
+from beltrami_cli.formats.image import Picture
+from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
+from beltrami_cli.samples.samples import choose_channels
+from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
+from beltrami_cli.surface.records import Slot, Texture
+
+COLOURS = ("red", "green", "blue", "grey")
+# The channels that a data slot uses; others of the same image belong to another slot.
+_SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
+
+
+class PictureColours:
+    """Colours of the pixels of several pictures as samples with the same N channels, and back.
+
+    `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are stored.
+    """
+
+    names: tuple[str, ...]  # of the N channels: those that change, and those that enter the metric
+    written: list[int]  # which of the N change
+    metric_channels: list[int] | None  # which of the N enter the metric; None: all
+    space: Space  # of the samples: the working space, or data as stored
+    others: tuple[str, ...]  # the names of those that are neither colours nor opacity
+
+    def __init__(
+        self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *, is_image: bool = False
+    ) -> None:
+        self._pictures = pictures
+        self.space = settings.space if slot in COLOUR_SLOTS else "data"
+        self._is_normal = slot == "normal"
+        self._width = max(len(picture.colour) for picture in pictures)
+        # Grey pictures beside coloured ones have red = green = blue.
+        names = COLOURS[:3] if self._width == 3 else COLOURS[3:]
+        if self.space == "oklab" and self._width != 3:
+            cause = f"{pictures[0].name} is grey" if is_image else "all textures are grey"
+            raise UsageError(f"the space oklab needs red, green and blue, but {cause}")
+        further = _further_channels(pictures[0], names) if is_image else {}
+        used = _SLOT_CHANNELS.get(slot, {*names, *further})
+        smoothes_alpha = settings.textures.alpha == "smooth"
+        self._hides = slot in COLOUR_SLOTS and not smoothes_alpha
+        self._alpha = smoothes_alpha and any(picture.alpha is not None for picture in pictures)
+        chosen = choose_channels(
+            (*names, *further), settings, f"{pictures[0].name} has" if is_image else "the textures have",
+            used=used, opacity=self._alpha, abbreviable=COLOURS,
+        )  # fmt: skip
+        self._changing = [i for i in chosen.changing if i < self._width]
+        if not (self._changing or is_image):
+            cause = f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
+            raise UsageError(cause)
+        self._kept = [i for i in chosen.sampled if i < self._width]
+        self.written, self.metric_channels = chosen.written, chosen.metric
+        self.names = tuple((*names, *further, "alpha")[i] for i in chosen.sampled)
+        self.others = tuple(name for name in self.names if name in further)
+        self._others = [further[name] for name in self.others]
+
+    @property
+    def shows_all(self) -> bool:
+        """Whether samples have the colours of pictures as they are stored, with all of their channels."""
+        is_plain = self.space in ("srgb", "data") and not (self._alpha or self._others or self._is_normal)
+        return is_plain and len(self._kept) == self._width
+
+    def samples(self, atlas: Atlas) -> Float32s:
+        """Return the colours of the owned cells in the working space, shape (T, N)."""
+        table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
+        for block in large_arrays.blocks(len(table)):
+            table[block] = self._of_block(atlas, block)
+        return table
+
+    def on_canvas(self, atlas: Atlas, threads: int) -> Float32s:
+        """Return the colours of the owned cells, and of what continues them, on the canvas, shape (N, R, C)."""
+        return painted_by(atlas, len(self.names), lambda block: self._of_block(atlas, block), threads)
+
+    def _of_block(self, atlas: Atlas, block: slice) -> Float32s:
+        texels = atlas.owned_texels[block]
+        table = np.empty((len(texels), len(self.names)), np.float32)
+        for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
+            table[inside] = self.working(self._pictures[index], own)
+        return table
+
+    def working(self, picture: Picture, pixels: Int64s) -> Float32s:
+        """Return the colours of some pixels (row * width + column) of a picture in the working space, shape (T, N)."""
+        return self._working(picture, np.take(_table(picture), pixels, axis=0))
+
+    def shown(self, picture: Picture, stored: Array) -> Float32s:
+        """Return the channels that are written of some pixels of a picture, shape (K, C), in the working space."""
+        return self._working(picture, stored)[:, self.written]
+
+    def _working(self, picture: Picture, stored: Array) -> Float32s:
+        pixels = self._straight(picture, full_scale_one(stored))
+        colours = to_space(self._widened(picture, pixels), picture.encoding, self.space)
+        columns = [colours if len(self._kept) == self._width else colours[:, self._kept]]
+        if self._others:
+            columns.append(pixels[:, self._others])
+        if self._alpha and picture.alpha is None:
+            columns.append(np.ones((len(pixels), 1), np.float32))
+        elif self._alpha:
+            columns.append(pixels[:, picture.alpha, None])
+        return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+
+    def finite(self, picture: Picture) -> Bools:
+        """Return which pixels of a picture have finite numbers in all sampled channels, shape (H, W)."""
+        if picture.pixels.dtype.kind != "f":
+            return np.ones(picture.pixels.shape[:2], bool)
+        sampled = [picture.colour[i] for i in self._kept] + self._others
+        sampled += [picture.alpha] if self._alpha and picture.alpha is not None else []
+        return np.asarray(np.isfinite(picture.pixels[..., sampled]).all(axis=2))
+
+    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> Bools:
+        """Return which owned cells supply no colour because their texel is transparent."""
+        hidden, pictures = np.zeros(len(atlas.owned_texels), bool), self._pictures
+        pairs = zip(pictures, textures, strict=True)
+        can_hide = [picture.alpha is not None and texture.alpha_hides for picture, texture in pairs]
+        for block in large_arrays.blocks(len(hidden) if self._hides and any(can_hide) else 0):
+            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+                if can_hide[index]:
+                    hidden[block][inside] = self.hidden(pictures[index], texels)
+        return hidden
+
+    def hidden(self, picture: Picture, pixels: Int64s | slice) -> Bools:
+        """Return which of some pixels (row * width + column) of a picture supply no colour."""
+        table = _table(picture)
+        if picture.alpha is None or not self._hides:
+            return np.zeros(table[pixels, 0].shape, bool)
+        return ~supplies_colour(picture, table[pixels, picture.alpha])
+
+    def columns(self, picture: Picture) -> list[int]:
+        """Return which channels of a picture change."""
+        is_grey, first = len(picture.colour) == 1, len(self._kept)
+        colours = {picture.colour[0 if is_grey else i]: None for i in self._changing}
+        others = [self._others[i - first] for i in self.written if 0 <= i - first < len(self._others)]
+        opacity = [picture.alpha] if self._alpha and picture.alpha is not None else []
+        return [*colours, *others, *opacity]
+
+    def stored(self, picture: Picture, table: Array, pixels: Indices, samples: Float32s) -> Float32s:
+        """Return what samples, shape (K, N), of pixels in a table like a picture's are in `columns`, of full scale 1.
+
+        Conversion to the working space and back is not exact, so where a sample is as before, its number is, too.
+        """
+        columns, count = self.columns(picture), len(self._changing)
+        new = samples if self.written == list(range(samples.shape[1])) else samples[:, self.written]
+        if not self._is_converted(picture):
+            return new[:, : len(columns)]
+        rows = np.take(table, pixels, axis=0)
+        moved = self.shown(picture, rows) != new
+        before = full_scale_one(rows)
+        colours = self._colours(picture, before, new[:, :count]) if count else new[:, :0]
+        if colours.shape[1] < count or self._is_normal or self.space == "oklab":  # which mixes the channels
+            moved[:, :count] = moved[:, :count].any(axis=1, keepdims=True)
+        first = count - colours.shape[1]
+        after = np.concatenate([colours, new[:, count:]], axis=1)[:, : len(columns)]
+        return np.where(moved[:, first : first + len(columns)], after, before[:, columns])
+
+    def _colours(self, picture: Picture, values: Float32s, new: Float32s) -> Float32s:
+        """Convert new colours of pixels that had values of full scale 1, shape (K, C), to what is stored of them."""
+        whole = self._widened(picture, self._straight(picture, values))
+        working = to_space(whole, picture.encoding, self.space).copy()
+        working[:, self._changing] = new
+        stored = from_space(working, picture.encoding, self.space)
+        if self._is_normal:  # stored as (n + 1) / 2
+            normals = 2 * stored - 1
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            unit = (normals / np.maximum(length, 1e-12) + 1) / 2
+            stored = np.where(length > 0, unit, stored).astype(np.float32)
+        if picture.stored in ("uint8", "uint16"):
+            stored = np.clip(stored, 0, 1)
+        if self._is_divided(picture):
+            stored *= values[:, picture.alpha, None]
+        return stored[:, self._changing] if len(picture.colour) == 3 else stored.mean(axis=1, keepdims=True)
+
+    def opacity(self, picture: Picture) -> Float32s | None:
+        """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
+        return full_scale_one(picture.pixels[..., picture.alpha]) if self._is_divided(picture) else None
+
+    def _is_converted(self, picture: Picture) -> bool:
+        """Whether samples of a picture differ from the numbers that it stores."""
+        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
+        return not is_plain or self._is_normal or self._is_divided(picture)
+
+    def _is_divided(self, picture: Picture) -> bool:
+        # Colours that are averaged together with alpha are weighted by it already.
+        return self._hides and self.space != "data" and is_associated(picture)
+
+    def _straight(self, picture: Picture, pixels: Float32s) -> Float32s:
+        return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
+
+    def _widened(self, picture: Picture, pixels: Float32s) -> Float32s:
+        every = tuple(range(pixels.shape[1]))
+        colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
+        return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
+
+
+def _table(picture: Picture) -> Array:
+    return picture.pixels.reshape(-1, picture.pixels.shape[2])
+
+
+def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
+    """Return the channels of a picture that are neither colours nor opacity, by their names."""
+    known = dict.fromkeys(names, -1)
+    for channel, name in enumerate(picture.channels):
+        if channel not in (*picture.colour, picture.alpha):
+            # EXR distinguishes R from r.
+            known[name.lower() if name.lower() not in known else f"{name}:{channel}"] = channel
+    return {name: channel for name, channel in known.items() if channel >= 0}
