@@ -159,6 +159,14 @@ def test_rich_dark_texture_is_not_taken_for_shared_noise(grain, contrast, mean):
     assert found(stored((mean + contrast / texture.std() * texture).clip(0, 1), 5) / 255)[0] is None
 
 
+@pytest.mark.parametrize(("coarse", "shared"), [(14.0, True), (25.0, False)])
+def test_noise_beneath_a_coarse_texture_is_told_from_it(coarse, shared):
+    """As of grass with the noise of a camera: what grows ever faster from the second scale on is both."""
+    sigma = np.array([[4.1, 3.9, 3.8], [14.7, 10.1, 8.3], [39.2, 21.6, coarse], [177.7, 68.8, 51.7]]) / 255
+    sigma[2] = np.maximum(sigma[2], coarse / 255)
+    assert by_scale.is_shared(sigma) == shared
+
+
 def test_fewer_than_three_channels_show_nothing():
     assert found(stored(painting(64), 20)[..., :2] / 255)[0] is None
 

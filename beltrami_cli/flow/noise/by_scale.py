@@ -58,6 +58,9 @@ _LEVEL, _ALIKE = 1.5, 2.0
 # Growth to the last scale, beyond which there is texture.
 _TEXTURE = 2.5
 
+# Growth to the last scale, relative to that before, from which on texture begins there.
+_BEGINS = 1.5
+
 # JPEG keeps the finest noise of the mean of channels: that of coarse differences is no larger than this factor of it.
 _COLOURLESS = 1.3
 
@@ -213,7 +216,10 @@ def is_shared(sigma: Float64s) -> bool:
     if coarsest is not None and np.all(sigma[2] < _EVEN * sigma[1]) and np.all(sigma[3] < _EVEN * sigma[2]):
         return bool(coarse > _GROWS_TWICE * fine and coarse > _LEAST_SIGMA)
     if coarsest is not None and coarsest > _TEXTURE * coarse:
-        return False
+        # Unless growth had slowed down before, as that of noise does.
+        slows = sigma.shape[1] == 3 and np.all(components[2] * components[0] < components[1] ** 2)
+        if not (slows and coarsest * middle > _BEGINS * coarse**2):
+            return False
     grows = middle > _GROWS * fine and coarse < most * middle and max(middle, coarse / 2) > _LEAST_MIDDLE
     is_plain = sigma[1, 0] < _PLAIN_GROWTH * sigma[0, 0]
     plain = sigma[1, 0] if is_plain else sigma[0, 0]
