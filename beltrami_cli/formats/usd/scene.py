@@ -270,5 +270,4 @@ def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: Float64s) -> F
         return np.full((len(polygons.vertex), 3), np.nan)
     turned = normals @ np.linalg.inv(matrix[:3, :3]).T
     lengths = np.linalg.norm(turned, axis=1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(lengths > 0, turned / lengths, np.nan)
+    return turned / np.where(lengths > 0, lengths, np.nan)

@@ -10,7 +10,7 @@ References
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -50,12 +50,8 @@ def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
     ]
     if contents.normals is not None:
         own += [*_array("normal3f[] normals", contents.normals, 3, 'interpolation = "vertex"')]
-    text = [
-        _header(_identifier(stem)),
-        f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode(),
-        *own,
-        b"    }\n}\n",
-    ]
+    head = f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode()
+    text = [_header(_identifier(stem)), head, *own, b"    }\n}\n"]
     return _finished(suffix, b"".join(text), stem, {}, notices)
 
 
@@ -165,18 +161,11 @@ def _material(name: str, material: Material, files: list[str], path: str) -> str
             outputs.add("a")
             inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
         shaders.append(_texture(slot, files[shown.image], shown.wrap, sorted(outputs), path))
-    body = "".join(f"            {line}\n" for line in inputs.values())
-    surface = (
-        '        def Shader "surface"\n        {\n            uniform token info:id = "UsdPreviewSurface"\n'
-    )
-    reader = (
-        '        def Shader "st"\n        {\n            uniform token info:id = "UsdPrimvarReader_float2"\n'
-        '            string inputs:varname = "st"\n            float2 outputs:result\n        }\n'
-    )
-    return (
-        f'    def Material "{name}"\n    {{\n        token outputs:surface.connect = <{path}/surface.outputs:surface>\n'
-        f"{surface}{body}            token outputs:surface\n        }}\n{reader}{''.join(shaders)}    }}\n"
-    )
+    lines = ['uniform token info:id = "UsdPreviewSurface"', *inputs.values(), "token outputs:surface"]
+    reader = ['uniform token info:id = "UsdPrimvarReader_float2"', 'string inputs:varname = "st"']
+    shaders = [_shader("surface", lines), _shader("st", [*reader, "float2 outputs:result"]), *shaders]
+    surface = f"        token outputs:surface.connect = <{path}/surface.outputs:surface>\n"
+    return f'    def Material "{name}"\n    {{\n{surface}{"".join(shaders)}    }}\n'
 
 
 def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], path: str) -> str:
@@ -192,8 +181,12 @@ def _texture(slot: Slot, file: str, wrap: tuple[str, str], outputs: list[str], p
     if slot == "normal":
         lines += ["float4 inputs:scale = (2, 2, 2, 1)", "float4 inputs:bias = (-1, -1, -1, 0)"]
     lines += [f"{_TYPES[output]} outputs:{output}" for output in outputs]
+    return _shader(slot, lines)
+
+
+def _shader(name: str, lines: Sequence[str]) -> str:
     body = "".join(f"            {line}\n" for line in lines)
-    return f'        def Shader "{slot}"\n        {{\n{body}        }}\n'
+    return f'        def Shader "{name}"\n        {{\n{body}        }}\n'
 
 
 def _colours(contents: MeshContents | VertexColours, notices: list[str]) -> list[bytes]:
