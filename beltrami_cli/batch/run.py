@@ -87,7 +87,10 @@ class Batch:
             threads = KernelParameters().thread_count
             larger = self._work(waiting, Workers(count, share, max(1, threads // count)), is_last=count == 1)
             self._work(larger, Workers(1, memory, threads), is_last=True)
-        outcomes = [self._outcomes.get(key) or self._not_started(key) for key in range(len(self._items))]
+        for key in set(range(len(self._items))) - self._outcomes.keys():  # left undone by --fail-fast
+            written = _written(self._earlier[key])
+            self._outcomes[key] = outcome_of(self._items[key], "not started", written=written)
+        outcomes = [self._outcomes[key] for key in range(len(self._items))]
         self._record.close(outcomes)
         return outcomes
 
@@ -155,10 +158,6 @@ class Batch:
                 error = OutputError(self._items[key].source, cause, remedy)
                 return failed(self._items[key], str(error), error.exit_code, outcome.seconds)
         return outcome
-
-    def _not_started(self, key: int) -> Outcome:
-        """Return the outcome of a file that --fail-fast left undone; what was known of it stays known."""
-        return outcome_of(self._items[key], "not started", written=_written(self._earlier[key]))
 
 
 def _written(earlier: Outcome | None) -> dict[str, str]:

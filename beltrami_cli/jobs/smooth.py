@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import sidecar_names, write_textured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Stopwatch
-from beltrami_cli.jobs.new_texture import NewTexture, texels_of, texture_from_textures, texture_from_vertices
 from beltrami_cli.jobs.recolour import naming_of, open_input, recolour
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, make_report, smooth_samples
@@ -26,8 +25,11 @@ from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import require_surface
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
-# A new texture, its smoothed image, what users should know, and what was smoothed.
-_InTexture = tuple[NewTexture, ImageFile, list[str], list[Smoothed]]
+if TYPE_CHECKING:
+    from beltrami_cli.jobs.new_texture import NewTexture
+
+    # A new texture, its smoothed image, what users should know, and what was smoothed.
+    _InTexture = tuple[NewTexture, ImageFile, list[str], list[Smoothed]]
 
 
 def smooth_file(
@@ -142,6 +144,8 @@ def _smooth_in_texture(
     document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job
 ) -> _InTexture:
     """Smooth the textures, then make the new one; in the opposite order where textures are too small."""
+    from beltrami_cli.jobs.new_texture import texture_from_textures
+
     # A new texture shows the old ones between texels, which spreads noise over several and makes it look like a
     # pattern.
     iterations, first = settings.kernel.iterations, None
@@ -176,6 +180,8 @@ def _smooth_on_vertices(
     document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job, access: Access
 ) -> _InTexture:  # fmt: skip
     """Smooth the vertex colours, then make the texture."""
+    from beltrami_cli.jobs.new_texture import texture_from_vertices
+
     # In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
     smoothed: list[Smoothed] = []
     require_surface(document.painted(), document.name)
@@ -190,6 +196,8 @@ def _smooth_on_vertices(
 
 def _are_large_enough(surface: TexturedSurface) -> bool:
     """Whether textures have a texel for each triangle, unlike palettes."""
+    from beltrami_cli.jobs.new_texture import texels_of
+
     sizes = [measure_image(texture.data) for texture in surface.textures]
     sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
     return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -69,6 +68,8 @@ def checked_memory(
     if not is_too_much:
         yield
         return
+    import tempfile
+
     with kept_on_disk(Path(target).absolute().parent if target else Path(tempfile.gettempdir()), memory):
         yield
 
