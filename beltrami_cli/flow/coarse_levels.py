@@ -4,6 +4,10 @@ In means of squares of cells, and of clusters of vertices, such noise is closer 
 first, by patches on the coarsest level, and what that changes is added to the next finer one, enlarged; on each level
 only the details of its own samples are then left to be estimated [1]_.
 
+Noise of cameras is not normal in the dark: encoding stretches what is darker, down to 0, and some samples lie so far
+out that patches would keep them as detail. So dark outliers in plain places are replaced first. Details of the picture
+are no single samples there: what made neighbours share the noise blurred them as well.
+
 References
 ----------
 .. [1] M. Lebrun, M. Colom, J.-M. Morel, "Multiscale image blind denoising", IEEE Trans. Image Processing 24(10), 2015.
@@ -33,6 +37,10 @@ _GROWS = 1.1
 # The perturbation, in units of the noise.
 _PERTURBATION = 0.2
 
+# Outliers are this many standard deviations below the mean around; places are plain where the variance around is less
+# than this factor of that of noise; and how often outliers are looked for, which add to that variance themselves.
+_OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
+
 # Less of a mean than any sample near has.
 _LEAST_SHARE = 1e-6
 
@@ -48,6 +56,8 @@ def denoise_means(manifold: Manifold, tick: Callable[[], None] | None = None) ->
     if manifold.parameters.clipping == "restore":
         _impute_cut_off(manifold)
     levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
+    if levels:
+        replace_outliers(manifold, levels[0], sigma_of_covariances(covariances))
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate(level, manifold, noise))
@@ -75,6 +85,41 @@ def _impute_cut_off(manifold: Manifold) -> None:
             clipped.restore(means[1:2], means[2:], variance[0])
             clipped.impute(own, means[1:2], variance[0])
     manifold.refresh(manifold.colours)
+
+
+def replace_outliers(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
+    """Replace single samples, in place, that lie further below the mean around than noise does in a plain place."""
+    colours, relative = (
+        np.moveaxis(each, manifold.axis, 0) for each in (manifold.colours, manifold.relative)
+    )
+    found = np.zeros(colours.shape[1:], bool)
+    for _ in range(_ROUNDS):
+        for channel, size in zip(colours, sigma, strict=True):
+            planes = _around(manifold, level, channel)
+            for own, variance, (mean, spread), far in in_blocks(
+                0, channel[None], relative, planes, found[None]
+            ):
+                noise, below = np.float32(size**2) * variance[0], mean - own[0]
+                far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
+            single = manifold.single(found)
+            channel[single] = planes[0][single]
+    manifold.refresh(manifold.colours)
+
+
+def _around(manifold: Manifold, level: CoarseLevel, channel: Float32s) -> Float32s:
+    """Return the mean and the variance of a channel around each sample, along the first axis; by means of a level."""
+    axis = manifold.axis
+    both = manifold.planes(2)
+    for own, (value, square) in in_blocks(0, channel[None], both):
+        value[:], square[:] = own[0], np.square(own[0])
+    means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))
+    means = level.spread(means)
+    means /= np.maximum(level.spread(np.ones_like(means[:1])), _LEAST_SHARE)
+    means[1] -= np.square(means[0])
+    both[:] = 0
+    enlarged = np.ascontiguousarray(np.moveaxis(both, 0, axis))
+    level.add_enlarged(enlarged, np.ascontiguousarray(np.moveaxis(means, 0, axis)))
+    return np.moveaxis(enlarged, axis, 0)
 
 
 def _coarsest(covariances: Float64s) -> int:

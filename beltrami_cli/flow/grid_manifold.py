@@ -137,6 +137,13 @@ class GridManifold(GridKernels):
         sigma = None if differs else self.sigma
         return FoundNoise(self.stabiliser, self.noise_covariances, self.doubt, sigma)
 
+    def single(self, marked: Bools) -> Bools:
+        """Return which of the marked cells, shape (R, C), have no marked ones among the eight beside them."""
+        counts = np.pad(marked, 1).astype(np.uint8)
+        counts = counts[:-2] + counts[1:-1] + counts[2:]
+        single: Bools = counts[:, :-2] + counts[:, 1:-1] + counts[:, 2:] == 1
+        return marked & single
+
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
         """Return squares of cells."""
         return squares_for(self, most, tick)

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.domain import CoarseLevel, Domain, Stack
 from beltrami_cli.flow.embedding import Guide, beta_of, choose_guide_beta, join_channels, noise_of
@@ -265,6 +265,10 @@ class Manifold(Domain):
     @abstractmethod
     def perturbation(self) -> Float32s | NDArray[np.int8]:
         """Return a stack of random signs, or of noise that neighbours share as they share that of the colours."""
+
+    @abstractmethod
+    def single(self, marked: Bools) -> Bools:
+        """Return which of the marked samples have no marked ones beside them."""
 
     @abstractmethod
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> Sequence[CoarseLevel]:

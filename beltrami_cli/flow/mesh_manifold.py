@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
@@ -212,6 +212,12 @@ class MeshManifold(MeshKernels):
     def total(self, planes: Float32s) -> Float64s:
         """Sum rows over all samples."""
         return np.asarray(planes.sum(axis=1, dtype=np.float64))
+
+    def single(self, marked: Bools) -> Bools:
+        """Return which of the marked samples have no edge to a marked one."""
+        single = marked.copy()
+        single[self.edges[marked[self.edges].all(axis=1)]] = False
+        return single
 
     def spread(self, planes: Float32s) -> Float32s:
         """Average rows over the surface, in passes over the neighbours of each sample."""
