@@ -10,7 +10,7 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol, cast
@@ -26,7 +26,7 @@ from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
-from beltrami_cli.jobs.job import Job, Stopwatch
+from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.samples import Repainted, Samples
@@ -53,17 +53,21 @@ class Painter(Protocol):
         """Give samples new colours, and return what these make of the document."""
 
 
-@dataclass(frozen=True)
-class Recoloured:
-    """The format and the files that were written, and what the user should know."""
+@dataclass(frozen=True, kw_only=True)
+class FileReport:
+    """What is said of every file that was written; `SmoothReport` describes it."""
 
+    input: str
+    output: str
     format: str
-    written: list[str]
-    warnings: list[str]
-    stages: dict[str, dict[str, float]]
+    parameters: dict[str, object] = field(default_factory=dict)
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    peak_memory: int | None = field(default_factory=peak_memory)
+    written: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
-def recolour(source: str, target: str, settings: SmoothSettings, painter: Painter, job: Job) -> Recoloured:
+def recolour(source: str, target: str, settings: SmoothSettings, painter: Painter, job: Job) -> FileReport:
     """Paint what the settings select of a file, and write it with nothing else changed."""
     watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
     with watch.stage("read"):
@@ -100,7 +104,9 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
     notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]
     # Several slots say the same of one surface.
     warnings = list(dict.fromkeys([*notices, *beside, *written.notices]))
-    return Recoloured(kind.name, names, warnings, watch.stages)
+    return FileReport(
+        input=source, output=target, format=kind.name, stages=watch.stages, written=names, warnings=warnings
+    )
 
 
 def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Painter, job: Job) -> Document:
