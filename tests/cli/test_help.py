@@ -18,7 +18,6 @@ from cli.commands import beltrami
 
 def shown(*arguments):
     run = beltrami(*arguments, env={"COLUMNS": 80}, text=True)
-    assert run.returncode == 0, run.stderr
     return run.stdout
 
 

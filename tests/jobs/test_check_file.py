@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
 
 if TYPE_CHECKING:
-    import subprocess
     from pathlib import Path
 
     from beltrami_cli.formats.document import Written
@@ -234,22 +234,19 @@ def test_the_command_lists_and_exits_as_it_says(tmp_path: Path) -> None:
     source = SAMPLES / "nonmanifold-noisy.ply"
     after = halved(source, tmp_path / "after.ply")
 
-    def check(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return beltrami("check", source, *arguments, text=True)
-
-    run = check(str(after))
-    assert (run.returncode, run.stderr) == (0, "")
+    check = partial(beltrami, "check", source, text=True)
+    run = check(after)
+    assert run.stderr == ""
     assert "colour  vertex colours:" in run.stdout
     assert run.stdout.endswith("nothing else differs\n")
-    assert check(str(source)).stdout == "nothing differs\n"
-    data = json.loads(check(str(after), "--json").stdout)
+    assert check(source).stdout == "nothing differs\n"
+    data = json.loads(check(after, "--json").stdout)
     assert data["faithful"]
     assert data["differences"][0]["of_colour"]
     after.write_bytes(after.read_bytes() + b"more")
-    run = check(str(after))
-    assert run.returncode == 1
+    run = check(after, code=1)
     assert "OTHER  what follows the last element" in run.stdout
     assert run.stdout.endswith("\n1 thing besides colours differs\n")
-    assert check(str(after), "-q").stdout == ""
-    assert check(str(SAMPLES / "nonmanifold-noisy.obj")).returncode == 2
-    assert check(str(tmp_path / "absent.ply")).returncode == 3
+    assert check(after, "-q", code=1).stdout == ""
+    check(SAMPLES / "nonmanifold-noisy.obj", code=2)
+    check(tmp_path / "absent.ply", code=3)
