@@ -7,6 +7,7 @@ import io
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,17 @@ def refused(folder, *arguments, code, said="", env=None):
     assert run.stdout == ""
     assert snapshot(folder) == before
     return run.stderr
+
+
+def interrupted(process, number, patience=2.0):
+    """Send a signal to a running command, which must obey it in so many seconds; return what it said."""
+    process.send_signal(number)
+    sent = time.monotonic()
+    said = process.communicate(timeout=30)[1]
+    assert process.returncode == 128 + number, said
+    assert time.monotonic() - sent < patience
+    assert b"Traceback" not in said
+    return said
 
 
 @contextlib.contextmanager

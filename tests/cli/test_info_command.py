@@ -12,6 +12,7 @@ from beltrami_cli import SmoothSettings, inspect_file
 from beltrami_cli.cli.info import EPILOG
 from beltrami_cli.fields import override
 from cli.commands import SAMPLES, beltrami
+from small_models import COLOURED, ply, textured_squares
 
 
 def info(name, *options):
@@ -116,12 +117,8 @@ def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
 def test_overlap_is_counted_for_the_texture_that_has_it(tmp_path):
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "shared.png")
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "own.png")
-    (tmp_path / "both.mtl").write_text("newmtl one\nmap_Kd shared.png\nnewmtl other\nmap_Kd own.png\n")
-    square = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf -4/-4 -3/-3 -2/-2 -1/-1\n"
-    quads = ["v {0} 0 0\nv {1} 0 0\nv {1} 1 0\nv {0} 1 0\n".format(x, x + 1) for x in (0, 5, 9)]
-    materials = ["usemtl one\n", "", "usemtl other\n"]
-    quads = [quad + material + square for quad, material in zip(quads, materials, strict=True)]
-    (tmp_path / "both.obj").write_text("mtllib both.mtl\n" + "".join(quads))
+    places = {0: "shared.png", 5: "shared.png", 9: "own.png"}
+    textured_squares(tmp_path / "both.obj", *((image, left, (0, 1)) for left, image in places.items()))
     (slot,) = info(tmp_path / "both.obj", "--fast")["textures"]
     shared, own = slot["images"]
     assert shared["overlapped"] == shared["width"] * shared["height"] == slot["overlapped"]
@@ -153,18 +150,9 @@ def test_textures_in_other_slots_are_named(tmp_path):
 
 def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path):
     shutil.copy(SAMPLES / "scan-noisy.jpg", tmp_path)
-    corners = "".join(
-        f"{x} {y} 0 {60 * x} 90 {200 * y} {x} {y}\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))
-    )
-    properties = [
-        *(f"float {axis}" for axis in "xyz"),
-        *(f"uchar {name}" for name in ("red", "green", "blue")),
-    ]
-    properties += ["float s", "float t"]
-    header = "ply\nformat ascii 1.0\ncomment TextureFile scan-noisy.jpg\nelement vertex 4\n"
-    header += "".join(f"property {facts}\n" for facts in properties)
-    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    (tmp_path / "both.ply").write_text(header + corners + "4 0 1 2 3\n")
+    rows = [[x, y, 0, 60 * x, 90, 200 * y, x, y] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    model = ply(f"{COLOURED}, float s t", rows, [range(4)], comments=["TextureFile scan-noisy.jpg"])
+    (tmp_path / "both.ply").write_bytes(model)
     facts = info(tmp_path / "both.ply", "--fast")
     assert facts["colours"]["greatest"] == pytest.approx([60 / 255, 90 / 255, 200 / 255])
     assert facts["surface"]["triangles"] == 2

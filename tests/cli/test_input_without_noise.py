@@ -6,22 +6,11 @@ import json
 import re
 
 import numpy as np
-import OpenImageIO
 import pytest
 
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
-
-
-def jpeg_of_two_colours(path):
-    pixels = np.full((64, 64, 3), 60, np.uint8)
-    pixels[:, 32:] = 200
-    spec = OpenImageIO.ImageSpec(64, 64, 3, "uint8")
-    spec.attribute("compression", "jpeg:80")
-    file = OpenImageIO.ImageOutput.create(str(path))
-    assert file.open(str(path), spec)
-    assert file.write_image(pixels)
-    assert file.close()
+from small_models import textured_squares
 
 
 @pytest.fixture
@@ -29,13 +18,10 @@ def square(tmp_path):
     """Make a square that shows the middle of a JPEG picture, whose edges a gutter would change."""
     folder = tmp_path / "source"
     folder.mkdir()
-    jpeg_of_two_colours(folder / "square.jpg")
-    (folder / "square.mtl").write_text("newmtl paint\nmap_Kd square.jpg\n")
-    (folder / "square.obj").write_text(
-        "mtllib square.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
-        "vt .3 .3\nvt .7 .3\nvt .7 .7\nvt .3 .7\nf 1/1 2/2 3/3 4/4\n"
-    )
-    return folder / "square.obj"
+    pixels = np.full((64, 64, 3), 60, np.uint8)
+    pixels[:, 32:] = 200
+    (folder / "square.jpg").write_bytes(encode(pixels, "jpeg", compression="jpeg:80"))
+    return textured_squares(folder / "square.obj", ("square.jpg", 0, (0.3, 0.7)))
 
 
 def test_a_mesh_at_one_place_is_said_to_have_no_area(tmp_path):

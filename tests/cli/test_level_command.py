@@ -19,6 +19,7 @@ from beltrami_cli.samples.texel_colours import dithered
 from benchmarks.exposure_scene import ExposureScene
 from cli.commands import SAMPLES, refused
 from cli.commands import beltrami as run_beltrami
+from small_models import COLOURED, ply
 
 HEAD = SAMPLES / "head-tex-clean.glb"
 
@@ -147,15 +148,8 @@ def photographed(path, *, exposed):
         np.column_stack([corner, corner + 1, corner + side]),
         np.column_stack([corner + 1, corner + side + 1, corner + side]),
     ])  # fmt: skip
-    lines = [
-        "ply", "format ascii 1.0", f"element vertex {side**2}", "property float x", "property float y",
-        "property float z", "property uchar red", "property uchar green", "property uchar blue", "property int camera",
-        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
-    ]  # fmt: skip
     table = np.column_stack([row, column, 0 * row, np.rint(colours), photograph]).astype(int)
-    lines += [" ".join(map(str, each)) for each in table.tolist()]
-    lines += [" ".join(map(str, [3, *face])) for face in faces.tolist()]
-    path.write_text("\n".join(lines) + "\n")
+    path.write_bytes(ply(f"{COLOURED}, int camera", table.tolist(), faces.tolist()))
     return open_document(str(path)).painted().colours
 
 

@@ -10,6 +10,7 @@ import pytest
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.points.text_document import TextPointsDocument
 from cli.commands import beltrami, refused
+from small_models import COLOURED, ply
 
 SIDE = 30
 STRAY = 3
@@ -133,14 +134,9 @@ def test_another_column_can_guide(clouds, tmp_path):
 
 def test_a_mesh_with_some_faces_stays_a_mesh(tmp_path):
     """Its points without faces are as isolated as before."""
-    lines = ["ply", "format ascii 1.0", "element vertex 30"]
-    lines += [f"property float {axis}" for axis in "xyz"] + [
-        f"property uchar {c}" for c in ("red", "green", "blue")
-    ]
-    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
-    rows = [f"{i % 6} {i // 6} 0 {20 * (i % 2)} 100 {5 * i}" for i in range(30)]
+    rows = [[i % 6, i // 6, 0, 20 * (i % 2), 100, 5 * i] for i in range(30)]
     source = tmp_path / "mesh.ply"
-    source.write_text("\n".join([*lines, *rows, "3 0 1 6", ""]))
+    source.write_bytes(ply(COLOURED, rows, [(0, 1, 6)]))
     beltrami("smooth", source, tmp_path / "out.ply", "--beta", "1", "-n", "3")
     before, after = (file.read_text().split("\n") for file in (source, tmp_path / "out.ply"))
     changed = [row - 12 for row, line in enumerate(before) if after[row] != line]
@@ -155,20 +151,9 @@ def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension
     holed = np.where(gone[:, None], np.nan, positions)
     np.savez(tmp_path / "scan.npz", positions=holed, colours=colours)
     as_text(tmp_path / "scan.xyz", holed, colours)
-    types = [("position", "<f8", 3), ("colour", "u1", 3)]
-    rows = np.array(list(zip(holed, colours, strict=True)), types)
-    names = [f"property double {axis}" for axis in "xyz"] + [
-        f"property uchar {c}" for c in ("red", "green", "blue")
-    ]
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(rows)}",
-        *names,
-        "end_header",
-        "",
-    ]
-    (tmp_path / "scan.ply").write_bytes("\n".join(header).encode() + rows.tobytes())
+    rows = [[*place, *shade] for place, shade in zip(holed.tolist(), colours.tolist(), strict=True)]
+    properties = "double x y z, uchar red green blue"
+    (tmp_path / "scan.ply").write_bytes(ply(properties, rows, encoding="binary_little_endian"))
     target = tmp_path / f"clean.{extension}"
     beltrami("smooth", tmp_path / f"scan.{extension}", target, "--beta", "8")
     as_text(tmp_path / "rest.xyz", positions[~gone], colours[~gone])
@@ -176,7 +161,7 @@ def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension
     expected = colours.copy()
     expected[~gone] = np.loadtxt(tmp_path / "done.xyz")[:, 3:]
     if extension == "ply":
-        found = np.frombuffer(target.read_bytes()[-rows.nbytes :], types)["colour"]
+        found = np.rint(255 * PlyDocument(target.read_bytes(), "x.ply").painted().colours)
     else:
         found = np.load(target)["colours"] if extension == "npz" else np.loadtxt(target)[:, 3:]
     assert np.abs(found.astype(int) - expected).max() <= 1

@@ -115,17 +115,6 @@ def test_an_input_is_never_replaced(tmp_path):
     refused(tmp_path, "render", source, "out.ply", code=2, said="call it .png")
 
 
-@pytest.mark.slow
-def test_a_preview_shows_both_also_when_the_input_is_replaced(tmp_path):
-    source, preview, expected = (tmp_path / name for name in ("a.ply", "p.png", "e.png"))
-    source.write_bytes((SAMPLES / "nonmanifold-noisy.ply").read_bytes())
-    beltrami("smooth", source, source, "--overwrite", "--preview", preview, "-n", 1)
-    files = (SAMPLES / "nonmanifold-noisy.ply", source, expected)
-    labels = ("--label", "before", "--label", "after")
-    rendered(*files, "--crop", "auto", *labels)
-    assert preview.read_bytes() == expected.read_bytes()
-
-
 def test_a_preview_is_refused_before_anything_is_written(tmp_path):
     source, target = SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply"
     for arguments, code in (

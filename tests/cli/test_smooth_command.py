@@ -10,18 +10,18 @@ import shutil
 import signal
 import stat
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.registry import open_document
-from cli.commands import COMMAND, SAMPLES, beltrami, refused
+from cli.commands import COMMAND, SAMPLES, beltrami, interrupted, refused
 from cli.pictures import painted_file
 from formats.image_files import encode
+from hostile.folders import snapshot
 from oracles import surfaces
+from small_models import COLOURED, ply
 
 NOISY = SAMPLES / "terrain-noisy.ply"
 
@@ -45,13 +45,6 @@ def test_samples_come_out_visibly_cleaner_without_any_flag(name, tmp_path):
     assert psnr(result, clean) > psnr(noisy, clean) + 6
 
 
-@pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
-def test_no_iterations_give_the_very_same_file(extension, tmp_path):
-    source, result = SAMPLES / f"nonmanifold-noisy.{extension}", tmp_path / f"out.{extension}"
-    beltrami("smooth", source, result, "-n", 0)
-    assert result.read_bytes() == source.read_bytes()
-
-
 def test_stdout_carries_data_only_and_messages_go_to_stderr(tmp_path):
     to_file = beltrami("smooth", NOISY, tmp_path / "out.ply", "-v", "--fast")
     assert to_file.stdout == b""
@@ -73,9 +66,7 @@ def test_glb_goes_through_a_pipe_and_the_format_can_be_chosen(tmp_path):
 def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     result = tmp_path / "out.ply"
     result.write_text("precious")
-    refused = beltrami("smooth", NOISY, result, code=4)
-    assert b"--overwrite" in refused.stderr
-    assert result.read_text() == "precious"
+    refused(tmp_path, "smooth", NOISY, result, code=4, said="--overwrite")
     result.chmod(0o640)
     beltrami("smooth", NOISY, result, "--overwrite", "--fast")
     assert stat.S_IMODE(result.stat().st_mode) == 0o640
@@ -86,22 +77,19 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ("out/there.ply", b"out/there.ply: exists already; choose another name, or --overwrite"),
-        ("out", b"out: is a folder; name a file"),
-        ("", b"OUTPUT: its name is empty; name a file, or - for standard output"),
-        ("none/x.ply", b"none/x.ply: the folder none does not exist; make it first"),
-        ("out/there.ply/x.ply", b"out/there.ply/x.ply: out/there.ply is no folder; choose another place"),
-        ("out/" + 300 * "x" + ".ply", b".ply: no file can be called so (File name too long)"),
+        ("out/there.ply", "out/there.ply: exists already; choose another name, or --overwrite"),
+        ("out", "out: is a folder; name a file"),
+        ("", "OUTPUT: its name is empty; name a file, or - for standard output"),
+        ("none/x.ply", "none/x.ply: the folder none does not exist; make it first"),
+        ("out/there.ply/x.ply", "out/there.ply/x.ply: out/there.ply is no folder; choose another place"),
+        ("out/" + 300 * "x" + ".ply", ".ply: no file can be called so (File name too long)"),
     ],
 )
 def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "there.ply").write_bytes(b"kept")
-    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", target, cwd=tmp_path, code=4)
-    assert run.stderr.startswith(b"beltrami: " + target[:20].encode())
-    assert words in run.stderr
-    assert len(run.stderr.splitlines()) == 1
-    assert (tmp_path / "out" / "there.ply").read_bytes() == b"kept"
+    line = refused(tmp_path, "smooth", SAMPLES / "knot-noisy.ply", target, code=4, said=words)
+    assert line.startswith(f"beltrami: {target[:20]}")
 
 
 def test_a_file_may_be_smoothed_in_place_when_overwriting_is_asked_for(tmp_path):
@@ -126,8 +114,6 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
     [
         (["missing.ply", "out.ply"], 3, "missing.ply"),
         ([".", "out.ply"], 3, "directory"),
-        ([str(NOISY), "nowhere/out.ply"], 4, "nowhere"),
-        ([str(NOISY), "."], 4, "folder"),
         ([str(NOISY), "out.abc"], 2, ".abc"),
         ([str(NOISY), "out.ply", "-t", "0"], 2, "--time-step is 0"),
         ([str(NOISY), "out.ply", "--beta", "-1"], 2, "beta"),
@@ -150,17 +136,6 @@ def test_a_fifo_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "scan.ply")
     run = beltrami("smooth", tmp_path / "scan.ply", tmp_path / "out.ply", code=3)
     assert b"pipe" in run.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_device_is_an_output_error():
-    with Path("/dev/full").open("wb") as full:
-        run = subprocess.run(
-            [*COMMAND, "smooth", str(NOISY), "-"], stdout=full, stderr=subprocess.PIPE, check=False
-        )
-    assert run.returncode == 4
-    assert b"Traceback" not in run.stderr
 
 
 @pytest.mark.parametrize(
@@ -209,11 +184,8 @@ def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothe
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "colour"), [(1, 90), (3, 0)])
 def test_noise_is_given_for_vertices_that_have_no_neighbours_or_hold_none(tmp_path, count, colour):
-    properties = [f"property float {axis}" for axis in "xyz"]
-    properties += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
-    rows = [f"{place} {colour} {colour} {colour}" for place in ("0 0 0", "1 0 0", "0 1 0")[:count]]
-    lines = ["ply", "format ascii 1.0", f"element vertex {count}", *properties, "end_header", *rows, ""]
-    (tmp_path / "in.ply").write_text("\n".join(lines))
+    places = [(0, 0, 0), (1, 0, 0), (0, 1, 0)][:count]
+    (tmp_path / "in.ply").write_bytes(ply(COLOURED, [[*place, *[colour] * 3] for place in places]))
     report = tmp_path / "run.json"
     for options in ([], ["--strength", "strong", "--patches", "on", "-n", 3]):
         done = beltrami("smooth", tmp_path / "in.ply", tmp_path / "out.ply", "--noise", 15, "--report", report,
@@ -259,21 +231,24 @@ def test_spaces_differ_and_all_denoise(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_soon_and_leaves_nothing_behind(number, tmp_path):
-    positions, faces = surfaces.plane(700, 700)
-    colours = np.random.default_rng(0).random(positions.shape)
-    big = painted_file(tmp_path / "big.ply", positions, faces, colours)
-    arguments = [*COMMAND, "smooth", big, tmp_path / "out.ply", "-n", "100", "--beta", "0", "-t", "8"]
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE) as process:
-        time.sleep(2.0)
-        process.send_signal(number)
-        sent = time.monotonic()
-        _, errors = process.communicate(timeout=30)
-    assert process.returncode == 128 + number
-    assert time.monotonic() - sent < 2
-    assert b"Traceback" not in errors
-    assert [path.name for path in tmp_path.iterdir()] == ["big.ply"]
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [("vertices", signal.SIGINT), ("vertices", signal.SIGTERM), ("texture", signal.SIGINT)],
+)
+def test_an_interrupt_ends_soon_and_leaves_nothing_behind(kind, number, tmp_path):
+    if kind == "vertices":
+        positions, faces = surfaces.plane(700, 700)
+        painted_file(tmp_path / "in.ply", positions, faces, np.random.default_rng(0).random(positions.shape))
+        arguments = ["in.ply", "out.ply", "-n", "100", "--beta", "0", "-t", "8"]
+    else:
+        for path in SAMPLES.glob("mirrored-noisy.*"):
+            shutil.copy(path, tmp_path)
+        arguments = ["mirrored-noisy.obj", "out.obj", "-n", "2000"]
+    before = snapshot(tmp_path)
+    with subprocess.Popen([*COMMAND, "smooth", *arguments], cwd=tmp_path, stderr=subprocess.PIPE) as process:
+        time.sleep(1.5)
+        interrupted(process, number)
+    assert snapshot(tmp_path) == before
 
 
 @pytest.mark.slow
@@ -314,36 +289,6 @@ def test_options_of_the_program_are_said_to_go_before_the_command():
 def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
     run = beltrami(word, "clean.ply", code=2)
     assert said in run.stderr
-
-
-@pytest.mark.slow
-def test_smoothing_a_small_mesh_loads_nothing_that_it_does_not_need(tmp_path):
-    """Each of these takes as long to be imported as some iterations on five thousand vertices."""
-    heavy = {"numpy.ma", "scipy", "OpenImageIO", "rich", "trimesh", "tempfile"}
-    arguments = ["smooth", str(SAMPLES / "knot-noisy.ply"), str(tmp_path / "clean.ply")]
-    run = f"import sys; from beltrami_cli.cli.main import group; group.main({arguments!r}, standalone_mode=False)"
-    check = f"{run}; found = {heavy!r} & set(sys.modules); assert not found, found"
-    ended = subprocess.run([sys.executable, "-P", "-c", check], capture_output=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    assert (tmp_path / "clean.ply").exists()
-
-
-@pytest.mark.parametrize("words", [["--help"], ["bake", "--help"], ["smooth", "--help"]], ids=" ".join)
-def test_help_starts_with_click_alone(words):
-    shown = (
-        f"import sys; from beltrami_cli.cli.main import group; group.main({words!r}, standalone_mode=False)"
-    )
-    heavy = {"numpy", "scipy", "rich", "OpenImageIO", "xatlas", "beltrami_cli._native"}
-    check = f"{shown}; assert not {heavy!r} & set(sys.modules), sys.modules"
-    run = subprocess.run([sys.executable, "-P", "-c", check], capture_output=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert words == ["--help"] or b"Examples:" in run.stdout
-
-
-def test_the_version_is_that_of_the_package():
-    from importlib.metadata import version
-
-    assert version("beltrami-cli").encode() in beltrami("--version").stdout
 
 
 @pytest.mark.slow
