@@ -19,7 +19,7 @@ FULL = Path("/dev/full")
 
 
 @pytest.fixture
-def textured(tmp_path: Path) -> Path:
+def textured(tmp_path):
     """Return a folder with a model of three files."""
     folder = tmp_path / "textured"
     folder.mkdir()
@@ -31,7 +31,7 @@ def textured(tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
 @pytest.mark.parametrize(("option", "exists"), [("--report", False), ("--report", True), ("--preview", True)])
-def test_what_cannot_be_written_leaves_output_as_it_was(option: str, exists: bool, tmp_path: Path) -> None:
+def test_what_cannot_be_written_leaves_output_as_it_was(option, exists, tmp_path):
     if exists:
         (tmp_path / "out.png").write_text("precious")
     link = tmp_path / "full.png"  # a preview needs a name with an extension
@@ -40,7 +40,7 @@ def test_what_cannot_be_written_leaves_output_as_it_was(option: str, exists: boo
     assert "No space left" in line
 
 
-def test_a_report_whose_folder_disappears_leaves_everything_as_it_was(tmp_path: Path) -> None:
+def test_a_report_whose_folder_disappears_leaves_everything_as_it_was(tmp_path):
     (tmp_path / "gone").mkdir()
     (tmp_path / "out.ply").write_text("precious")
     with FileSet() as files:
@@ -55,7 +55,7 @@ def test_a_report_whose_folder_disappears_leaves_everything_as_it_was(tmp_path: 
     assert (tmp_path / "out.ply").read_text() == "precious"
 
 
-def test_what_is_not_put_in_place_is_removed(tmp_path: Path) -> None:
+def test_what_is_not_put_in_place_is_removed(tmp_path):
     with FileSet() as files:
         output = Output(str(tmp_path / "out.obj"), overwrite=False, files=files)
         output.write(Written([b"new"], {"new/a.png": b"new"}))
@@ -70,9 +70,7 @@ def test_what_is_not_put_in_place_is_removed(tmp_path: Path) -> None:
         ("--preview", ("noisy.png", "out.png")),
     ],
 )
-def test_a_report_or_preview_replaces_nothing_that_is_read_or_written(
-    option: str, names: tuple[str, ...], textured: Path
-) -> None:
+def test_a_report_or_preview_replaces_nothing_that_is_read_or_written(option, names, textured):
     run = ("smooth", "mirrored-noisy.obj", "out.obj", *QUICK, "--overwrite")
     beltrami(*run, cwd=textured)
     for name in names:
@@ -80,7 +78,7 @@ def test_a_report_or_preview_replaces_nothing_that_is_read_or_written(
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_a_report_and_a_preview_are_two_files(exists: bool, tmp_path: Path) -> None:
+def test_a_report_and_a_preview_are_two_files(exists, tmp_path):
     if exists:
         (tmp_path / "both.png").write_text("precious")
     (tmp_path / "link").symlink_to(tmp_path)
@@ -90,7 +88,7 @@ def test_a_report_and_a_preview_are_two_files(exists: bool, tmp_path: Path) -> N
     )
 
 
-def test_output_does_not_replace_a_guide(tmp_path: Path) -> None:
+def test_output_does_not_replace_a_guide(tmp_path):
     for name in ("photo.png", "guide.png"):
         shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / name)
     guided = ("smooth", "photo.png", "guide.png", *QUICK, "--guide", "guide.png", "--overwrite")
@@ -108,14 +106,14 @@ def test_output_does_not_replace_a_guide(tmp_path: Path) -> None:
         ("report", "a.ply", "b.ply", "page.html", "--parameters", "page.html"),
     ],
 )
-def test_no_command_replaces_what_it_reads(arguments: tuple[str, ...], tmp_path: Path) -> None:
+def test_no_command_replaces_what_it_reads(arguments, tmp_path):
     for name in ("a.ply", "b.ply", "sheet.html", "page.html"):
         shutil.copy(NOISY, tmp_path / name)
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "picture.png")
     refused(tmp_path, *arguments, "--overwrite", code=4)
 
 
-def test_a_map_does_not_replace_a_texture_of_what_it_compares(textured: Path) -> None:
+def test_a_map_does_not_replace_a_texture_of_what_it_compares(textured):
     shutil.copytree(textured, textured / "other")
     compared = ("compare", "mirrored-noisy.obj", "other/mirrored-noisy.obj")
     refused(textured, *compared, "--map", "other/mirrored-noisy.png", "--overwrite", code=4)
@@ -123,8 +121,8 @@ def test_a_map_does_not_replace_a_texture_of_what_it_compares(textured: Path) ->
 
 
 @pytest.mark.slow
-def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(textured: Path) -> None:
-    target = "new/mirrored-noisy.obj"
+@pytest.mark.parametrize("target", ["new/mirrored-noisy.obj", "mirrored-noisy.obj"])
+def test_a_preview_is_drawn_of_files_that_are_not_in_place_yet(target, textured):
     (textured / "new").mkdir()
     (textured.parent / "before").mkdir()
     before = shutil.copytree(textured, textured.parent / "before" / "model")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,9 +11,6 @@ from beltrami_cli.jobs.compare.files import is_map
 from beltrami_cli.jobs.smoothing import is_report
 from beltrami_cli.view.render import is_preview
 from cli.commands import SAMPLES, beltrami, refused
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("-n", "1", "--fast")
@@ -32,7 +28,7 @@ OPTIONS = {"report": "--report", "preview": "--preview", "map": "--map", "record
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMED)
-def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: str, tmp_path: Path) -> None:
+def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tmp_path):
     arguments, variable, name = NAMED[kind]
     (tmp_path / "out").mkdir()
     (tmp_path / "out.ply").write_text("old")
@@ -62,7 +58,7 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind: st
 
 
 @pytest.mark.slow
-def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path: Path) -> None:
+def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path):
     shutil.copy(NOISY, tmp_path / "in.ply")
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "photo.png")
     beltrami("smooth", "photo.png", "out.png", *QUICK, "--preview", "preview.png", cwd=tmp_path)
