@@ -17,12 +17,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
-from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import FileReport, recolour
+from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.samples import Grains, Repainted, Samples
-from beltrami_cli.samples.selection import OutputFormat, Selection
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
@@ -55,19 +53,13 @@ class NoiseReport(FileReport):
     added: list[Added]
 
 
-class Noising:
+class Noising(Painter):
     """A painter that adds noise."""
-
-    colours_only = True
-    works_on_disk = works_in_groups = False
 
     def __init__(self, noise: NoiseSettings) -> None:
         self._noise = noise
         self.changes = noise.sigma != 0
         self.added: list[Added] = []
-
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Accept all."""
 
     def paint(self, samples: Samples, job: Job) -> Repainted:
         del job

@@ -7,13 +7,14 @@ are. OUTPUT has the format that it asks for, and beside it are the files that be
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
@@ -38,17 +39,20 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
 
 
-class Painter(Protocol):
+class Painter(ABC):
     """What gives samples new colours."""
 
-    changes: bool  # whether it changes any colour; if not, the output is the input
-    colours_only: bool  # whether channels of images that are no colours stay, unless they are named
-    works_on_disk: bool  # whether textures that do not fit into memory can be painted, all together in files
-    works_in_groups: bool  # or by some at a time
+    changes = True  # whether it changes any colour; if not, the output is the input
+    colours_only = True  # whether channels of images that are no colours stay, unless they are named
+    works_on_disk = (
+        False  # whether textures that do not fit into memory can be painted, all together in files
+    )
+    works_in_groups = False  # or by some at a time
 
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
+    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:  # noqa: B027
         """Raise what cannot be painted, before anything is computed."""
 
+    @abstractmethod
     def paint(self, samples: Samples, job: Job) -> Repainted:
         """Give samples new colours, and return what these make of the document."""
 

@@ -13,7 +13,7 @@ from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.recolour import FileReport
+from beltrami_cli.jobs.recolour import FileReport, Painter
 from beltrami_cli.samples.levelled_charts import photographs_of
 from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
 from beltrami_cli.samples.samples import Change, Part, Repainted, Samples
@@ -54,13 +54,10 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
     return Smoothed(samples.part, repainted, report, warnings)
 
 
-class Levelling:
-    """A painter that takes exposure steps out."""
+class Levelling(Painter):
+    """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
 
-    changes = True
-    colours_only = True
     works_on_disk = True
-    works_in_groups = False  # exposures are fitted to all seams together
 
     def __init__(self, wanted: LevelSettings) -> None:
         self._wanted = wanted
@@ -87,7 +84,7 @@ class Levelling:
         return repainted
 
 
-class Smoothing:
+class Smoothing(Painter):
     """A painter that smooths."""
 
     colours_only = False

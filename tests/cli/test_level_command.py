@@ -13,7 +13,7 @@ from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
-from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_colours import dithered
 from benchmarks.exposure_scene import ExposureScene
@@ -31,14 +31,8 @@ def beltrami(*arguments, code=0):
     return run_beltrami(*arguments, text=True, code=code)
 
 
-class Exposing:
+class Exposing(Painter):
     """A painter that gives charts known exposures."""
-
-    changes = colours_only = works_on_disk = True
-    works_in_groups = False
-
-    def check(self, *_):
-        pass
 
     def paint(self, samples, job):
         _, colours = ExposureScene(samples, samples.colours.samples(samples.atlas).astype(float)).exposed(1)
