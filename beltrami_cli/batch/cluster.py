@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 from beltrami_cli.batch.item import Attempt, Item, do_item, failed
+from beltrami_cli.batch.run import Executor
 from beltrami_cli.batch.storage import is_url, place_of
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.fields import with_files
@@ -80,8 +81,8 @@ def _require_listener(address: str) -> None:
     socket.create_connection((parts.hostname, parts.port), timeout=_PATIENCE).close()
 
 
-class ClusterExecutor:
-    """Has every file done by some worker; an `Executor`.
+class ClusterExecutor(Executor):
+    """Has every file done by some worker.
 
     A file whose worker dies is given to another one by the scheduler, until that happened too often (its setting
     distributed.scheduler.allowed-failures). `at_once` None: all files are given to the scheduler, whose workers do one
@@ -89,15 +90,15 @@ class ClusterExecutor:
     """
 
     queues = True
+    threads = 1  # a worker does as many files at once as it has threads
 
     def __init__(self, client: Any, at_once: int | None, memory: int | None) -> None:
-        self.threads: int | None = 1  # a worker does as many files at once as it has threads
         self._client, self._at_once, self._memory = client, at_once, memory
         self._topic = f"beltrami-{uuid.uuid4().hex}"
         self._events: queue.SimpleQueue[tuple[int, tuple[str, int, int] | None]] = queue.SimpleQueue()
         self._futures: dict[int, Any] = {}
 
-    def __enter__(self) -> ClusterExecutor:
+    def __enter__(self) -> Self:
         self._client.subscribe_topic(self._topic, self._note)
         return self
 

@@ -17,6 +17,7 @@ from typing import Any
 from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.batch.cluster import LOST, Cancelled
 from beltrami_cli.batch.item import Attempt, Item, do_item
+from beltrami_cli.batch.run import Executor
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.partitions import (
@@ -38,20 +39,14 @@ _PAUSE = 0.1  # seconds between two messages on progress
 _GRACE = 5.0  # seconds that a file has to end when it is given up
 
 
-class PartitionExecutor:
-    """Does one file at a time here, and has `count` partitions of each surface smoothed by workers; an `Executor`."""
-
-    queues = False
-    threads: int | None = None
+class PartitionExecutor(Executor):
+    """Does one file at a time here, and has `count` partitions of each surface smoothed by workers."""
 
     def __init__(self, client: Any, count: int, memory: int | None) -> None:
         self._runner, self._count, self._memory = ClusterRunner(client), count, memory
         self._events: queue.SimpleQueue[tuple[int, Attempt | tuple[str, int, int]]] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._ended = threading.Event()
-
-    def __enter__(self) -> PartitionExecutor:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()

@@ -21,8 +21,7 @@ from beltrami_cli.jobs.output import FileSet
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.noise import NoiseReport
-    from beltrami_cli.jobs.smoothing import SmoothReport
+    from beltrami_cli.jobs.recolour import FileReport
     from beltrami_cli.samples.settings import SmoothSettings
 
 Status = Literal["started", "done", "skipped", "failed", "not started"]
@@ -137,13 +136,13 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 
 
-def _made(item: Item, access: Access, progress: Progress | None) -> SmoothReport | NoiseReport:
+def _made(item: Item, access: Access, progress: Progress | None) -> FileReport:
     from beltrami_cli.jobs.noise import noise_file
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
         job = Job(access, progress, item.overwrite or item.again, files=files)
-        report: SmoothReport | NoiseReport
+        report: FileReport
         if item.noise is not None:
             report = noise_file(item.source, item.target, item.noise, item.settings, job)
         else:

@@ -13,13 +13,14 @@ import multiprocessing
 import signal
 import sys
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from types import FrameType
-from typing import Any, NoReturn, Protocol, cast
+from typing import Any, NoReturn, Protocol, Self, cast
 
 from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
 from beltrami_cli.batch.record import Record, is_done, is_ours
@@ -41,17 +42,27 @@ class Watcher(Protocol):
     def finished(self, key: int, attempt: Attempt) -> None: ...
 
 
-class Executor(Protocol):
+class Executor(ABC):
     """Does items, to be used as a context; what is still in work at its end is given up."""
 
-    threads: int | None  # for each file whose settings leave it open; None: as many as there are
-    queues: bool  # whether items may wait after `start`; then a file begins with its first progress
+    threads: int | None = None  # for each file whose settings leave it open; None: as many as there are
+    queues = False  # whether items may wait after `start`; then a file begins with its first progress
 
-    def __enter__(self) -> Executor: ...
+    def __enter__(self) -> Self:
+        return self
+
+    @abstractmethod
     def __exit__(self, *error: object) -> None: ...
+
     @property
-    def is_full(self) -> bool: ...  # so that it takes no more items for now
+    @abstractmethod
+    def is_full(self) -> bool:
+        """Whether it takes no more items for now."""
+
+    @abstractmethod
     def start(self, key: int, item: Item) -> None: ...
+
+    @abstractmethod
     def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
         """Wait, and give for a key either its progress or its result; `items` gives the item of a key."""
 
@@ -176,20 +187,14 @@ class _Worker:
     key: int = -1
 
 
-class Workers:
-    """Up to `count` processes, each with `memory` bytes, as an `Executor`; what still runs at its end is stopped."""
-
-    queues = False
+class Workers(Executor):
+    """Up to `count` processes, each with `memory` bytes; what still runs at its end is stopped."""
 
     def __init__(self, count: int, memory: int | None, threads: int) -> None:
-        self._count, self._memory = count, memory
-        self.threads: int | None = threads
+        self._count, self._memory, self.threads = count, memory, threads
         self._idle: list[_Worker] = []
         self._busy: dict[Connection[Any, Any], _Worker] = {}
         self._context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are
-
-    def __enter__(self) -> Workers:
-        return self
 
     def __exit__(self, *_: object) -> None:
         workers = [*self._idle, *self._busy.values()]

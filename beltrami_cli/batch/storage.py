@@ -23,7 +23,6 @@ from beltrami_cli.formats.access import Access, is_there, open_regular
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
-_CHUNK = 1 << 20
 # Where a file appears only once it is whole; elsewhere it is uploaded under another name and renamed.
 _WHOLE_OR_NOT = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "memory"})
 
@@ -102,15 +101,13 @@ def make_folder_of(name: str) -> None:
 
 def hash_at(name: str) -> str:
     """Return the SHA-256 of a file in hexadecimal digits; OSError if it cannot be read."""
-    if not is_url(name):
-        with open_regular(Path(name)) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    files, path = filesystem(name)
-    digest = hashlib.sha256()
-    with files.open(path, "rb") as file:
-        while data := file.read(_CHUNK):
-            digest.update(data)
-    return digest.hexdigest()
+    if is_url(name):
+        files, path = filesystem(name)
+        opened = files.open(path, "rb")
+    else:
+        opened = open_regular(Path(name))
+    with opened as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:

@@ -6,8 +6,6 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from beltrami_cli.cli.console import NO_NOISE, Messages, printable
 
 if TYPE_CHECKING:
@@ -24,30 +22,25 @@ class Display:
 
     def __init__(self, jobs: Sequence[Item], messages: Messages) -> None:
         self._jobs, self._messages = jobs, messages
-        self._bar: Progress | None = None
+        self._bar = _bar(is_shown=not messages.quiet and sys.stderr.isatty())
+        self._all = self._bar.add_task("all files", total=len(jobs))
         self._lines: dict[int, TaskID] = {}
 
     def __enter__(self) -> Display:
-        if not self._messages.quiet and sys.stderr.isatty():
-            self._bar = _bar()
-            self._bar.start()
-            self._all = self._bar.add_task("all files", total=len(self._jobs))
+        self._bar.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._bar.stop()
 
     def started(self, key: int) -> None:
-        if self._bar is not None:
-            self._lines[key] = self._bar.add_task(self._name(key), total=None)
+        self._lines[key] = self._bar.add_task(self._name(key), total=None)
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
-        if self._bar is not None:
-            if key not in self._lines:  # others had it waiting, and have begun
-                self.started(key)
-            description = f"{self._name(key)}: {printable(label)}"
-            self._bar.update(self._lines[key], description=description, completed=done, total=total)
+        if key not in self._lines:  # others had it waiting, and have begun
+            self.started(key)
+        description = f"{self._name(key)}: {printable(label)}"
+        self._bar.update(self._lines[key], description=description, completed=done, total=total)
 
     def postponed(self, key: int) -> None:
         self._end(key)
@@ -56,8 +49,7 @@ class Display:
 
     def finished(self, key: int, attempt: Attempt) -> None:
         self._end(key)
-        if self._bar is not None:
-            self._bar.advance(self._all)
+        self._bar.advance(self._all)
         outcome = attempt.outcome
         if attempt.traceback and self._messages.verbose >= 2:
             self._print(*attempt.traceback.splitlines())
@@ -69,13 +61,10 @@ class Display:
     def _print(self, *lines: str) -> None:
         """Print lines above those that move."""
         for line in map(printable, lines):
-            if self._bar is None:
-                click.echo(line, err=True)
-            else:
-                self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def _end(self, key: int) -> None:
-        if self._bar is not None and key in self._lines:
+        if key in self._lines:
             self._bar.remove_task(self._lines.pop(key))
 
     def _name(self, key: int) -> str:
@@ -130,10 +119,10 @@ def _remark(outcome: Outcome) -> str:
     return "; ".join(remarks)
 
 
-def _bar() -> Progress:
+def _bar(*, is_shown: bool) -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     name = TextColumn("{task.description}", markup=False)  # names of files may have brackets
     columns = (name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not is_shown)

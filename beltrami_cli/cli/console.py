@@ -14,13 +14,12 @@ import io
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
 import click
 
@@ -148,7 +147,7 @@ class Messages:
 
 _ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _SAME_WISH = 1.0  # seconds in which another signal would only disturb the tidying
-_AGAIN = 0.02  # seconds until a signal is sent again that came where no exception can pass
+_AGAIN = 0.2  # seconds until an interruption is raised again, in case that something kept it
 
 
 class Interruption(BaseException):
@@ -158,13 +157,28 @@ class Interruption(BaseException):
     at its end, whatever exit code was asked for.
     """
 
+    last: ClassVar[Interruption | None] = None  # that was raised, whatever became of it
+
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.exit_code = 128 + number  # as shells have it
+        Interruption.last = self
+
+
+def _is_on_its_way() -> bool:
+    """Whether an interruption passes through, so that something is tidied up, perhaps as the cause of another error."""
+    error = sys.exc_info()[1]
+    while not (error is None or isinstance(error, Interruption)):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 class Listener:
-    """Runs a function that signals interrupt."""
+    """Runs a function that signals interrupt.
+
+    Python drops exceptions in destructors, and some libraries while they are loaded, or they raise others instead. So
+    an interruption is raised again and again, unless it is on its way.
+    """
 
     def __init__(self) -> None:
         self._last = -_SAME_WISH
@@ -183,6 +197,7 @@ class Listener:
                 code = error.exit_code
             finally:
                 self._is_over = True
+                _set_alarm(0)
                 # What comes from now on ends the process without more ado.
                 for number in self._heard:
                     signal.signal(number, signal.SIG_DFL)
@@ -193,7 +208,10 @@ class Listener:
         return code
 
     def _start(self) -> None:
-        sys.unraisablehook = self._send_again
+        sys.unraisablehook = self._drop
+        Interruption.last = None
+        if hasattr(signal, "SIGALRM"):
+            signal.signal(signal.SIGALRM, self._repeat)
         for number in _ENDINGS:
             if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup wants it
                 self._heard.append(number)
@@ -204,16 +222,22 @@ class Listener:
             os._exit(128 + number)
         if time.monotonic() - self._last >= _SAME_WISH:
             self._last = time.monotonic()
+            _set_alarm(_AGAIN)
             raise Interruption(number)
 
-    def _send_again(self, unraisable: sys.UnraisableHookArgs) -> None:
-        """Repeat a signal that came in a destructor or a callback, where Python drops exceptions."""
-        error = unraisable.exc_value
-        if not isinstance(error, Interruption):
+    def _repeat(self, alarm: int, frame: FrameType | None) -> None:
+        if Interruption.last is not None and not (self._is_over or _is_on_its_way()):
+            raise Interruption(Interruption.last.exit_code - 128)
+
+    def _drop(self, unraisable: sys.UnraisableHookArgs) -> None:
+        if not isinstance(unraisable.exc_value, Interruption):
             self._dropped(unraisable)
-            return
-        self._last = -_SAME_WISH
-        threading.Timer(_AGAIN, os.kill, (os.getpid(), error.exit_code - 128)).start()
+
+
+def _set_alarm(seconds: float) -> None:
+    """Let alarms come again and again, or no more."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
 
 
 _INPUT, _OUTPUT, _ERROR = range(3)

@@ -181,6 +181,8 @@ def _run() -> int:
     except MemoryError:
         return _failure(1, "there is not enough memory; use a smaller mesh or a machine with more")
     except Exception as error:  # the last resort: even a mistake of ours ends in one line
+        if Interruption.last is not None:
+            return _failure(Interruption.last.exit_code, _INTERRUPTED)
         if _wants_traceback():
             traceback.print_exc()
         try:

@@ -92,11 +92,11 @@ def checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple[
         raise UsageError("positions and heights are two surfaces for one image; give one of them")
     positions, heights = surface.positions, surface.heights
     if positions is not None:
-        positions = _pixel_array(positions, "positions", (*shape, None), "uif").astype(np.float64)
+        positions = _numbers(positions, "positions", (*shape, "M")).astype(np.float64)
     if heights is not None:
-        heights = _pixel_array(heights, "heights", shape, "uif").astype(np.float64)
+        heights = _numbers(heights, "heights", shape).astype(np.float64)
     if surface.valid is not None:
-        valid &= _pixel_array(surface.valid, "valid", shape, "bui").astype(bool)
+        valid &= _numbers(surface.valid, "valid", shape, "bui").astype(bool)
     return ImageSurface(heights, positions, valid)
 
 
@@ -109,25 +109,10 @@ def pixel_colours(colours: ArrayLike) -> tuple[Float32s, tuple[int, int]]:
     return colour_table(image.reshape(rows * columns, -1)), (rows, columns)
 
 
-def _pixel_array(values: ArrayLike, name: str, shape: tuple[int | None, ...], kinds: str) -> Array:
-    """Take an array with a number for each pixel, or M numbers where the last of the shape is None."""
-    array = array_of(values, name)
-    fits = array.ndim == len(shape) and all(
-        b is None or a == b for a, b in zip(array.shape, shape, strict=True)
-    )
-    if not fits or array.dtype.kind not in kinds or 0 in array.shape:
-        wanted = ", ".join("M" if size is None else str(size) for size in shape)
-        raise UsageError(f"{name} must be numbers of shape ({wanted}), not {_described(array)}")
-    return array
-
-
 def position_table(positions: ArrayLike) -> Float64s:
     """Take positions of any numeric type, shape (V, M); an empty list has M = 3."""
     table = array_of(positions, "positions")
-    if table.shape == (0,):
-        table = table.reshape(0, 3)
-    if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
-        raise UsageError(f"positions must be numbers of shape (V, M), not {_described(table)}")
+    table = _numbers(table.reshape(0, 3) if table.shape == (0,) else table, "positions", ("V", "M"))
     with np.errstate(over="ignore"):  # what is too large becomes infinite, which is refused
         return np.ascontiguousarray(table, np.float64)
 
@@ -137,10 +122,8 @@ def face_table(faces: ArrayLike, count: int) -> Int32s:
     table = array_of(faces, "faces")
     if table.shape in ((0,), (0, 3)):
         return np.empty((0, 3), np.int32)
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise UsageError(f"faces must be triangles, of shape (F, 3), not {_described(table)}")
-    if table.dtype.kind not in "ui":
-        raise UsageError(f"faces must be whole numbers, not {_described(table)}")
+    if _numbers(table, "faces", ("F", 3), "buifO").dtype.kind not in "ui":
+        raise UsageError(f"faces must be whole numbers, not {table.dtype}")
     wrong = ((table < 0) | (table >= count)).any(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
@@ -153,9 +136,7 @@ def colour_table(colours: ArrayLike) -> Float32s:
     table = array_of(colours, "colours")
     if table.ndim == 1:
         table = table[:, None] if len(table) else table.reshape(0, 3)
-    if table.ndim != 2 or table.shape[1] == 0 or table.dtype.kind not in "uif":
-        raise UsageError(f"colours must be numbers of shape (V, C), not {_described(table)}")
-    if table.dtype.kind == "f":
+    if _numbers(table, "colours", ("V", "C")).dtype.kind == "f":
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(table, np.float32)
     # Of other integers nobody knows the full scale: a list of 0 to 255 becomes int64.
@@ -168,10 +149,10 @@ def colour_table(colours: ArrayLike) -> Float32s:
 def guide_table(values: ArrayLike, shape: tuple[int, ...], name: str = "guide") -> Float64s:
     """Take a guide: any finite numbers of `shape`, or with channels behind it; a row a vertex or pixel."""
     table = array_of(values, name)
-    if table.shape[: len(shape)] != shape or table.ndim > len(shape) + 1 or table.dtype.kind not in "buif":
-        wanted = ", ".join(map(str, shape))
-        raise UsageError(f"the {name} must be numbers of shape ({wanted}, G), not {_described(table)}")
-    rows = table.reshape(int(np.prod(shape)), -1).astype(np.float64)
+    table = _numbers(
+        table[..., None] if table.shape == shape else table, f"the {name}", (*shape, "G"), "buif"
+    )
+    rows = table.reshape(-1, table.shape[-1]).astype(np.float64)
     if not np.isfinite(rows).all():
         raise UsageError(f"row {int(np.argmin(np.isfinite(rows).all(axis=1)))} of the {name} is not finite")
     return rows
@@ -185,5 +166,14 @@ def array_of(values: ArrayLike, name: str) -> Array:
         raise UsageError(f"{name} must be a table whose rows have the same length") from error
 
 
-def _described(table: Array) -> str:
-    return f"{table.dtype} of shape {table.shape}"
+def _numbers(values: ArrayLike, name: str, shape: tuple[int | str, ...], kinds: str = "uif") -> Array:
+    """Take numbers of a shape, in which a letter is any length; only the first axis may be empty."""
+    array = array_of(values, name)
+    fits = array.ndim == len(shape) and 0 not in array.shape[1:]
+    fits = fits and all(isinstance(b, str) or a == b for a, b in zip(array.shape, shape, strict=True))
+    if not fits or array.dtype.kind not in kinds:
+        wanted = ", ".join(map(str, shape))
+        raise UsageError(
+            f"{name} must be numbers of shape ({wanted}), not {array.dtype} of shape {array.shape}"
+        )
+    return array

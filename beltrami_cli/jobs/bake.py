@@ -15,7 +15,7 @@ from beltrami_cli.formats.registry import open_document, sidecar_names, write_co
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.jobs.recolour import naming_of
+from beltrami_cli.jobs.recolour import FileReport, naming_of
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import choose_format
@@ -32,17 +32,12 @@ _MEDIAN = 1.4826  # from the median magnitude to the standard deviation
 _FINENESS = ("uint8", "uint16", "float16", "float32")
 
 
-@dataclass(frozen=True)
-class BakeReport:
+@dataclass(frozen=True, kw_only=True)
+class BakeReport(FileReport):
     """What was done."""
 
-    input: str
-    output: str
-    format: str  # the format written
     counts: dict[str, int]  # of triangles, charts or coloured vertices, by their names in the singular
     texture: str  # what kind of texture was made, in words; empty if none was
-    written: list[str]
-    warnings: list[str]
 
 
 def bake_file(
@@ -73,8 +68,10 @@ def bake_file(
         counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
         written, texture = write_contents(contents, kind, stem), ""
     output.write(written)
-    warnings = [*document.notices, *notices, *written.notices]
-    return BakeReport(source, target, kind, counts, texture, [target, *written.sidecars], warnings)
+    return BakeReport(
+        input=source, output=target, format=kind, written=[target, *written.sidecars],
+        warnings=[*document.notices, *notices, *written.notices], counts=counts, texture=texture,
+    )  # fmt: skip
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:

@@ -9,38 +9,26 @@ from typing import Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, peak_memory
-from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.recolour import FileReport, recolour
 from beltrami_cli.jobs.smoothing import Levelling
 from beltrami_cli.samples.reports import LevelReport
 from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
 
-@dataclass(frozen=True)
-class LevelFileReport:
+@dataclass(frozen=True, kw_only=True)
+class LevelFileReport(FileReport):
     """What was done to a file; `dataclasses.asdict` gives JSON types.
 
     Attributes
     ----------
-    input, output, format : str
-        Paths of the input and output, and the format written.
-    parameters : dict
-        The parameters that were requested.
     levelled : list of LevelReport
         What was found and done: of each texture slot, or of vertex colours.
-    stages, peak_memory, written, warnings
+    input, output, format, parameters, stages, peak_memory, written, warnings
         As for `SmoothReport`.
     """
 
-    input: str
-    output: str
-    format: str
-    parameters: dict[str, object]
     levelled: list[LevelReport]
-    stages: dict[str, dict[str, float]]
-    peak_memory: int | None
-    written: list[str]
-    warnings: list[str]
 
 
 def level_file(
@@ -92,7 +80,5 @@ def level_file(
     made = recolour(source, target, settings, painter, job)
     described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
     parameters = {name: value for name, value in described.items() if name in used}
-    return LevelFileReport(
-        source, target, made.format, {**parameters, **dataclasses.asdict(wanted)}, painter.done, made.stages,
-        peak_memory(), made.written, made.warnings,
-    )  # fmt: skip
+    parameters |= dataclasses.asdict(wanted)
+    return LevelFileReport(**{**vars(made), "parameters": parameters}, levelled=painter.done)

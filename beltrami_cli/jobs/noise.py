@@ -9,6 +9,7 @@ space: random numbers on a lattice, mixed linearly between its points and divide
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from dataclasses import dataclass
 
@@ -16,12 +17,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
-from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.samples import Grains, Repainted, Samples
-from beltrami_cli.samples.selection import OutputFormat, Selection
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
@@ -39,42 +38,28 @@ class Added:
     rms: float
 
 
-@dataclass(frozen=True)
-class NoiseReport:
+@dataclass(frozen=True, kw_only=True)
+class NoiseReport(FileReport):
     """What was done to a file.
 
     Attributes
     ----------
-    input, output : str
-        As given.
     added : list
         For each kind of colours "what" they are, how many "samples", and the "rms" change, full scale 1.
-    written : list of str
-        The files that were written, the output first.
-    warnings : list of str
-        What users should know.
+    input, output, format, parameters, stages, peak_memory, written, warnings
+        As for `SmoothReport`.
     """
 
-    input: str
-    output: str
     added: list[Added]
-    written: list[str]
-    warnings: list[str]
 
 
-class Noising:
+class Noising(Painter):
     """A painter that adds noise."""
-
-    colours_only = True
-    works_on_disk = works_in_groups = False
 
     def __init__(self, noise: NoiseSettings) -> None:
         self._noise = noise
         self.changes = noise.sigma != 0
         self.added: list[Added] = []
-
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Accept all."""
 
     def paint(self, samples: Samples, job: Job) -> Repainted:
         del job
@@ -118,7 +103,7 @@ def noise_file(
     """
     source, target, painter = os.fspath(source), os.fspath(target), Noising(noise)
     made = recolour(source, target, settings, painter, job)
-    return NoiseReport(source, target, painter.added, made.written, made.warnings)
+    return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=painter.added)
 
 
 def _noisy(samples: Samples, grains: Grains, settings: NoiseSettings) -> Float32s:

@@ -7,13 +7,14 @@ are. OUTPUT has the format that it asks for, and beside it are the files that be
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
-from beltrami_cli.jobs.job import Job, Stopwatch
+from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.samples import Repainted, Samples
@@ -38,32 +39,39 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
 
 
-class Painter(Protocol):
+class Painter(ABC):
     """What gives samples new colours."""
 
-    changes: bool  # whether it changes any colour; if not, the output is the input
-    colours_only: bool  # whether channels of images that are no colours stay, unless they are named
-    works_on_disk: bool  # whether textures that do not fit into memory can be painted, all together in files
-    works_in_groups: bool  # or by some at a time
+    changes = True  # whether it changes any colour; if not, the output is the input
+    colours_only = True  # whether channels of images that are no colours stay, unless they are named
+    works_on_disk = (
+        False  # whether textures that do not fit into memory can be painted, all together in files
+    )
+    works_in_groups = False  # or by some at a time
 
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
+    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:  # noqa: B027
         """Raise what cannot be painted, before anything is computed."""
 
+    @abstractmethod
     def paint(self, samples: Samples, job: Job) -> Repainted:
         """Give samples new colours, and return what these make of the document."""
 
 
-@dataclass(frozen=True)
-class Recoloured:
-    """The format and the files that were written, and what the user should know."""
+@dataclass(frozen=True, kw_only=True)
+class FileReport:
+    """What is said of every file that was written; `SmoothReport` describes it."""
 
+    input: str
+    output: str
     format: str
-    written: list[str]
-    warnings: list[str]
-    stages: dict[str, dict[str, float]]
+    parameters: dict[str, object] = field(default_factory=dict)
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    peak_memory: int | None = field(default_factory=peak_memory)
+    written: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
-def recolour(source: str, target: str, settings: SmoothSettings, painter: Painter, job: Job) -> Recoloured:
+def recolour(source: str, target: str, settings: SmoothSettings, painter: Painter, job: Job) -> FileReport:
     """Paint what the settings select of a file, and write it with nothing else changed."""
     watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
     with watch.stage("read"):
@@ -100,7 +108,9 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
     notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]
     # Several slots say the same of one surface.
     warnings = list(dict.fromkeys([*notices, *beside, *written.notices]))
-    return Recoloured(kind.name, names, warnings, watch.stages)
+    return FileReport(
+        input=source, output=target, format=kind.name, stages=watch.stages, written=names, warnings=warnings
+    )
 
 
 def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Painter, job: Job) -> Document:

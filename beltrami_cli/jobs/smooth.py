@@ -15,9 +15,9 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import sidecar_names, write_textured
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Stopwatch
-from beltrami_cli.jobs.recolour import naming_of, open_input, recolour
+from beltrami_cli.jobs.recolour import FileReport, naming_of, open_input, recolour
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, make_report, smooth_samples
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_report, smooth_samples
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
@@ -80,9 +80,8 @@ def smooth_file(
         return _smooth_unwrapped(source, target, settings, unwrap, job)
     painter = Smoothing(settings)
     made = recolour(source, target, settings, painter, job)
-    warnings = made.warnings + [warning for each in painter.done for warning in each.warnings]
-    ends = source, target
-    return make_report(ends, made.format, settings, painter.done, made.stages, made.written, warnings)
+    made.warnings.extend(warning for each in painter.done for warning in each.warnings)
+    return smooth_report(made, settings, painter.done)
 
 
 def _smooth_unwrapped(
@@ -121,8 +120,10 @@ def _smooth_unwrapped(
     names = [] if output is None else [target, *written.sidecars]
     late = [warning for each in done for warning in each.warnings]
     warnings = [*document.notices, *notices, *written.notices, *late]
-    report = make_report((source, target), kind, settings, done, watch.stages, names, warnings)
-    return dataclasses.replace(report, new_texture=made.in_words)
+    report = FileReport(
+        input=source, output=target, format=kind, stages=watch.stages, written=names, warnings=warnings
+    )
+    return dataclasses.replace(smooth_report(report, settings, done), new_texture=made.in_words)
 
 
 def _check(settings: SmoothSettings) -> None:

@@ -12,7 +12,8 @@ from typing import Any
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.jobs.job import Job, peak_memory
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.recolour import FileReport, Painter
 from beltrami_cli.samples.levelled_charts import photographs_of
 from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
 from beltrami_cli.samples.samples import Change, Part, Repainted, Samples
@@ -53,13 +54,10 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
     return Smoothed(samples.part, repainted, report, warnings)
 
 
-class Levelling:
-    """A painter that takes exposure steps out."""
+class Levelling(Painter):
+    """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
 
-    changes = True
-    colours_only = True
     works_on_disk = True
-    works_in_groups = False  # exposures are fitted to all seams together
 
     def __init__(self, wanted: LevelSettings) -> None:
         self._wanted = wanted
@@ -86,7 +84,7 @@ class Levelling:
         return repainted
 
 
-class Smoothing:
+class Smoothing(Painter):
     """A painter that smooths."""
 
     colours_only = False
@@ -114,25 +112,15 @@ class Smoothing:
         return smoothed.repainted
 
 
-def make_report(
-    ends: tuple[str, str], target_format: str, settings: SmoothSettings, done: Sequence[Smoothed],
-    stages: dict[str, dict[str, float]], written: list[str], warnings: list[str],
-) -> SmoothReport:  # fmt: skip
-    """Put together what a job did, from `ends[0]` to `ends[1]`."""
+def smooth_report(made: FileReport, settings: SmoothSettings, done: Sequence[Smoothed]) -> SmoothReport:
+    """Add to what is said of a file what was done to its samples."""
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
     for each in _joined(done):
         reports[each.part].append(each.report)
     return SmoothReport(
-        input=ends[0],
-        output=ends[1],
-        format=target_format,
-        parameters=describe_settings(settings),
+        **{**vars(made), "parameters": describe_settings(settings)},
         vertices=next(iter(reports["vertices"]), None),
         textures=reports["textures"],
-        stages=stages,
-        peak_memory=peak_memory(),
-        written=written,
-        warnings=warnings,
         image=next(iter(reports["image"]), None),
         levelled=[each.levelled for each in done if each.levelled is not None],
     )
@@ -172,8 +160,8 @@ def _one_report(groups: Sequence[Smoothed]) -> SamplesReport:
 _HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
 
 
-@dataclass(frozen=True)
-class SmoothReport:
+@dataclass(frozen=True, kw_only=True)
+class SmoothReport(FileReport):
     """What was done to a file; `dataclasses.asdict` gives JSON types.
 
     Attributes
@@ -203,16 +191,8 @@ class SmoothReport:
         What kind of texture was made, in words; empty if none was.
     """
 
-    input: str
-    output: str
-    format: str
-    parameters: dict[str, object]
     vertices: VertexReport | None
     textures: list[SlotReport]
-    stages: dict[str, dict[str, float]]
-    peak_memory: int | None
-    written: list[str]
-    warnings: list[str]
     image: ImageReport | None = None
     levelled: list[LevelReport] = field(default_factory=list)
     new_texture: str = ""

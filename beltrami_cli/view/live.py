@@ -26,9 +26,9 @@ from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.job import Job, at_intervals
-from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
+from beltrami_cli.jobs.recolour import FileReport, open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, make_report
+from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, smooth_report
 from beltrami_cli.samples.selection import select
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.view.layers import Layers, Shown
@@ -298,7 +298,8 @@ class Live:
         job = dataclasses.replace(self._job, progress=progress)
         result = recolour_in_memory(self._document, settings, painter, job)
         self._check(page, request)
-        report = make_report((self._source, ""), "", settings, painter.done, {}, [], [])
+        made = FileReport(input=self._source, output="", format="")
+        report = smooth_report(made, settings, painter.done)
         described = json.loads(json.dumps(dataclasses.asdict(report)))
         choices = [done.report.choice for done in painter.done if done.report.choice is not None]
         chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]

@@ -15,10 +15,8 @@ QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric
 def batch(*arguments, code=0, cwd=None):
     """Run a batch that ends with an exit code, in one worker if not said otherwise; return its standard error."""
     worker = () if {"-j", "--scheduler"} & set(arguments) else ("-j", 1)
-    run = beltrami("batch", *arguments, *worker, cwd=cwd)
-    assert run.returncode == code, run.stderr.decode()
+    run = beltrami("batch", *arguments, *worker, cwd=cwd, code=code)
     assert run.stdout == b""
-    assert b"Traceback" not in run.stderr
     assert b"unexpected error" not in run.stderr
     return run.stderr.decode()
 
@@ -52,8 +50,7 @@ def statuses(out):
 
 def smoothed(source, target, *options):
     """Return what `beltrami smooth` makes of a file."""
-    run = beltrami("smooth", source, target, *options)
-    assert run.returncode == 0, run.stderr
+    beltrami("smooth", source, target, *options)
     return target.read_bytes()
 
 

@@ -7,11 +7,13 @@ import io
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from beltrami_cli.cli.main import main
+from hostile.folders import snapshot
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 # For signals, limits of memory and what else only a process of its own can show.
@@ -19,8 +21,8 @@ SAMPLES = Path(__file__).parents[2] / "sample_data"
 COMMAND = [sys.executable, "-P", "-m", "beltrami_cli"]
 
 
-def beltrami(*arguments, stdin=b"", cwd=None, env=None, text=False):
-    """Run a command in this process, with some variables more; return its exit code and output."""
+def beltrami(*arguments, code=0, stdin=b"", cwd=None, env=None, text=False):
+    """Run a command in this process, with some variables more, which must end with a code, if not None."""
     output, errors = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="") for _ in range(2))
     with pytest.MonkeyPatch.context() as patch, kept_signals():
         patch.setenv("OPENBLAS_NUM_THREADS", "1")  # as the command sets it
@@ -39,7 +41,31 @@ def beltrami(*arguments, stdin=b"", cwd=None, env=None, text=False):
         stream.flush()
         written = stream.buffer.getvalue()
         said.append(written.decode() if text else written)
+    assert code in (None, ended.value.code), said[1]
+    assert "Traceback" not in str(said[1]) or "-vv" in arguments
     return subprocess.CompletedProcess(arguments, ended.value.code, *said)
+
+
+def refused(folder, *arguments, code, said="", env=None):
+    """Run a command in a folder, which must say in a line what is wrong, and change nothing; return the line."""
+    before = snapshot(folder)
+    run = beltrami(*arguments, code=code, cwd=folder, env=env, text=True)
+    assert said in run.stderr
+    assert run.stderr.startswith("Usage: ") or run.stderr.count("\n") == 1, run.stderr
+    assert run.stdout == ""
+    assert snapshot(folder) == before
+    return run.stderr
+
+
+def interrupted(process, number, patience=2.0):
+    """Send a signal to a running command, which must obey it in so many seconds; return what it said."""
+    process.send_signal(number)
+    sent = time.monotonic()
+    said = process.communicate(timeout=30)[1]
+    assert process.returncode == 128 + number, said
+    assert time.monotonic() - sent < patience
+    assert b"Traceback" not in said
+    return said
 
 
 @contextlib.contextmanager

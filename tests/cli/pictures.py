@@ -9,6 +9,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.surface.records import MeshContents
 from formats.image_files import encode
+from small_models import textured_squares
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 
@@ -30,11 +31,7 @@ def painted_square(path, colour):
 def textured_square(path, texture):
     """Write a square as OBJ, with a texture whose texels, (H, W, 3), are enlarged by 16."""
     path.with_suffix(".png").write_bytes(encode(np.uint8(texture).repeat(16, 0).repeat(16, 1), "png"))
-    path.with_suffix(".mtl").write_text(f"newmtl m\nmap_Kd {path.stem}.png\n")
-    lines = [f"mtllib {path.stem}.mtl", "usemtl m"]
-    lines += [f"v {x:g} {y:g} 0\nvt {x:g} {y:g}" for x, y, _ in CORNERS]
-    path.write_text("\n".join([*lines, "f 1/1 2/2 3/3 4/4"]) + "\n")
-    return path
+    return textured_squares(path, (f"{path.stem}.png", 0, (0, 1)))
 
 
 def plain_image(path, colour, size=40):

@@ -26,9 +26,7 @@ def run(tmp_path):
     """Runs the command in a folder, with variables."""
 
     def checked(*arguments, code=0, cwd=tmp_path, **variables):
-        done = beltrami(*arguments, cwd=cwd, env=variables)
-        assert done.returncode == code, done.stderr.decode()
-        assert b"Traceback" not in done.stderr
+        done = beltrami(*arguments, cwd=cwd, env=variables, code=code)
         return done.stdout.decode() if code == 0 else done.stderr.decode()
 
     return checked
@@ -142,7 +140,7 @@ def test_faults_are_reported_with_the_file(text, words, code, run, tmp_path):
 @pytest.mark.parametrize("option", ["fast", "t", "iterations", "space", "channels"])
 def test_values_of_any_kind_are_taken_or_refused_with_the_file(option, value, run, tmp_path):
     (tmp_path / "beltrami.toml").write_text(written({option: value}))
-    done = beltrami("config", "smooth", cwd=tmp_path)
+    done = beltrami("config", "smooth", code=None, cwd=tmp_path)
     assert done.returncode in (0, 2)
     assert b"unexpected error" not in done.stderr
     assert done.returncode == 0 or b"beltrami.toml: " in done.stderr

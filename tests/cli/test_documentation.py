@@ -127,8 +127,7 @@ def stand_ins(tmp_path_factory):
     values = np.sqrt(x**2 + y**2 + z**2) - 0.7
     colours = np.stack([x, y, z], axis=3) / 2 + 0.5
     np.savez(folder / "fusion.npz", values=values, colours=colours)
-    run = beltrami("smooth", folder / "scan.ply", "-", "--fast", "--report", folder / "run.json")
-    assert run.returncode == 0, run.stderr
+    beltrami("smooth", folder / "scan.ply", "-", "--fast", "--report", folder / "run.json")
     return folder
 
 
@@ -160,8 +159,7 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
     own = command(name).params
     small = ["--size", "40"] if name in ("render", "sweep") else []  # the last one counts
     overwriting = ["--overwrite"] if any(option.name == "overwrite" for option in own) else []
-    run = beltrami(*words, *small, *overwriting)
-    assert run.returncode == 0, run.stderr
+    beltrami(*words, *small, *overwriting)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.image import read_image, to_float
-from cli.commands import SAMPLES, beltrami
+from cli.commands import beltrami, refused
 from formats.image_files import encode
 
 ROWS, COLUMNS = 60, 80
@@ -34,7 +34,6 @@ def values(path):
 def test_a_photo_comes_out_cleaner_without_any_option(photo):
     folder, clean = photo
     run = beltrami("smooth", "photo.png", "clean.png", cwd=folder)
-    assert run.returncode == 0, run.stderr
     assert b"clean.png: 80 x 60 pixels, noise" in run.stderr
     errors = [np.sqrt(np.mean((values(folder / name) - clean) ** 2)) for name in ("photo.png", "clean.png")]
     assert errors[1] < 0.3 * errors[0]
@@ -43,7 +42,7 @@ def test_a_photo_comes_out_cleaner_without_any_option(photo):
 def test_images_go_through_pipes_in_their_format_or_another(photo):
     folder, _ = photo
     data = (folder / "photo.png").read_bytes()
-    assert beltrami("smooth", "photo.png", "clean.png", "--fast", cwd=folder).returncode == 0
+    beltrami("smooth", "photo.png", "clean.png", "--fast", cwd=folder)
     piped = beltrami("smooth", "-", "-", "--fast", stdin=data)
     assert piped.stdout == (folder / "clean.png").read_bytes()
     other = beltrami("smooth", "-", "-", "--fast", "--format", "exr", stdin=data)
@@ -55,10 +54,7 @@ def test_images_go_through_pipes_in_their_format_or_another(photo):
 def test_the_surface_and_the_mask_of_an_image_are_options(photo):
     folder, _ = photo
     for options in (["--height", "depth.exr", "--height-scale", "2"], ["--mask", "mask.png"]):
-        run = beltrami(
-            "smooth", "photo.png", "out.png", *options, "--overwrite", "--report", "r.json", cwd=folder
-        )
-        assert run.returncode == 0, run.stderr
+        beltrami("smooth", "photo.png", "out.png", *options, "--overwrite", "--report", "r.json", cwd=folder)
         facts = json.loads((folder / "r.json").read_text())["image"]["image"]
         assert facts["surface"] == ("height" if "--height" in options else "plane")
         kept = (values(folder / "out.png") == values(folder / "photo.png")).all(axis=2)
@@ -68,43 +64,20 @@ def test_the_surface_and_the_mask_of_an_image_are_options(photo):
 def test_the_paper_preset_takes_its_scheme(photo):
     folder, _ = photo
     options = ["--preset", "paper", "--height", "depth.exr", "--report", "r.json"]
-    assert beltrami("smooth", "photo.png", "out.png", *options, cwd=folder).returncode == 0
+    beltrami("smooth", "photo.png", "out.png", *options, cwd=folder)
     parameters = json.loads((folder / "r.json").read_text())["parameters"]
     assert (parameters["scheme"], parameters["iterations"], parameters["window"]) == ("metric", 1, 7)
     assert parameters["image"]["height"] == "depth.exr"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "said"),
-    [
-        (
-            ["photo.png", "out.png", "--slots", "emissive"],
-            2,
-            "--slots: for meshes only, but photo.png is an image",
-        ),
-        (["photo.png", "out.glb"], 2, "no image format is known for .glb"),
-        (["photo.png", "out.png", "--height", "photo.png"], 3, "which of its channels R, G, B is the height"),
-        (["photo.png", "out.png", "--positions", "none.exr"], 3, "none.exr: cannot be read"),
-        (["photo.png", "out.png", "--unwrap"], 3, "photo.png: it is an image"),
-        ([SAMPLES / "terrain-noisy.ply", "out.ply", "--mask", "mask.png"], 2, "--mask: for images only"),
-        (["photo.png", "photo.png"], 4, "exists already"),
-    ],
-)
-def test_failures_are_one_line_and_leave_files_alone(photo, arguments, code, said):
-    folder, _ = photo
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    run = beltrami("smooth", *arguments, cwd=folder)
-    assert run.returncode == code
-    assert said in run.stderr.decode()
-    assert run.stderr.count(b"\n") == 1
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+def test_an_image_has_nothing_to_unwrap(photo):
+    refused(photo[0], "smooth", "photo.png", "out.png", "--unwrap", code=3, said="photo.png: it is an image")
 
 
 @pytest.mark.slow
 def test_info_shows_what_an_image_is(photo):
     folder, _ = photo
     shown = beltrami("info", "photo.png", "--height", "depth.exr", cwd=folder)
-    assert shown.returncode == 0
     for word in ("png", "80", "60", "R, G, B", "uint8", "height", "noise", "beta"):
         assert word in shown.stdout.decode()
     facts = json.loads(beltrami("info", "photo.png", "--json", cwd=folder).stdout)

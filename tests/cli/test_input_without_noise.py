@@ -6,22 +6,11 @@ import json
 import re
 
 import numpy as np
-import OpenImageIO
 import pytest
 
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
-
-
-def jpeg_of_two_colours(path):
-    pixels = np.full((64, 64, 3), 60, np.uint8)
-    pixels[:, 32:] = 200
-    spec = OpenImageIO.ImageSpec(64, 64, 3, "uint8")
-    spec.attribute("compression", "jpeg:80")
-    file = OpenImageIO.ImageOutput.create(str(path))
-    assert file.open(str(path), spec)
-    assert file.write_image(pixels)
-    assert file.close()
+from small_models import textured_squares
 
 
 @pytest.fixture
@@ -29,13 +18,10 @@ def square(tmp_path):
     """Make a square that shows the middle of a JPEG picture, whose edges a gutter would change."""
     folder = tmp_path / "source"
     folder.mkdir()
-    jpeg_of_two_colours(folder / "square.jpg")
-    (folder / "square.mtl").write_text("newmtl paint\nmap_Kd square.jpg\n")
-    (folder / "square.obj").write_text(
-        "mtllib square.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
-        "vt .3 .3\nvt .7 .3\nvt .7 .7\nvt .3 .7\nf 1/1 2/2 3/3 4/4\n"
-    )
-    return folder / "square.obj"
+    pixels = np.full((64, 64, 3), 60, np.uint8)
+    pixels[:, 32:] = 200
+    (folder / "square.jpg").write_bytes(encode(pixels, "jpeg", compression="jpeg:80"))
+    return textured_squares(folder / "square.obj", ("square.jpg", 0, (0.3, 0.7)))
 
 
 def test_a_mesh_at_one_place_is_said_to_have_no_area(tmp_path):
@@ -56,7 +42,6 @@ def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
     result = tmp_path / "result" / "square.obj"
     result.parent.mkdir()
     run = beltrami("smooth", square, result)
-    assert run.returncode == 0, run.stderr
     assert b"left as they are" in run.stderr
     for name in ("square.obj", "square.mtl", "square.jpg"):
         assert (result.parent / name).read_bytes() == (square.parent / name).read_bytes()
@@ -66,8 +51,7 @@ def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
 def test_beside_the_source_no_files_pile_up(name, square):
     before = {path.name: path.read_bytes() for path in square.parent.iterdir()}
     for _ in range(2):
-        run = beltrami("smooth", square, square.with_name(name), "--overwrite")
-        assert run.returncode == 0, run.stderr
+        beltrami("smooth", square, square.with_name(name), "--overwrite")
     after = {path.name: path.read_bytes() for path in square.parent.iterdir()}
     assert after == before | {name: before["square.obj"]}
 
@@ -83,7 +67,6 @@ def test_beside_the_source_no_files_pile_up(name, square):
 def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):
     result, report = tmp_path / name, tmp_path / "report.json"
     run = beltrami("smooth", SAMPLES / name, result, "--report", report)
-    assert run.returncode == 0, run.stderr
     assert b"left as they are" in run.stderr
     assert result.read_bytes() == (SAMPLES / name).read_bytes()
     reported = json.loads(report.read_text())
@@ -96,7 +79,7 @@ def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path
     noise, *ways = re.search(way_out, line).groups()
     assert float(noise or 0) == pytest.approx(255 * max(done["noise"].values()), abs=0.05)
     for options in ways:
-        assert beltrami("smooth", SAMPLES / name, result, "--overwrite", *options.split()).returncode == 0
+        beltrami("smooth", SAMPLES / name, result, "--overwrite", *options.split())
         assert result.read_bytes() != (SAMPLES / name).read_bytes()
 
 
@@ -128,7 +111,6 @@ def test_where_there_are_no_samples_no_strength_is_advised(tmp_path):
 
 def test_iterations_that_are_asked_for_are_run_all_the_same(square, tmp_path):
     result, report = tmp_path / "result.obj", tmp_path / "report.json"
-    run = beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)
-    assert run.returncode == 0, run.stderr
+    beltrami("smooth", square, result, "-n", 2, "-t", 1, "--beta", 0, "--report", report)
     assert json.loads(report.read_text())["textures"][0]["iterations"] == 2
     assert (tmp_path / "result.jpg").read_bytes() != (square.parent / "square.jpg").read_bytes()

@@ -16,7 +16,6 @@ def test_options_of_the_kernel_apply(tmp_path):
     run = beltrami(
         "kernel", HEAD, target, "--at", "1234", "-t", "1.5", "--beta", "0", "--iteration", "2", "-v"
     )
-    assert run.returncode == 0, run.stderr
     facts = json.loads(target.read_text())
     assert (facts["t"], facts["beta"], facts["iteration"]) == (1.5, 0, 2)
     printed = run.stderr.decode()
@@ -27,7 +26,6 @@ def test_options_of_the_kernel_apply(tmp_path):
 
 def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
     run = beltrami("kernel", "-", "-", "--at", "1234", "-q", "--fast", stdin=HEAD.read_bytes())
-    assert run.returncode == 0, run.stderr
     head, *rows = run.stdout.decode().splitlines()
     assert head == "vertex,x,y,z,distance,weight,red,green,blue"
     assert rows[0].startswith("1234,")
@@ -35,20 +33,12 @@ def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
     assert run.stderr == b""
 
 
-def test_a_place_that_is_none_is_wrong_usage_in_one_line(tmp_path):
-    run = beltrami("kernel", HEAD, tmp_path / "k.ply", "--at=-1", "--fast")
-    assert run.returncode == 2
-    assert run.stderr.count(b"\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
     target = tmp_path / "k.json"
     target.write_text("mine")
-    run = beltrami("kernel", HEAD, target, "--at", "1")
-    assert run.returncode == 4
+    beltrami("kernel", HEAD, target, "--at", "1", code=4)
     assert target.read_text() == "mine"
-    assert beltrami("kernel", HEAD, target, "--at", "1", "--overwrite", "--fast").returncode == 0
+    beltrami("kernel", HEAD, target, "--at", "1", "--overwrite", "--fast")
 
 
 @pytest.mark.parametrize(
@@ -64,7 +54,7 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
 def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
     source, record, target = SAMPLES / name, tmp_path / "run.json", tmp_path / "kernel.json"
     smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)
-    assert beltrami("kernel", source, target, "--at", at, *options).returncode == 0
+    beltrami("kernel", source, target, "--at", at, *options)
     done, facts = json.loads(record.read_text()), json.loads(target.read_text())
     done = done["vertices"] or done["image"] or done["textures"][0]
     info = json.loads(beltrami("info", source, "--json", *options).stdout)

@@ -13,12 +13,13 @@ from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
-from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_colours import dithered
 from benchmarks.exposure_scene import ExposureScene
-from cli.commands import SAMPLES
+from cli.commands import SAMPLES, refused
 from cli.commands import beltrami as run_beltrami
+from small_models import COLOURED, ply
 
 HEAD = SAMPLES / "head-tex-clean.glb"
 
@@ -27,19 +28,11 @@ PLAIN = beltrami_cli.SmoothSettings(kernel=beltrami_cli.KernelParameters())
 
 
 def beltrami(*arguments, code=0):
-    done = run_beltrami(*arguments, text=True)
-    assert done.returncode == code, done.stderr
-    return done
+    return run_beltrami(*arguments, text=True, code=code)
 
 
-class Exposing:
+class Exposing(Painter):
     """A painter that gives charts known exposures."""
-
-    changes = colours_only = works_on_disk = True
-    works_in_groups = False
-
-    def check(self, *_):
-        pass
 
     def paint(self, samples, job):
         _, colours = ExposureScene(samples, samples.colours.samples(samples.atlas).astype(float)).exposed(1)
@@ -116,15 +109,17 @@ def test_texels_at_several_places_are_not_said_to_be_smoothed(tmp_path):
     assert "overlapping charts); each is taken at one of them" in done.stderr
 
 
-def test_what_has_no_charts_is_refused_with_a_reason(tmp_path):
-    done = beltrami("level", SAMPLES / "head-noisy.ply", tmp_path / "out.ply", code=3)
-    assert "nothing says which photograph" in done.stderr
-    done = beltrami("level", SAMPLES / "head-tex-clean.png", tmp_path / "out.png", code=2)
-    assert done.stderr.startswith(f"beltrami: {SAMPLES / 'head-tex-clean.png'}: an image has no charts")
-    done = beltrami("level", HEAD, tmp_path / "out.glb", "--reference", "absent*", code=2)
-    assert "--reference absent*" in done.stderr
-    done = beltrami("level", HEAD, tmp_path / "out.glb", "--reference", "*", code=2)
-    assert "keeps all charts" in done.stderr
+@pytest.mark.parametrize(
+    ("name", "options", "code", "said"),
+    [
+        ("head-noisy.ply", (), 3, "nothing says which photograph"),
+        ("head-tex-clean.png", (), 2, "head-tex-clean.png: an image has no charts"),
+        ("head-tex-clean.glb", ("--reference", "absent*"), 2, "--reference absent*"),
+        ("head-tex-clean.glb", ("--reference", "*"), 2, "keeps all charts"),
+    ],
+)
+def test_what_has_no_charts_is_refused_with_a_reason(name, options, code, said, tmp_path):
+    refused(tmp_path, "level", SAMPLES / name, f"out{name[-4:]}", *options, code=code, said=said)
 
 
 @pytest.mark.slow
@@ -147,15 +142,8 @@ def photographed(path, *, exposed):
         np.column_stack([corner, corner + 1, corner + side]),
         np.column_stack([corner + 1, corner + side + 1, corner + side]),
     ])  # fmt: skip
-    lines = [
-        "ply", "format ascii 1.0", f"element vertex {side**2}", "property float x", "property float y",
-        "property float z", "property uchar red", "property uchar green", "property uchar blue", "property int camera",
-        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
-    ]  # fmt: skip
     table = np.column_stack([row, column, 0 * row, np.rint(colours), photograph]).astype(int)
-    lines += [" ".join(map(str, each)) for each in table.tolist()]
-    lines += [" ".join(map(str, [3, *face])) for face in faces.tolist()]
-    path.write_text("\n".join(lines) + "\n")
+    path.write_bytes(ply(f"{COLOURED}, int camera", table.tolist(), faces.tolist()))
     return open_document(str(path)).painted().colours
 
 

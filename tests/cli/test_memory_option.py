@@ -7,7 +7,6 @@ import re
 import resource
 import subprocess
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,11 +14,8 @@ import pytest
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs import job, smoothing
 from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size, show_size
-from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.commands import COMMAND, beltrami
 from formats.tile_files import tiled_model
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.mark.parametrize(
@@ -34,23 +30,21 @@ if TYPE_CHECKING:
         ("1T", 1 << 40),
     ],
 )
-def test_sizes(text: str, size: int) -> None:
+def test_sizes(text, size):
     assert parse_size(text) == size
 
 
 @pytest.mark.parametrize("text", [" ", "G", "-1G", "1X", "1 G B", "nan", "1e9", "0x10", "9" * 30])
-def test_what_is_no_size(text: str) -> None:
+def test_what_is_no_size(text):
     with pytest.raises(ValueError, match=re.escape(text)):
         parse_size(text)
 
 
-def test_sizes_are_shown_in_the_unit_that_suits_them() -> None:
+def test_sizes_are_shown_in_the_unit_that_suits_them():
     assert [show_size(size) for size in (12, 500 << 20, 4 << 30)] == ["12", "500M", "4G"]
 
 
-def test_by_default_half_of_what_is_available_may_be_taken(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_by_default_half_of_what_is_available_may_be_taken(monkeypatch, tmp_path):
     whole = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     assert 1 << 26 < (default_memory() or 1 << 30) <= whole // 2
     root = tmp_path / "cgroup"
@@ -70,7 +64,7 @@ def test_by_default_half_of_what_is_available_may_be_taken(
     assert default_memory() == ((1 << 29) - (1 << 20)) // 2
 
 
-def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted() -> None:
+def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted():
     before = resource.getrlimit(resource.RLIMIT_DATA)
     message = r"big\.ply: needs more than 1G of memory; raise --max-memory"
     with pytest.raises(InputError, match=message), limited_memory(1 << 30, "big.ply"):
@@ -80,33 +74,19 @@ def test_more_than_the_limit_is_refused_by_name_and_the_limit_is_lifted() -> Non
         assert np.ones(1 << 26, np.uint8).sum() == 1 << 26
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"), [(["--max-memory", "lots"], "no size"), (["--max-memory", "0"], "no memory")]
-)
-def test_wrong_sizes_are_wrong_usage(arguments: list[str], words: str, tmp_path) -> None:
-    run = beltrami("smooth", SAMPLES / "terrain-noisy.ply", tmp_path / "out.ply", *arguments)
-    assert run.returncode == 2
-    assert words in run.stderr.decode()
-
-
 @pytest.mark.parametrize("verb", ["info", "check", "smooth"])
-def test_a_traceback_comes_on_demand_only(verb: str, tmp_path) -> None:
+def test_a_traceback_comes_on_demand_only(verb, tmp_path):
     bad = tmp_path / "bad.ply"
     bad.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nend_header\n")
     others = {"info": [], "check": [bad], "smooth": [tmp_path / "out.ply"]}[verb]
-    plain = beltrami(verb, bad, *others)
-    assert plain.returncode == 3
+    plain = beltrami(verb, bad, *others, code=3)
     assert plain.stderr.count(b"\n") == 1
-    assert b"Traceback" not in plain.stderr
-    reported = beltrami(verb, bad, *others, "-vv")
-    assert reported.returncode == 3
+    reported = beltrami(verb, bad, *others, "-vv", code=3)
     assert b"Traceback" in reported.stderr
     assert reported.stderr.endswith(plain.stderr)
 
 
-def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(tmp_path, monkeypatch):
     """Nine tiles of 48 x 48 texels take 22 bytes each as they are drawn, 456 KB for one model; smoothing takes less."""
     model = tiled_model(tmp_path / "in", size=3)
     cause = b"0.0415 million texels do not fit into memory to be drawn; raise --max-memory, or leave out --preview\n"
@@ -114,17 +94,15 @@ def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(
     monkeypatch.setattr(smoothing, "smooth_samples", None)
     monkeypatch.setattr(job, "_data_limit", lambda _: nullcontext())  # which is for a process of its own
     for more in ((), ("--unwrap",)):
-        run = beltrami("smooth", model, tmp_path / "new.obj", *options, *more)
-        assert run.returncode == 3
+        run = beltrami("smooth", model, tmp_path / "new.obj", *options, *more, code=3)
         assert run.stderr.endswith(cause)
     assert not list(tmp_path.glob("*.*"))
-    run = beltrami("render", model, model, tmp_path / "look.png", "--max-memory", "600K")
-    assert run.returncode == 3
+    run = beltrami("render", model, model, tmp_path / "look.png", "--max-memory", "600K", code=3)
     assert run.stderr.endswith(b"million texels do not fit into memory to be drawn; raise --max-memory\n")
 
 
 @pytest.mark.slow
-def test_models_are_drawn_in_little_memory(tmp_path: Path) -> None:
+def test_models_are_drawn_in_little_memory(tmp_path):
     """Not so little that Embree cannot start its threads, at which it crashes."""
     model = tiled_model(tmp_path / "in", size=1)
     picture = tmp_path / "look.png"

@@ -41,8 +41,7 @@ def test_bars_go_from_nothing_to_all(name, shown, tmp_path):
     arguments, labels = COMMANDS[name]
     if name in ("render", "sweep"):
         pytest.importorskip("embreex")
-    run = beltrami(*arguments, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    beltrami(*arguments, cwd=tmp_path)
     assert labels <= {label for label, _, _ in shown}
     for label in labels:
         done = [share for each, share, _ in shown if each == label]

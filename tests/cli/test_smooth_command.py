@@ -10,18 +10,18 @@ import shutil
 import signal
 import stat
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.registry import open_document
-from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.commands import COMMAND, SAMPLES, beltrami, interrupted, refused
 from cli.pictures import painted_file
 from formats.image_files import encode
+from hostile.folders import snapshot
 from oracles import surfaces
+from small_models import COLOURED, ply
 
 NOISY = SAMPLES / "terrain-noisy.ply"
 
@@ -41,16 +41,8 @@ def psnr(path, truth):
 def test_samples_come_out_visibly_cleaner_without_any_flag(name, tmp_path):
     noisy, clean = (SAMPLES / name.replace(".", f"-{which}.") for which in ("noisy", "clean"))
     result = tmp_path / name
-    run = beltrami("smooth", noisy, result)
-    assert run.returncode == 0, run.stderr
+    beltrami("smooth", noisy, result)
     assert psnr(result, clean) > psnr(noisy, clean) + 6
-
-
-@pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
-def test_no_iterations_give_the_very_same_file(extension, tmp_path):
-    source, result = SAMPLES / f"nonmanifold-noisy.{extension}", tmp_path / f"out.{extension}"
-    assert beltrami("smooth", source, result, "-n", 0).returncode == 0
-    assert result.read_bytes() == source.read_bytes()
 
 
 def test_stdout_carries_data_only_and_messages_go_to_stderr(tmp_path):
@@ -69,18 +61,14 @@ def test_glb_goes_through_a_pipe_and_the_format_can_be_chosen(tmp_path):
     assert piped.stdout[:4] == b"glTF"
     converted = beltrami("smooth", "-", "-", "--fast", "--format", "ply", stdin=glb.read_bytes())
     assert converted.stdout[:4] == b"ply\n"
-    assert converted.returncode == 0
 
 
 def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
     result = tmp_path / "out.ply"
     result.write_text("precious")
-    refused = beltrami("smooth", NOISY, result)
-    assert refused.returncode == 4
-    assert b"--overwrite" in refused.stderr
-    assert result.read_text() == "precious"
+    refused(tmp_path, "smooth", NOISY, result, code=4, said="--overwrite")
     result.chmod(0o640)
-    assert beltrami("smooth", NOISY, result, "--overwrite", "--fast").returncode == 0
+    beltrami("smooth", NOISY, result, "--overwrite", "--fast")
     assert stat.S_IMODE(result.stat().st_mode) == 0o640
     assert [path.name for path in tmp_path.iterdir()] == ["out.ply"]
 
@@ -89,30 +77,26 @@ def test_an_existing_output_is_kept_unless_overwriting_is_asked_for(tmp_path):
 @pytest.mark.parametrize(
     ("target", "words"),
     [
-        ("out/there.ply", b"out/there.ply: exists already; choose another name, or --overwrite"),
-        ("out", b"out: is a folder; name a file"),
-        ("", b"OUTPUT: its name is empty; name a file, or - for standard output"),
-        ("none/x.ply", b"none/x.ply: the folder none does not exist; make it first"),
-        ("out/there.ply/x.ply", b"out/there.ply/x.ply: out/there.ply is no folder; choose another place"),
-        ("out/" + 300 * "x" + ".ply", b".ply: no file can be called so (File name too long)"),
+        ("out/there.ply", "out/there.ply: exists already; choose another name, or --overwrite"),
+        ("out", "out: is a folder; name a file"),
+        ("", "OUTPUT: its name is empty; name a file, or - for standard output"),
+        ("none/x.ply", "none/x.ply: the folder none does not exist; make it first"),
+        ("out/there.ply/x.ply", "out/there.ply/x.ply: out/there.ply is no folder; choose another place"),
+        ("out/" + 300 * "x" + ".ply", ".ply: no file can be called so (File name too long)"),
     ],
 )
 def test_an_output_that_cannot_be_is_named_as_the_user_named_it(target, words, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "there.ply").write_bytes(b"kept")
-    run = beltrami("smooth", SAMPLES / "knot-noisy.ply", target, cwd=tmp_path)
-    assert run.returncode == 4
-    assert run.stderr.startswith(b"beltrami: " + target[:20].encode())
-    assert words in run.stderr
-    assert len(run.stderr.splitlines()) == 1
-    assert (tmp_path / "out" / "there.ply").read_bytes() == b"kept"
+    line = refused(tmp_path, "smooth", SAMPLES / "knot-noisy.ply", target, code=4, said=words)
+    assert line.startswith(f"beltrami: {target[:20]}")
 
 
 def test_a_file_may_be_smoothed_in_place_when_overwriting_is_asked_for(tmp_path):
     scan, result = tmp_path / "scan.ply", tmp_path / "out.ply"
     shutil.copy(NOISY, scan)
-    assert beltrami("smooth", NOISY, result, "--fast").returncode == 0
-    assert beltrami("smooth", scan, scan, "--overwrite", "--fast").returncode == 0
+    beltrami("smooth", NOISY, result, "--fast")
+    beltrami("smooth", scan, scan, "--overwrite", "--fast")
     assert scan.read_bytes() == result.read_bytes()
 
 
@@ -120,7 +104,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
     real, link = tmp_path / "real.ply", tmp_path / "link.ply"
     real.write_text("old")
     link.symlink_to(real)
-    assert beltrami("smooth", NOISY, link, "--overwrite", "--fast").returncode == 0
+    beltrami("smooth", NOISY, link, "--overwrite", "--fast")
     assert link.is_symlink()
     assert real.read_bytes()[:3] == b"ply"
 
@@ -128,48 +112,30 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["missing.ply", "out.ply"], 3, b"missing.ply"),
-        ([".", "out.ply"], 3, b"directory"),
-        ([str(NOISY), "nowhere/out.ply"], 4, b"nowhere"),
-        ([str(NOISY), "."], 4, b"folder"),
-        ([str(NOISY), "out.abc"], 2, b".abc"),
-        ([str(NOISY), "out.ply", "-t", "0"], 2, b"--time-step is 0"),
-        ([str(NOISY), "out.ply", "--beta", "-1"], 2, b"beta"),
-        ([str(NOISY), "out.ply", "--beta", "nan"], 2, b"beta"),
-        ([str(NOISY), "out.ply", "--threshold", "1"], 2, b"threshold"),
-        ([str(NOISY), "out.ply", "--channels", "infrared"], 2, b"infrared"),
-        ([str(NOISY), "out.ply", "--channels", "r", "--space", "oklab"], 2, b"oklab"),
-        ([str(NOISY), "out.ply", "--bogus"], 2, b"--bogus"),
-        ([str(NOISY)], 2, b"OUTPUT"),
-        ([str(NOISY), "out.ply", "--report", "nowhere/r.json"], 4, b"nowhere"),
-        ([str(NOISY), "out.ply", "--report", "-"], 4, b"standard output is for OUTPUT"),
-        ([str(NOISY), "out.ply", "--report", "."], 4, b"folder"),
+        (["missing.ply", "out.ply"], 3, "missing.ply"),
+        ([".", "out.ply"], 3, "directory"),
+        ([str(NOISY), "out.abc"], 2, ".abc"),
+        ([str(NOISY), "out.ply", "-t", "0"], 2, "--time-step is 0"),
+        ([str(NOISY), "out.ply", "--beta", "-1"], 2, "beta"),
+        ([str(NOISY), "out.ply", "--beta", "nan"], 2, "beta"),
+        ([str(NOISY), "out.ply", "--threshold", "1"], 2, "threshold"),
+        ([str(NOISY), "out.ply", "--channels", "infrared"], 2, "infrared"),
+        ([str(NOISY), "out.ply", "--channels", "r", "--space", "oklab"], 2, "oklab"),
+        ([str(NOISY), "out.ply", "--bogus"], 2, "--bogus"),
+        ([str(NOISY)], 2, "OUTPUT"),
+        ([str(NOISY), "out.ply", "--report", "nowhere/r.json"], 4, "nowhere"),
+        ([str(NOISY), "out.ply", "--report", "-"], 4, "standard output is for OUTPUT"),
+        ([str(NOISY), "out.ply", "--report", "."], 4, "folder"),
     ],
 )
 def test_failures_exit_with_the_documented_code_one_line_and_no_traces(arguments, code, words, tmp_path):
-    run = beltrami("smooth", *arguments, cwd=tmp_path)
-    assert run.returncode == code, run.stderr
-    assert words in run.stderr
-    assert b"Traceback" not in run.stderr
-    assert list(tmp_path.iterdir()) == []
+    refused(tmp_path, "smooth", *arguments, code=code, said=words)
 
 
 def test_a_fifo_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "scan.ply")
-    run = beltrami("smooth", tmp_path / "scan.ply", tmp_path / "out.ply")
-    assert run.returncode == 3
+    run = beltrami("smooth", tmp_path / "scan.ply", tmp_path / "out.ply", code=3)
     assert b"pipe" in run.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_device_is_an_output_error():
-    with Path("/dev/full").open("wb") as full:
-        run = subprocess.run(
-            [*COMMAND, "smooth", str(NOISY), "-"], stdout=full, stderr=subprocess.PIPE, check=False
-        )
-    assert run.returncode == 4
-    assert b"Traceback" not in run.stderr
 
 
 @pytest.mark.parametrize(
@@ -185,7 +151,6 @@ def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
     run = beltrami(
         "smooth", SAMPLES / name, out, "--dry-run", "-n", 1, "--fast", *options, "--report", report
     )
-    assert run.returncode == 0, run.stderr
     assert re.search(rb"peak memory: [1-9][0-9.]*M\n", run.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert json.loads(report.read_text())["written"] == []
@@ -193,9 +158,7 @@ def test_a_dry_run_reports_and_writes_nothing(name, options, tmp_path):
 
 def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
     report = tmp_path / "report.json"
-    assert (
-        beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--fast", "--report", report).returncode == 0
-    )
+    beltrami("smooth", NOISY, tmp_path / "out.ply", "-n", 2, "--fast", "--report", report)
     reported = json.loads(report.read_text())
     assert reported["parameters"]["iterations"] == 2
     assert reported["parameters"]["beta"] is None
@@ -214,7 +177,6 @@ def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
 def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothed(tmp_path):
     (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
     done = beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, text=True)
-    assert done.returncode == 0
     assert "noise 15.0/255, of which smoothing would take nothing" in done.stderr
     assert "Warning" not in done.stderr
 
@@ -222,16 +184,13 @@ def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothe
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "colour"), [(1, 90), (3, 0)])
 def test_noise_is_given_for_vertices_that_have_no_neighbours_or_hold_none(tmp_path, count, colour):
-    properties = [f"property float {axis}" for axis in "xyz"]
-    properties += [f"property uchar {channel}" for channel in ("red", "green", "blue")]
-    rows = [f"{place} {colour} {colour} {colour}" for place in ("0 0 0", "1 0 0", "0 1 0")[:count]]
-    lines = ["ply", "format ascii 1.0", f"element vertex {count}", *properties, "end_header", *rows, ""]
-    (tmp_path / "in.ply").write_text("\n".join(lines))
+    places = [(0, 0, 0), (1, 0, 0), (0, 1, 0)][:count]
+    (tmp_path / "in.ply").write_bytes(ply(COLOURED, [[*place, *[colour] * 3] for place in places]))
     report = tmp_path / "run.json"
     for options in ([], ["--strength", "strong", "--patches", "on", "-n", 3]):
         done = beltrami("smooth", tmp_path / "in.ply", tmp_path / "out.ply", "--noise", 15, "--report", report,
                         "--overwrite", *options, text=True)  # fmt: skip
-        assert (done.returncode, "Warning:" in done.stderr) == (0, False), done.stderr
+        assert "Warning:" not in done.stderr
         assert not re.search("Infinity|NaN", report.read_text())
 
 
@@ -239,12 +198,7 @@ def test_noise_is_given_for_vertices_that_have_no_neighbours_or_hold_none(tmp_pa
 def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
     (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
     report = tmp_path / "run.json"
-    assert (
-        beltrami(
-            "smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, "--report", report
-        ).returncode
-        == 0
-    )
+    beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, "--report", report)
     assert not re.search("Infinity|NaN", report.read_text())
     told = beltrami("info", tmp_path / "one.png", "--noise", 15, text=True).stdout
     assert "of one sample no PSNR can be told" in told
@@ -252,13 +206,12 @@ def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
 
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     run = beltrami("smooth", NOISY, tmp_path / "out.ply", "--max-samples", 5, "--fast")
-    assert run.returncode == 0
     assert b"warning" in run.stderr
     assert b"--max-samples" in run.stderr
 
 
 def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
-    assert beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g", "--fast").returncode == 0
+    beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g", "--fast")
     before, after = colours(NOISY), colours(tmp_path / "out.ply")
     assert np.array_equal(before[:, [0, 2]], after[:, [0, 2]])
     assert not np.array_equal(before[:, 1], after[:, 1])
@@ -278,21 +231,24 @@ def test_spaces_differ_and_all_denoise(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_soon_and_leaves_nothing_behind(number, tmp_path):
-    positions, faces = surfaces.plane(700, 700)
-    colours = np.random.default_rng(0).random(positions.shape)
-    big = painted_file(tmp_path / "big.ply", positions, faces, colours)
-    arguments = [*COMMAND, "smooth", big, tmp_path / "out.ply", "-n", "100", "--beta", "0", "-t", "8"]
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE) as process:
-        time.sleep(2.0)
-        process.send_signal(number)
-        sent = time.monotonic()
-        _, errors = process.communicate(timeout=30)
-    assert process.returncode == 128 + number
-    assert time.monotonic() - sent < 2
-    assert b"Traceback" not in errors
-    assert [path.name for path in tmp_path.iterdir()] == ["big.ply"]
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [("vertices", signal.SIGINT), ("vertices", signal.SIGTERM), ("texture", signal.SIGINT)],
+)
+def test_an_interrupt_ends_soon_and_leaves_nothing_behind(kind, number, tmp_path):
+    if kind == "vertices":
+        positions, faces = surfaces.plane(700, 700)
+        painted_file(tmp_path / "in.ply", positions, faces, np.random.default_rng(0).random(positions.shape))
+        arguments = ["in.ply", "out.ply", "-n", "100", "--beta", "0", "-t", "8"]
+    else:
+        for path in SAMPLES.glob("mirrored-noisy.*"):
+            shutil.copy(path, tmp_path)
+        arguments = ["mirrored-noisy.obj", "out.obj", "-n", "2000"]
+    before = snapshot(tmp_path)
+    with subprocess.Popen([*COMMAND, "smooth", *arguments], cwd=tmp_path, stderr=subprocess.PIPE) as process:
+        time.sleep(1.5)
+        interrupted(process, number)
+    assert snapshot(tmp_path) == before
 
 
 @pytest.mark.slow
@@ -317,10 +273,9 @@ def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
 
 
 def test_options_of_the_program_are_said_to_go_before_the_command():
-    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml")
-    assert run.returncode == 2
+    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml", code=2)
     assert b"--config goes before the command: beltrami --config FILE smooth ...\n" in run.stderr
-    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V").stderr
+    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V", code=2).stderr
 
 
 @pytest.mark.parametrize(
@@ -332,39 +287,8 @@ def test_options_of_the_program_are_said_to_go_before_the_command():
     ],
 )
 def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
-    run = beltrami(word, "clean.ply")
-    assert run.returncode == 2
+    run = beltrami(word, "clean.ply", code=2)
     assert said in run.stderr
-
-
-@pytest.mark.slow
-def test_smoothing_a_small_mesh_loads_nothing_that_it_does_not_need(tmp_path):
-    """Each of these takes as long to be imported as some iterations on five thousand vertices."""
-    heavy = {"numpy.ma", "scipy", "OpenImageIO", "rich", "trimesh", "tempfile"}
-    arguments = ["smooth", str(SAMPLES / "knot-noisy.ply"), str(tmp_path / "clean.ply")]
-    run = f"import sys; from beltrami_cli.cli.main import group; group.main({arguments!r}, standalone_mode=False)"
-    check = f"{run}; found = {heavy!r} & set(sys.modules); assert not found, found"
-    ended = subprocess.run([sys.executable, "-P", "-c", check], capture_output=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    assert (tmp_path / "clean.ply").exists()
-
-
-@pytest.mark.parametrize("words", [["--help"], ["bake", "--help"], ["smooth", "--help"]], ids=" ".join)
-def test_help_starts_with_click_alone(words):
-    shown = (
-        f"import sys; from beltrami_cli.cli.main import group; group.main({words!r}, standalone_mode=False)"
-    )
-    heavy = {"numpy", "scipy", "rich", "OpenImageIO", "xatlas", "beltrami_cli._native"}
-    check = f"{shown}; assert not {heavy!r} & set(sys.modules), sys.modules"
-    run = subprocess.run([sys.executable, "-P", "-c", check], capture_output=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert words == ["--help"] or b"Examples:" in run.stdout
-
-
-def test_the_version_is_that_of_the_package():
-    from importlib.metadata import version
-
-    assert version("beltrami-cli").encode() in beltrami("--version").stdout
 
 
 @pytest.mark.slow

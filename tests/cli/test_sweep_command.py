@@ -11,7 +11,7 @@ import pytest
 
 from beltrami_cli.formats.image import reading
 from beltrami_cli.view import tracing
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, refused
 from cli.pictures import pixels
 
 pytest.importorskip("embreex")
@@ -23,7 +23,6 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     page = tmp_path / "sheet.html"
     lists = ("--beta", "4,12", "-n", "1,3", "--metric-steps", "1")
     run = beltrami("sweep", NOISY, page, *lists, "--reference", CLEAN, "--size", 60)
-    assert run.returncode == 0, run.stderr
     text = page.read_text()
     trials = json.loads(re.search(r'id="trials">(.*?)</script>', text, re.DOTALL)[1])
     swept = [tuple(trial["parameters"][name] for name in ("beta", "n", "metric steps")) for trial in trials]
@@ -31,7 +30,7 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     assert text.count("data:image/png;base64,") == 6  # with the reference and the input
     assert not re.search(r'(src|href)="(?!data:)', text)  # nothing is fetched
     by_hand = tmp_path / "by-hand.ply"
-    assert beltrami("smooth", NOISY, by_hand, "--beta", 12, "-n", 3, "--metric-steps", 1).returncode == 0
+    beltrami("smooth", NOISY, by_hand, "--beta", 12, "-n", 3, "--metric-steps", 1)
     compared = json.loads(beltrami("compare", CLEAN, by_hand, "--json").stdout)
     assert trials[swept.index((12, 3, 1))]["figures"]["psnr"] == pytest.approx(compared["overall"]["psnr"])
     best = max(trials, key=lambda trial: trial["figures"]["psnr"])
@@ -43,14 +42,13 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
 def test_figures_alone_are_those_of_compare_without_files_in_between(name, tmp_path):
     table, source = tmp_path / "table.csv", SAMPLES / name
     reference = SAMPLES / name.replace("noisy", "clean")
-    run = beltrami(
+    beltrami(
         "sweep", source, table, "--format", "csv", "-n", "1,2", "-t", 1, "--beta", 5, "--reference", reference
     )
-    assert run.returncode == 0, run.stderr
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["n"] for row in rows] == ["1", "2"]
     smooth = tmp_path / name
-    assert beltrami("smooth", source, smooth, "-n", 2, "-t", 1, "--beta", 5).returncode == 0
+    beltrami("smooth", source, smooth, "-n", 2, "-t", 1, "--beta", 5)
     overall = json.loads(beltrami("compare", reference, smooth, "--json").stdout)["overall"]
     assert float(rows[1]["psnr"]) == pytest.approx(overall["psnr"])
     assert float(rows[1]["delta_e"]) == pytest.approx(overall["delta_e"]["mean"])
@@ -58,7 +56,6 @@ def test_figures_alone_are_those_of_compare_without_files_in_between(name, tmp_p
 
 def test_without_a_reference_the_gain_is_estimated_and_goes_to_a_pipe():
     run = beltrami("sweep", NOISY, "-", "--format", "json", "-n", "1,3")
-    assert run.returncode == 0, run.stderr
     trials = json.loads(run.stdout)
     assert [trial["parameters"] for trial in trials] == [{"n": 1}, {"n": 3}]
     assert all(trial["figures"]["estimated_gain"] > 0 for trial in trials)
@@ -72,7 +69,7 @@ def test_the_input_is_decoded_once_and_one_tracer_serves_all(tmp_path, monkeypat
     monkeypatch.setattr(tracing.Tracer, "__init__", lambda *own: tracers.append(own) or trace(*own))
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path)
     options = ("--beta", "3,6,9", "-n", 1, "-t", 1, "--size", 40)
-    assert beltrami("sweep", SAMPLES / "mirrored-noisy.obj", tmp_path / "page.html", *options).returncode == 0
+    beltrami("sweep", SAMPLES / "mirrored-noisy.obj", tmp_path / "page.html", *options)
     assert len(tracers) == 1
     assert len(decoded) == 1 + 3  # the input, and each result to be drawn
 
@@ -81,9 +78,9 @@ def test_the_input_is_decoded_once_and_one_tracer_serves_all(tmp_path, monkeypat
 def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
     sheet, one = tmp_path / "sheet.png", tmp_path / "one.png"
     smooth = tmp_path / "smooth.ply"
-    assert beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--size", 64).returncode == 0
-    assert beltrami("smooth", NOISY, smooth, "-t", 1).returncode == 0
-    assert beltrami("render", smooth, one, "--size", 64).returncode == 0
+    beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--size", 64)
+    beltrami("smooth", NOISY, smooth, "-t", 1)
+    beltrami("render", smooth, one, "--size", 64)
     image = pixels(sheet)
     strip, gap = 20, 2
     assert image.shape == (2 * (strip + 64) + gap, 3 * 64 + 2 * gap, 3)
@@ -94,17 +91,13 @@ def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (("-", "a.png", "--beta", "1"), 2, b"not a pipe"),
-        ((NOISY, "a.png", "--beta", "1,x"), 2, b"list of numbers"),
-        ((NOISY, "a.png", "--beta", "-3"), 2, b"beta is -3"),
-        ((NOISY, "a.txt"), 2, b"no image format"),
-        ((NOISY, "a.png", "-n", ",".join(map(str, range(300)))), 2, b"too many"),
-        ((NOISY, "a.png", "-n", "1", "--reference", KNOT, "--size", "32"), 3, NOISY.name.encode()),
+        (("-", "a.png", "--beta", "1"), 2, "not a pipe"),
+        ((NOISY, "a.png", "--beta", "1,x"), 2, "list of numbers"),
+        ((NOISY, "a.png", "--beta", "-3"), 2, "beta is -3"),
+        ((NOISY, "a.txt"), 2, "no image format"),
+        ((NOISY, "a.png", "-n", ",".join(map(str, range(300)))), 2, "too many"),
+        ((NOISY, "a.png", "-n", "1", "--reference", KNOT, "--size", "32"), 3, NOISY.name),
     ],
 )
 def test_what_cannot_be_swept_is_said_and_nothing_written(arguments, code, said, tmp_path):
-    run = beltrami("sweep", *arguments, cwd=tmp_path)
-    assert run.returncode == code, run.stderr
-    assert said in run.stderr
-    assert b"result." not in run.stderr  # a file that the user never sees
-    assert not list(tmp_path.iterdir())
+    refused(tmp_path, "sweep", *arguments, code=code, said=said)

@@ -222,7 +222,7 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(subsampling, tmp_p
     for suffix in (".jpg", ".png"):
         report = tmp_path / f"{suffix}.json"
         out = tmp_path / f"out{suffix[1:]}.png"
-        assert beltrami("smooth", tmp_path / f"in{suffix}", out, "--report", report).returncode == 0
+        beltrami("smooth", tmp_path / f"in{suffix}", out, "--report", report)
         results[suffix] = psnr(decoded(out.read_bytes(), out) / 255)
         if suffix == ".jpg":
             read = list(json.loads(report.read_text())["image"]["noise"].values())
@@ -238,7 +238,7 @@ def test_patches_do_not_take_ringing_that_repeats_itself_for_detail(tmp_path):
     results = {}
     for patches in ("on", "off"):
         out = tmp_path / f"{patches}.png"
-        assert beltrami("smooth", tmp_path / "in.jpg", out, "--patches", patches).returncode == 0
+        beltrami("smooth", tmp_path / "in.jpg", out, "--patches", patches)
         results[patches] = psnr(decoded(out.read_bytes(), out) / 255, stripes)
     assert results["on"] > results["off"]
 
@@ -250,7 +250,7 @@ def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tm
         outs = [tmp_path / f"{suffix}.png" for suffix in ("jpg", "png")]
         for out in outs:
             given = tmp_path / f"in.{out.stem}"
-            assert beltrami("smooth", given, out, "--overwrite", *options).returncode == 0
+            beltrami("smooth", given, out, "--overwrite", *options)
         np.testing.assert_array_equal(*(decoded(out.read_bytes(), out) for out in outs))
 
 
@@ -259,7 +259,7 @@ def test_noise_that_is_given_is_that_before(tmp_path):
     results = {}
     for noise in ("1", "10"):
         out = tmp_path / f"{noise}.png"
-        assert beltrami("smooth", tmp_path / "in.jpg", out, "--noise", noise).returncode == 0
+        beltrami("smooth", tmp_path / "in.jpg", out, "--noise", noise)
         results[noise] = psnr(decoded(out.read_bytes(), out) / 255)
     assert results["10"] > results["1"] + 3
 
@@ -268,5 +268,5 @@ def test_the_number_of_threads_changes_nothing(tmp_path):
     decoded(jpeg_file(stored(CLEAN, 10), 80), tmp_path / "in.jpg")
     outs = [tmp_path / f"{count}.png" for count in (1, 2)]
     for out in outs:
-        assert beltrami("smooth", tmp_path / "in.jpg", out, "--threads", out.stem).returncode == 0
+        beltrami("smooth", tmp_path / "in.jpg", out, "--threads", out.stem)
     assert outs[0].read_bytes() == outs[1].read_bytes()

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import stat
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
-def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
+def snapshot(folder):
     """Return the type, the mode and the content of everything in a folder, by relative path."""
     found = {}
     for path in sorted(folder.rglob("*")):

@@ -22,10 +22,10 @@ MOST_STEPS = 200
 class Ending:
     """Sends a signal to this process at its n-th step that touches files."""
 
-    def __init__(self, at: int, number: int) -> None:
+    def __init__(self, at, number):
         self.at, self.number, self.steps = at, number, 0
 
-    def __call__(self, event: str, arguments: tuple[object, ...]) -> None:
+    def __call__(self, event, arguments):
         writes = (
             event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)
         )
@@ -35,13 +35,13 @@ class Ending:
                 os.kill(os.getpid(), self.number)
 
 
-def child(target: str, at: int, number: int) -> None:
+def child(target, at, number):
     """Be a command that writes an OBJ file with its library and texture; exit with 77 if the step was not reached."""
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.output import Output
 
-    def job(**_: object) -> int:
+    def job(**_):
         output = Output(target, overwrite=True)
         sidecars = {"maps.mtl": b"new", "maps/skin.png": b"new"}
         output.replaceable = frozenset(sidecars)
@@ -62,7 +62,7 @@ def child(target: str, at: int, number: int) -> None:
         os._exit(77 if ending.steps < at else code)
 
 
-def faults(before: dict, after: dict, finished: dict, number: int) -> list[str]:
+def faults(before, after, finished, number):
     """Return what a signal must not leave: files that are neither old nor new, some of each, or anything else."""
     found = []
     for path, content in before.items():
@@ -77,7 +77,7 @@ def faults(before: dict, after: dict, finished: dict, number: int) -> list[str]:
     return found
 
 
-def run(folder: Path, target: str, at: int, number: int) -> int:
+def run(folder, target, at, number):
     """Fork, and return how the child ended."""
     pid = os.fork()
     if pid == 0:
@@ -86,7 +86,7 @@ def run(folder: Path, target: str, at: int, number: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
-def main(source: Path, target: str, number: int) -> None:
+def main(source, target, number):
     """Try every step."""
     # Loaded once for all children.
     import beltrami_cli.cli.main
@@ -94,7 +94,7 @@ def main(source: Path, target: str, number: int) -> None:
 
     work = source.parent / "work"
 
-    def fresh() -> None:
+    def fresh():
         shutil.rmtree(work, ignore_errors=True)
         shutil.copytree(source, work)
 

@@ -12,7 +12,6 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,9 +19,6 @@ import pytest
 from cli.commands import COMMAND
 from formats.image_files import png_chunk
 from hostile.textured_models import PICTURE, write_model
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 LIMIT = "300M"
 # What the program takes before it has read anything, and the limit: more than that was not taken by the bomb.
@@ -43,23 +39,23 @@ VERTICES = "\n".join(
 )
 
 
-def ply(*lines: str, body: bytes = b"") -> bytes:
+def ply(*lines, body=b""):
     header = "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""])
     return header.encode() + body
 
 
-def png(width: int, height: int, data: bytes, *chunks: bytes) -> bytes:
+def png(width, height, data, *chunks):
     header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
     return b"".join(
         [b"\x89PNG\r\n\x1a\n", header, *chunks, png_chunk(b"IDAT", data), png_chunk(b"IEND", b"")]
     )
 
 
-def gltf(tree: dict[str, object]) -> bytes:
+def gltf(tree):
     return json.dumps({"asset": {"version": "2.0"}, **tree}).encode()
 
 
-def painted(count: int, **accessor: object) -> dict[str, object]:
+def painted(count, **accessor):
     """A glTF of one painted primitive whose accessors have some count and no bytes."""
     colour = {"componentType": 5121, "normalized": True, "count": count, "type": "VEC3", **accessor}
     return {
@@ -71,13 +67,13 @@ def painted(count: int, **accessor: object) -> dict[str, object]:
 Data = bytes | Callable[[], bytes]
 
 
-def made(data: Data) -> bytes:
+def made(data):
     """What takes long to make is made when it is needed."""
     return data if isinstance(data, bytes) else data()
 
 
-def with_texture(image: Data) -> Callable[[Path], Path]:
-    def make(folder: Path) -> Path:
+def with_texture(image):
+    def make(folder):
         path = write_model(folder, "ply", "bomb.png")
         (folder / "bomb.png").write_bytes(made(image))
         return path
@@ -85,15 +81,15 @@ def with_texture(image: Data) -> Callable[[Path], Path]:
     return make
 
 
-def file(name: str, data: Data) -> Callable[[Path], Path]:
-    def make(folder: Path) -> Path:
+def file(name, data):
+    def make(folder):
         (folder / name).write_bytes(made(data))
         return folder / name
 
     return make
 
 
-def sparse_file(folder: Path) -> Path:
+def sparse_file(folder):
     """A file of a tebibyte that takes no room on the disk."""
     path = folder / "sparse.ply"
     path.write_bytes(b"ply\n")
@@ -101,14 +97,14 @@ def sparse_file(folder: Path) -> Path:
     return path
 
 
-def many_maps(folder: Path) -> Path:
+def many_maps(folder):
     path = write_model(folder, "obj", "")
     (folder / "m.mtl").write_text("newmtl m\n" + "".join(f"map_Kd {i}.png\n" for i in range(20_000)))
     return path
 
 
-def with_library(text: str) -> Callable[[Path], Path]:
-    def make(folder: Path) -> Path:
+def with_library(text):
+    def make(folder):
         path = write_model(folder, "obj", "")
         (folder / "m.mtl").write_text(text)
         return path
@@ -116,15 +112,15 @@ def with_library(text: str) -> Callable[[Path], Path]:
     return make
 
 
-def zeros(count: int) -> bytes:
+def zeros(count):
     """As much as can be compressed to next to nothing."""
     return zlib.compress(bytes(count), 9)
 
 
-def equal_points(count: int) -> Callable[[Path], Path]:
+def equal_points(count):
     """A small archive of many points in one place."""
 
-    def make(folder: Path) -> Path:
+    def make(folder):
         path = folder / "a.npz"
         np.savez_compressed(
             path, positions=np.zeros((count, 3), np.float32), intensity=np.zeros(count, np.uint8)
@@ -134,7 +130,7 @@ def equal_points(count: int) -> Callable[[Path], Path]:
     return make
 
 
-def package(relationships: str) -> bytes:
+def package(relationships):
     """A 3MF file that names where it starts."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -147,7 +143,7 @@ CROWD = {"nodes": [{"children": [i + 1]} if i < 19_999 else {} for i in range(20
 NESTED = b'{"asset":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 REPEATED = b"{" + b",".join(b'"%d":0' % i for i in range(200_000)) + b',"199999":1}'
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
-BOMBS: dict[str, Callable[[Path], Path]] = {
+BOMBS = {
     "rows": file("a.ply", ply("element vertex 100000000000000000", VERTICES)),
     "rows of nothing": file("a.ply", ply("element ghost 100000000000000000", "element vertex 3", VERTICES)),
     "properties": file("a.ply", ply("element vertex 1", *(f"property char p{i}" for i in range(200_000)))),
@@ -290,7 +286,7 @@ UNLIMITED = [
 @pytest.mark.parametrize(
     ("bomb", "limit"), [*((bomb, LIMIT) for bomb in BOMBS), *((bomb, "") for bomb in UNLIMITED)]
 )
-def test_bombs_are_refused_in_one_line_and_little_memory(bomb: str, limit: str, tmp_path: Path) -> None:
+def test_bombs_are_refused_in_one_line_and_little_memory(bomb, limit, tmp_path):
     model = BOMBS[bomb](tmp_path)
     before = sorted(path.name for path in tmp_path.iterdir())
     out = tmp_path / ("out.ply" if model.suffix in (".3mf", ".off") else f"out{model.suffix}")
@@ -307,7 +303,7 @@ def test_bombs_are_refused_in_one_line_and_little_memory(bomb: str, limit: str, 
 
 
 @pytest.mark.slow
-def test_a_large_image_is_smoothed_where_there_is_room(tmp_path: Path) -> None:
+def test_a_large_image_is_smoothed_where_there_is_room(tmp_path):
     model = with_texture(PICTURE)(tmp_path)
     arguments = [*COMMAND, "smooth", str(model), str(tmp_path / "out.ply"), "--max-memory", LIMIT]
     assert subprocess.run(arguments, check=False).returncode == 0

@@ -6,7 +6,6 @@ import json
 import os
 import socket
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import pytest
@@ -15,11 +14,7 @@ from beltrami_cli.cli.commands import long_name
 from beltrami_cli.cli.config import candidates, load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.errors import UsageError
-from cli.commands import SAMPLES, beltrami
-from hostile.folders import snapshot
-
-if TYPE_CHECKING:
-    import subprocess
+from cli.commands import SAMPLES, beltrami, refused
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("-n", "1", "--fast")
@@ -37,11 +32,11 @@ def _files_of_ones_own():
     os.umask(before)
 
 
-def run(folder: Path, *arguments: object, **variables: str) -> subprocess.CompletedProcess[str]:
+def run(folder, *arguments, **variables):
     return beltrami(*arguments, cwd=folder, env=variables, text=True)
 
 
-def options_of(name: str) -> list[click.Option]:
+def options_of(name):
     command = group.get_command(click.Context(group), name)
     assert command is not None
     return [each for each in command.params if isinstance(each, click.Option) and not each.is_eager]
@@ -50,8 +45,8 @@ def options_of(name: str) -> list[click.Option]:
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 @pytest.mark.parametrize("table", ["", "[{}]\n", "[tool.beltrami.{}]\n"])
 def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way_out(
-    name: str, table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    name, table, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / ("pyproject.toml" if "tool" in table else "beltrami.toml")
     for option in options_of(name):
@@ -66,7 +61,7 @@ def test_every_option_that_is_not_listed_is_refused_in_a_line_that_names_the_way
         assert "\n" not in reported
 
 
-def test_what_may_be_set_exists_and_is_harmless() -> None:
+def test_what_may_be_set_exists_and_is_harmless():
     options = [option for name in COMMANDS for option in options_of(name)]
     assert {option.name for option in options} >= set(NEVER)
     harmless = {option.name for option in options if may_be_found(option)}
@@ -77,7 +72,7 @@ def test_what_may_be_set_exists_and_is_harmless() -> None:
     assert paths - {"materials", "noise"} <= set(NEVER)
 
 
-def test_noise_may_be_a_number_but_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_noise_may_be_a_number_but_no_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for text in ('"12"', '"attribute:error"'):
         (tmp_path / "beltrami.toml").write_text(f"noise = {text}\n")
@@ -88,52 +83,37 @@ def test_noise_may_be_a_number_but_no_file(tmp_path: Path, monkeypatch: pytest.M
             group.defaults_from(load(None), "smooth")
 
 
-def test_no_scheduler_is_connected_to(tmp_path: Path) -> None:
+def test_no_scheduler_is_connected_to(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.5)
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         (tmp_path / "beltrami.toml").write_text(f'[batch]\nscheduler = "{address}"\n')
-        done = run(tmp_path, "batch", NOISY, "--out-dir", "out", *QUICK)
+        refused(tmp_path, "batch", NOISY, "--out-dir", "out", *QUICK, code=2)
         with pytest.raises(TimeoutError):
             server.accept()
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert not (tmp_path / "out").exists()
 
 
-def test_no_file_is_clobbered(tmp_path: Path) -> None:
-    (tmp_path / "profile").write_text("precious")
-    (tmp_path / "out.ply").write_text("old")
-    (tmp_path / "pyproject.toml").write_text('[tool.beltrami.smooth]\nreport = "profile"\n')
-    before = snapshot(tmp_path)
-    done = run(tmp_path, "smooth", NOISY, "out.ply", *QUICK, "--overwrite")
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert snapshot(tmp_path) == before
-
-
-def test_a_named_file_and_variables_may_set_everything(tmp_path: Path) -> None:
+def test_a_named_file_and_variables_may_set_everything(tmp_path):
     (tmp_path / "named.toml").write_text('[smooth]\nreport = "r.json"\noverwrite = true\n')
-    for number, (arguments, variables) in enumerate(
-        (
-            (("--config", "named.toml"), {}),
-            ((), {"BELTRAMI_CONFIG": "named.toml"}),
-            ((), {"BELTRAMI_SMOOTH_REPORT": "r.json", "BELTRAMI_SMOOTH_OVERWRITE": "1"}),
-        )
+    for arguments, variables in (
+        (("--config", "named.toml"), {}),
+        ((), {"BELTRAMI_CONFIG": "named.toml"}),
+        ((), {"BELTRAMI_SMOOTH_REPORT": "r.json", "BELTRAMI_SMOOTH_OVERWRITE": "1"}),
     ):
         (tmp_path / "r.json").unlink(missing_ok=True)
         (tmp_path / "out.ply").write_text("old")
-        done = run(tmp_path, *arguments, "smooth", NOISY, "out.ply", *QUICK, **variables)
-        assert done.returncode == 0, (number, done.stderr)
+        run(tmp_path, *arguments, "smooth", NOISY, "out.ply", *QUICK, **variables)
         assert json.loads((tmp_path / "r.json").read_text())["output"] == "out.ply"
 
 
 @pytest.mark.parametrize("name", ["beltrami.toml", "pyproject.toml"])
 @pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
-def test_what_others_may_write_to_is_not_read(name: str, mode: int, tmp_path: Path) -> None:
+def test_what_others_may_write_to_is_not_read(name, mode, tmp_path):
     path = tmp_path / name
     path.write_text("[tool.beltrami.smooth]\nbeta = 3\nreport = 'x'\n")
     path.chmod(mode)
     done = run(tmp_path, "config")
-    assert (done.returncode, done.stderr.count("\n")) == (0, 1)
+    assert done.stderr.count("\n") == 1
     assert str(path) in done.stderr
     assert "others than its owner" in done.stderr
     assert "beta" not in done.stdout
@@ -143,7 +123,7 @@ def test_what_others_may_write_to_is_not_read(name: str, mode: int, tmp_path: Pa
     assert "beta = 3" in run(tmp_path, "config").stdout
 
 
-def test_a_project_of_others_that_does_not_mention_this_program_needs_no_word(tmp_path: Path) -> None:
+def test_a_project_of_others_that_does_not_mention_this_program_needs_no_word(tmp_path):
     (tmp_path / "pyproject.toml").write_text("[project]\nname = 'other'\n")
     (tmp_path / "pyproject.toml").chmod(0o666)
     assert run(tmp_path, "config").stderr == ""
@@ -151,7 +131,7 @@ def test_a_project_of_others_that_does_not_mention_this_program_needs_no_word(tm
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away")
 @pytest.mark.parametrize("is_link", [False, True])
-def test_what_belongs_to_another_user_is_not_read(is_link: bool, tmp_path: Path) -> None:
+def test_what_belongs_to_another_user_is_not_read(is_link, tmp_path):
     path = tmp_path / "beltrami.toml"
     target = tmp_path / "target.toml" if is_link else path
     target.write_text("[smooth]\nbeta = 3\n")
@@ -164,9 +144,7 @@ def test_what_belongs_to_another_user_is_not_read(is_link: bool, tmp_path: Path)
     assert "beta" not in done.stdout
 
 
-def test_files_of_this_user_and_of_root_are_read_and_no_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_of_this_user_and_of_root_are_read_and_no_others(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "beltrami.toml").write_text("beta = 3\n")
     owner = (tmp_path / "beltrami.toml").stat().st_uid
@@ -175,7 +153,7 @@ def test_files_of_this_user_and_of_root_are_read_and_no_others(
     assert load(None).common == ({"beta": 3} if owner == 0 else {})
 
 
-def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path: Path) -> None:
+def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path):
     deep = tmp_path / "home" / "repository" / "deep"
     deep.mkdir(parents=True)
     (tmp_path / "beltrami.toml").write_text("[smooth]\nbeta = 3\n")
@@ -190,7 +168,7 @@ def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path: Path)
     assert "beta = 5" in run(deep, "config", **home).stdout
 
 
-def test_the_search_ends_at_the_border_of_a_file_system(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_search_ends_at_the_border_of_a_file_system(monkeypatch):
     mount = Path("/dev/shm")
     if not mount.is_dir() or mount.stat().st_dev == mount.parent.stat().st_dev:
         pytest.skip("there is no other file system")
@@ -199,9 +177,7 @@ def test_the_search_ends_at_the_border_of_a_file_system(monkeypatch: pytest.Monk
     assert {path.parent for path in candidates(mount)} == {mount}
 
 
-def test_a_working_folder_that_was_removed_has_no_configuration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_working_folder_that_was_removed_has_no_configuration(tmp_path, monkeypatch):
     gone = tmp_path / "gone"
     gone.mkdir()
     monkeypatch.chdir(gone)

@@ -33,11 +33,11 @@ TARGETS = ("out/result.obj", "new/result.obj", "model.obj")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("most", [0, 1000, 50_000])
-def test_a_limit_on_the_size_of_files(most: int, tmp_path: Path) -> None:
+def test_a_limit_on_the_size_of_files(most, tmp_path):
     (tmp_path / "out.ply").write_text("precious")
     before = snapshot(tmp_path)
 
-    def limit() -> None:
+    def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
     arguments = [*COMMAND, "smooth", str(SAMPLES / "terrain-noisy.ply"), "out.ply", "--overwrite"]
@@ -84,7 +84,7 @@ print(code, snapshot(disk) == before)
     ),  # free pages; a probe takes none, OBJ, MTL and PNG take one each, and in its place MTL stays
     [pair for pair in itertools.product(range(3), TARGETS) if pair != (2, "model.obj")],
 )
-def test_a_disk_that_fills_up(free: int, target: str, tmp_path: Path) -> None:
+def test_a_disk_that_fills_up(free, target, tmp_path):
     folder, disk = folder_with_model(tmp_path), tmp_path / "disk"
     (folder / "new").mkdir()
     disk.mkdir()
@@ -100,14 +100,12 @@ def test_a_disk_that_fills_up(free: int, target: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("failing", range(4))
-def test_a_rename_that_fails_undoes_those_before_it(
-    failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rename_that_fails_undoes_those_before_it(failing, tmp_path, monkeypatch):
     (tmp_path / "a.png").write_bytes(b"old a")
     (tmp_path / "out.obj").write_bytes(b"old")
     before, renames, rename = snapshot(tmp_path), [], Path.replace
 
-    def replace(self: Path, target: Path) -> Path:
+    def replace(self, target):
         renames.append(target)
         if len(renames) == failing + 1:
             raise PermissionError(1, "Operation not permitted")
@@ -129,7 +127,7 @@ def test_a_rename_that_fails_undoes_those_before_it(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_must_not_be_written_to(tmp_path: Path) -> None:
+def test_a_folder_that_must_not_be_written_to(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot be written to"):
         Output(str(tmp_path / "out.obj"), overwrite=False)

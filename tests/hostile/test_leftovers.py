@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -14,9 +13,6 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.replacing import remove_leftovers, temporary_beside
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 # Writes files aside, says so, and waits.
@@ -32,11 +28,11 @@ with FileSet() as files:
 """
 
 
-def leftovers(folder: Path) -> list[Path]:
+def leftovers(folder):
     return sorted(folder.rglob(".*.tmp"))
 
 
-def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_uses(tmp_path: Path) -> None:
+def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_uses(tmp_path):
     target = tmp_path / "out.obj"
     with subprocess.Popen(
         [sys.executable, "-P", "-c", STAGING, str(target)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
@@ -55,9 +51,7 @@ def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_use
     assert leftovers(tmp_path) == []
 
 
-def test_a_process_that_has_the_number_of_one_that_is_gone_is_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_has_the_number_of_one_that_is_gone_is_another(tmp_path, monkeypatch):
     path = tmp_path / "out.ply"
     own = temporary_beside(path)
     monkeypatch.setattr(replacing, "_life", lambda process: "00000000")
@@ -74,6 +68,6 @@ def test_a_process_that_has_the_number_of_one_that_is_gone_is_another(
 
 
 @pytest.mark.parametrize("name", ["x" * 255, "é" * 127, "日" * 85, os.fsdecode(b"\xff" * 250)])
-def test_names_as_long_as_a_file_can_have_one(name: str, tmp_path: Path) -> None:
+def test_names_as_long_as_a_file_can_have_one(name, tmp_path):
     Output(str(tmp_path / name), overwrite=False).write(Written([b"new"]))
     assert [path.name for path in tmp_path.iterdir()] == [name]

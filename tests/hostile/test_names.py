@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
@@ -17,15 +15,12 @@ from hostile.folders import snapshot
 from hostile.test_hostile_values import MESH
 from hostile.textured_models import ONCE, PICTURE, write_model
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 KINDS = ("obj", "ply", "gltf")
 
 
 @pytest.mark.parametrize("name", ["skin", "skin.img", "skin.v1", "skin.jpg", "skin.PNG"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_image_of_any_name_is_smoothed_by_its_content(kind: str, name: str, tmp_path: Path) -> None:
+def test_an_image_of_any_name_is_smoothed_by_its_content(kind, name, tmp_path):
     model = write_model(tmp_path / "in", kind, name)
     (tmp_path / "in" / name).write_bytes(PICTURE)
     target = tmp_path / "out" / model.name
@@ -39,7 +34,7 @@ def test_an_image_of_any_name_is_smoothed_by_its_content(kind: str, name: str, t
 
 @pytest.mark.parametrize("name", ["model.{}", "junk.png"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_image_is_a_fault_of_the_input(kind: str, name: str, tmp_path: Path) -> None:
+def test_what_is_no_image_is_a_fault_of_the_input(kind, name, tmp_path):
     model = write_model(tmp_path, kind, name.format(kind))
     (tmp_path / "junk.png").write_bytes(b"junk")
     before = snapshot(tmp_path)
@@ -49,7 +44,7 @@ def test_what_is_no_image_is_a_fault_of_the_input(kind: str, name: str, tmp_path
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_name_of_a_million_letters_does_not_fill_the_terminal(kind: str, tmp_path: Path) -> None:
+def test_a_name_of_a_million_letters_does_not_fill_the_terminal(kind, tmp_path):
     model = write_model(tmp_path, kind, "x" * 1_000_000)
     with pytest.raises(InputError, match="cannot be the name") as caught:
         smooth_file(model, tmp_path / f"out.{kind}")
@@ -65,9 +60,9 @@ STEMS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", STEMS, ids=ascii)
-def test_a_model_of_any_name_is_whole_and_finds_its_files(stem: str, tmp_path: Path) -> None:
+def test_a_model_of_any_name_is_whole_and_finds_its_files(stem, tmp_path):
     """What a format cannot carry is in none of its files: they are named otherwise, or nothing is written."""
-    (tmp_path / "mesh.ply").write_text(MESH)
+    (tmp_path / "mesh.ply").write_bytes(MESH)
     for kind in KINDS:
         source = write_model(tmp_path / kind, kind, "skin.png")
         (tmp_path / kind / "skin.png").write_bytes(PICTURE)
@@ -78,9 +73,9 @@ def test_a_model_of_any_name_is_whole_and_finds_its_files(stem: str, tmp_path: P
     )
 
 
-def _smoothed(source: Path, target: Path, *options: str) -> None:
+def _smoothed(source, target, *options):
     target.parent.mkdir()
-    done = beltrami("smooth", source, target, "--fast", "-n", "1", *options)
+    done = beltrami("smooth", source, target, "--fast", "-n", "1", *options, code=None)
     said = done.stderr.decode()
     assert "unexpected error" not in said
     if done.returncode:

@@ -23,7 +23,7 @@ OUTSIDE = Access(outside=True)
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> Path:
+def world(tmp_path):
     """A folder of a model, and a secret one beside it."""
     (tmp_path / "secret").mkdir()
     (tmp_path / "secret" / "key.png").write_bytes(PICTURE)
@@ -32,7 +32,7 @@ def world(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def hidden_names(world: Path) -> dict[str, str]:
+def hidden_names(world):
     """Names that must not be followed, by the words that say why."""
     inside = world / "in"
     os.mkfifo(inside / "fifo.png")
@@ -64,7 +64,7 @@ def hidden_names(world: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_names_that_lead_elsewhere_are_refused_with_the_reason(kind: str, world: Path) -> None:
+def test_names_that_lead_elsewhere_are_refused_with_the_reason(kind, world):
     for name, reason in hidden_names(world).items():
         model = write_model(world / "in", kind, name)
         before = snapshot(world)
@@ -77,14 +77,14 @@ def test_names_that_lead_elsewhere_are_refused_with_the_reason(kind: str, world:
 
 @pytest.mark.parametrize("name", ["..\\secret\\key.png", "\\\\127.0.0.1\\share\\key.png", "\\etc\\passwd"])
 @pytest.mark.parametrize("kind", ["obj", "ply"])
-def test_backslashes_lead_nowhere_else_either(kind: str, name: str, world: Path) -> None:
+def test_backslashes_lead_nowhere_else_either(kind, name, world):
     model = write_model(world / "in", kind, name)
     with pytest.raises(InputError, match=r"leaves the model's folder|is not a relative path"):
         open_document(str(model)).textured("baseColor")
 
 
 @pytest.mark.parametrize("library", ["../secret/m.mtl", "/dev/zero", "http://127.0.0.1:9/m.mtl", "fifo.mtl"])
-def test_material_libraries_elsewhere_are_left_alone(library: str, world: Path) -> None:
+def test_material_libraries_elsewhere_are_left_alone(library, world):
     (world / "secret" / "m.mtl").write_text("newmtl m\nmap_Kd key.png\n")
     model = write_model(world / "in", "obj", "key.png", library if "fifo" not in library else "m.mtl")
     if "fifo" in library:
@@ -96,7 +96,7 @@ def test_material_libraries_elsewhere_are_left_alone(library: str, world: Path) 
     assert any(library in notice for notice in document.notices)
 
 
-def test_networks_and_devices_are_not_read_even_if_more_is_allowed(world: Path) -> None:
+def test_networks_and_devices_are_not_read_even_if_more_is_allowed(world):
     beside = ModelFolder(world / "in", OUTSIDE)
     os.mkfifo(world / "secret" / "fifo")
     for name in (
@@ -110,7 +110,7 @@ def test_networks_and_devices_are_not_read_even_if_more_is_allowed(world: Path) 
             beside.locate(name)
 
 
-def test_a_file_that_becomes_a_fifo_is_not_waited_for(world: Path) -> None:
+def test_a_file_that_becomes_a_fifo_is_not_waited_for(world):
     path = world / "in" / "a.png"
     path.write_bytes(PICTURE)
     beside = ModelFolder(world / "in")
@@ -124,9 +124,7 @@ def test_a_file_that_becomes_a_fifo_is_not_waited_for(world: Path) -> None:
 @pytest.mark.parametrize("moved", [True, False])
 @pytest.mark.parametrize("absolute", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_when_allowed_they_are_read_and_new_ones_written_inside(
-    kind: str, absolute: bool, moved: bool, world: Path
-) -> None:
+def test_when_allowed_they_are_read_and_new_ones_written_inside(kind, absolute, moved, world):
     name = str(world / "secret" / "key.png") if absolute else "../secret/key.png"
     model = write_model(world / "in", kind, name)
     target = (world / "out" if moved else world / "in") / f"result.{kind}"
@@ -147,7 +145,7 @@ def test_when_allowed_they_are_read_and_new_ones_written_inside(
 
 @pytest.mark.parametrize("moved", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_stays_outside_is_told_if_the_output_is_elsewhere(kind: str, moved: bool, world: Path) -> None:
+def test_what_stays_outside_is_told_if_the_output_is_elsewhere(kind, moved, world):
     model = write_model(world / "in", kind, "../secret/key.png")
     target = (world / "out" if moved else world / "in") / f"result.{kind}"
     target.parent.mkdir(exist_ok=True)
@@ -158,7 +156,7 @@ def test_what_stays_outside_is_told_if_the_output_is_elsewhere(kind: str, moved:
 
 
 @pytest.mark.parametrize("moved", [True, False])
-def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, world: Path) -> None:
+def test_a_library_from_outside_comes_inside_with_all_its_images(moved, world):
     (world / "secret" / "m.mtl").write_text(
         "newmtl m\nmap_Kd key.png\nmap_Bump other.png\nnewmtl n\nmap_Kd ../in/own.png\n"
     )
@@ -178,7 +176,7 @@ def test_a_library_from_outside_comes_inside_with_all_its_images(moved: bool, wo
 
 
 @pytest.mark.parametrize("name", ["/tmp/x.png", "../x.png", "a/../../x.png"])
-def test_the_last_door_is_shut_as_well(name: str, tmp_path: Path) -> None:
+def test_the_last_door_is_shut_as_well(name, tmp_path):
     output = Output(str(tmp_path / "out.obj"), overwrite=True)
     with pytest.raises(OutputError, match="outside the output's folder"):
         output.write(Written([b""], {name: b""}))

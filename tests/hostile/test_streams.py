@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import os
 import subprocess
-from typing import TYPE_CHECKING
 
 import pytest
 
 from cli.commands import COMMAND, SAMPLES
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 SCAN = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("--fast", "-n", "1")
 
 
-def run(redirection: str, *arguments: str, **options: object) -> subprocess.CompletedProcess[bytes]:
+def run(redirection, *arguments, **options):
     """Run the command as a shell does with a redirection."""
     return subprocess.run(
         ["sh", "-c", f'exec "$@" {redirection}', "sh", *COMMAND, *arguments],
@@ -29,7 +25,7 @@ def run(redirection: str, *arguments: str, **options: object) -> subprocess.Comp
 @pytest.mark.parametrize(
     "redirection", ["2>&-", "2>/dev/full", "0<&- 1>&- 2>&-", "0<&-", ">&-", ">/dev/full"]
 )
-def test_a_file_is_written_whatever_the_streams_are(redirection: str, tmp_path: Path) -> None:
+def test_a_file_is_written_whatever_the_streams_are(redirection, tmp_path):
     done = run(redirection, "smooth", str(SCAN), str(tmp_path / "out.ply"), *QUICK)
     assert done.returncode == 0
     assert (tmp_path / "out.ply").read_bytes().startswith(b"ply")
@@ -41,9 +37,7 @@ def test_a_file_is_written_whatever_the_streams_are(redirection: str, tmp_path: 
 @pytest.mark.parametrize(
     "arguments", [("info", str(SCAN)), ("smooth", str(SCAN), "-", *QUICK), ("--help",), ("config",)]
 )
-def test_what_cannot_be_written_to_standard_output_is_said(
-    arguments: tuple[str, ...], redirection: str, why: bytes
-) -> None:
+def test_what_cannot_be_written_to_standard_output_is_said(arguments, redirection, why):
     done = run(redirection, *arguments)
     assert (done.returncode, done.stdout) == (4, b"")
     *_, last = done.stderr.splitlines()
@@ -53,19 +47,19 @@ def test_what_cannot_be_written_to_standard_output_is_said(
     assert b"unexpected" not in done.stderr
 
 
-def test_the_device_of_standard_output_goes_through_a_pipe() -> None:
+def test_the_device_of_standard_output_goes_through_a_pipe():
     done = run("", "smooth", str(SCAN), "/dev/stdout", *QUICK)
     assert done.stdout.startswith(b"ply")
     assert done.stdout == run("", "smooth", str(SCAN), "-", *QUICK).stdout
 
 
-def test_an_input_that_is_closed_is_an_empty_one() -> None:
+def test_an_input_that_is_closed_is_an_empty_one():
     done = run("<&-", "info", "-")
     assert (done.returncode, done.stderr.count(b"\n")) == (3, 1)
     assert b"<stdin>: the file is empty" in done.stderr
 
 
-def test_an_input_that_cannot_be_read_is_said(tmp_path: Path) -> None:
+def test_an_input_that_cannot_be_read_is_said(tmp_path):
     done = run(f"0> {tmp_path}/file", "info", "-")
     assert (done.returncode, done.stderr.count(b"\n")) == (3, 1)
     assert b"<stdin>: cannot be read" in done.stderr
@@ -73,7 +67,7 @@ def test_an_input_that_cannot_be_read_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("home", [{}, {"HOME": ""}, {"HOME": "/nowhere"}])
-def test_a_working_folder_that_was_removed(home: dict[str, str], tmp_path: Path) -> None:
+def test_a_working_folder_that_was_removed(home, tmp_path):
     variables = {name: value for name, value in os.environ.items() if name != "HOME"} | home
     gone = 'mkdir gone && cd gone && rmdir ../gone && exec "$@"'
     ends = (str(SCAN), "out.ply"), (str(SCAN), str(tmp_path / "out.ply"))
@@ -89,7 +83,7 @@ def test_a_working_folder_that_was_removed(home: dict[str, str], tmp_path: Path)
     assert (tmp_path / "out.ply").exists()
 
 
-def test_warnings_of_libraries_are_not_printed() -> None:
+def test_warnings_of_libraries_are_not_printed():
     program = "import beltrami_cli.__main__, warnings; warnings.warn('of numbers', RuntimeWarning)"
     done = subprocess.run([*COMMAND[:2], "-c", program], capture_output=True, check=True)
     assert done.stderr == b""

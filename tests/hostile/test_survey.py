@@ -7,24 +7,17 @@ import shutil
 import signal
 import sys
 import time
-from typing import TYPE_CHECKING
 
 import pytest
 
 from hostile import survey
+from small_models import COLOURED, ply
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-PLY = (
-    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-    b"property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n"
-    b"property list uchar int vertex_indices\nend_header\n0 0 0 0 0 0\n1 0 0 9 9 9\n0 1 0 90 90 90\n3 0 1 2\n"
-)
+PLY = ply(COLOURED, [[0, 0, 0, 0, 0, 0], [1, 0, 0, 9, 9, 9], [0, 1, 0, 90, 90, 90]], [(0, 1, 2)])
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Models of every outcome but failure."""
     made = tmp_path / "models"
     made.mkdir()
@@ -37,15 +30,13 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def survey_of(folder: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> int:
+def survey_of(folder, monkeypatch, *options):
     """Run the survey as from the command line."""
     monkeypatch.setattr(sys, "argv", ["survey", f"x={folder}", *options])
     return survey.main()
 
 
-def test_every_outcome_has_its_column(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_outcome_has_its_column(folder, monkeypatch, capsys):
     assert survey_of(folder, monkeypatch, "--mutations", "2") == 0
     rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| x")]
     assert "| x, .ply | 2 | 1 | 0 | 0 | 0 | 1 | 0 |" in rows
@@ -54,38 +45,38 @@ def test_every_outcome_has_its_column(
     assert any(row.startswith("| x, mutations | 2 |") for row in rows)
 
 
-def crash(*_: object, **__: object) -> None:
+def crash(*_, **__):
     """End the process as a crash of native code does."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def hang(*_: object, **__: object) -> None:
+def hang(*_, **__):
     """Take longer than anybody waits."""
     time.sleep(60)
 
 
-def fill(*_: object, **__: object) -> None:
+def fill(*_, **__):
     """Take more memory than there is for a file."""
     bytearray(survey.MOST_MEMORY)
 
 
-def move_a_vertex(source: Path, target: Path, *_: object, **__: object) -> None:
+def move_a_vertex(source, target, *_, **__):
     """Write something else than colours."""
     target.write_bytes(source.read_bytes().replace(b"1 0 0 9", b"2 0 0 9"))
 
 
-def leave_a_file(source: Path, target: Path, *_: object, **__: object) -> None:
+def leave_a_file(source, target, *_, **__):
     """Leave what is temporary."""
     shutil.copy(source, target)
     target.with_name(".a.ply.0123.tmp").write_bytes(b"")
 
 
-def zeros(source: Path, target: Path, *_: object, **__: object) -> None:
+def zeros(source, target, *_, **__):
     """Write colours that are nowhere in the input."""
     target.write_bytes(source.read_bytes().replace(b"90 90 90", b"200 0 0"))
 
 
-def change_the_source(source: Path, *_: object, **__: object) -> None:
+def change_the_source(source, *_, **__):
     """Touch what must only be read."""
     source.write_bytes(b"")
     raise survey.InputError(str(source), "refused")
@@ -93,9 +84,7 @@ def change_the_source(source: Path, *_: object, **__: object) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("harm", [crash, hang, fill, move_a_vertex, leave_a_file, zeros, change_the_source])
-def test_harm_is_seen(
-    harm: object, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_harm_is_seen(harm, folder, monkeypatch, capsys):
     for path in folder.iterdir():
         if path.name != "a.ply":
             path.unlink()

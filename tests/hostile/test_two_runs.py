@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -18,9 +17,6 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.output import Output
 from cli.commands import COMMAND, SAMPLES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # Starts writing when the parent says so, as if all before it had been computed already.
 WRITER = """
@@ -62,7 +58,7 @@ except OutputError as error:
 """
 
 
-def end_together(processes: list[subprocess.Popen[str]]) -> list[int]:
+def end_together(processes):
     for process in processes:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
@@ -75,7 +71,7 @@ def end_together(processes: list[subprocess.Popen[str]]) -> list[int]:
     return [process.returncode for process in processes]
 
 
-def files_of_two_writers(folder: Path, how: str) -> tuple[list[int], dict[str, str]]:
+def files_of_two_writers(folder, how):
     """Let two processes write the same files; return their exit codes, and the letter that each file is of."""
     folder.mkdir()
     processes = [
@@ -92,7 +88,7 @@ def files_of_two_writers(folder: Path, how: str) -> tuple[list[int], dict[str, s
 
 @pytest.mark.slow
 @pytest.mark.parametrize("links", ["links", "no links"])
-def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path) -> None:
+def test_of_two_that_write_at_the_same_time_one_wins(links, tmp_path):
     for attempt in range(6):
         codes, letters = files_of_two_writers(tmp_path / str(attempt), links)
         assert sorted(codes) == [0, 4]
@@ -100,7 +96,7 @@ def test_of_two_that_write_at_the_same_time_one_wins(links: str, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_of_two_that_replace_files_at_the_same_time_one_whole_set_stays(tmp_path: Path) -> None:
+def test_of_two_that_replace_files_at_the_same_time_one_whole_set_stays(tmp_path):
     for attempt in range(3):
         codes, letters = files_of_two_writers(tmp_path / str(attempt), "overwrite")
         assert codes == [0, 0]
@@ -108,9 +104,7 @@ def test_of_two_that_replace_files_at_the_same_time_one_whole_set_stays(tmp_path
         assert len(set(letters.values())) == 1
 
 
-def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr(replacing, "_PATIENCE", 0.1)
     (tmp_path / "out.obj").write_text("old")
     output = Output(str(tmp_path / "out.obj"), overwrite=True)
@@ -127,7 +121,7 @@ def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(
 
 
 @pytest.mark.slow
-def test_of_two_commands_one_says_done(tmp_path: Path) -> None:
+def test_of_two_commands_one_says_done(tmp_path):
     for attempt in range(2):
         target = tmp_path / f"out{attempt}.ply"
         command = [*COMMAND, "smooth", str(SAMPLES / "terrain-noisy.ply"), str(target), "-n"]
@@ -142,7 +136,7 @@ def test_of_two_commands_one_says_done(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_of_two_batches_one_says_done(tmp_path: Path) -> None:
+def test_of_two_batches_one_says_done(tmp_path):
     shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
     command = [*COMMAND, "batch", "a.ply", "--out-dir", "out", "-n", "1"]
     pair = [subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) for _ in range(2)]
@@ -153,12 +147,10 @@ def test_of_two_batches_one_says_done(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("links", [True, False])
-def test_a_name_that_is_taken_at_the_last_moment_is_left_alone(
-    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_that_is_taken_at_the_last_moment_is_left_alone(links, tmp_path, monkeypatch):
     if not links:
 
-        def link(*_: object, **__: object) -> None:
+        def link(*_, **__):
             raise OSError(errno.EOPNOTSUPP, "Operation not supported")
 
         monkeypatch.setattr(os, "link", link)

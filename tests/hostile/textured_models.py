@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.samples.settings import SmoothSettings
 from formats.image_files import encode
+from small_models import ply
 
 # Given, so that nothing is chosen from the data, which takes longer.
 ONCE = SmoothSettings(KernelParameters(iterations=1, beta=1))
@@ -18,27 +20,10 @@ PICTURE = encode(np.random.default_rng(1).integers(0, 256, (20, 20, 3), np.uint8
 OTHER = encode(np.random.default_rng(2).integers(0, 256, (20, 20, 3), np.uint8), "png")
 
 _SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3 4/4\n"
-_HEADER = """ply
-format ascii 1.0
-comment TextureFile {}
-element vertex 4
-property float x
-property float y
-property float z
-property float s
-property float t
-element face 1
-property list uchar int vertex_indices
-end_header
-0 0 0 0 0
-1 0 0 1 0
-1 1 0 1 1
-0 1 0 0 1
-4 0 1 2 3
-"""
+_CORNERS = [[0, 0, 0, 0, 0], [1, 0, 0, 1, 0], [1, 1, 0, 1, 1], [0, 1, 0, 0, 1]]
 
 
-def write_model(folder: Path, kind: str, image: str, library: str = "m.mtl") -> Path:
+def write_model(folder, kind, image, library="m.mtl"):
     """Write model.KIND, and for OBJ its library, so that the texture has some name; return the model."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"model.{kind}"
@@ -49,19 +34,19 @@ def write_model(folder: Path, kind: str, image: str, library: str = "m.mtl") -> 
             (folder / beside).parent.mkdir(parents=True, exist_ok=True)
             (folder / beside).write_text(f"newmtl m\nmap_Kd {image}\n")
     elif kind == "ply":
-        path.write_text(_HEADER.format(image))
+        path.write_bytes(ply("float x y z s t", _CORNERS, [range(4)], comments=[f"TextureFile {image}"]))
     else:
         path.write_bytes(_gltf(image))
     return path
 
 
-def _gltf(image: str) -> bytes:
+def _gltf(image):
     corners = [0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0, 1, 1, 1, 1, 0, 0, 0]
     binary = struct.pack("<20f6B", *corners, 0, 1, 2, 0, 2, 3)
     views = [(0, 48), (48, 32), (80, 6)]
     tree = {
         "asset": {"version": "2.0"},
-        "buffers": [{"byteLength": len(binary), "uri": f"data:;base64,{_base64(binary)}"}],
+        "buffers": [{"byteLength": len(binary), "uri": f"data:;base64,{base64.b64encode(binary).decode()}"}],
         "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in views],
         "accessors": [
             {
@@ -86,9 +71,3 @@ def _gltf(image: str) -> bytes:
         "scene": 0,
     }
     return json.dumps(tree).encode()
-
-
-def _base64(data: bytes) -> str:
-    import base64
-
-    return base64.b64encode(data).decode()

@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from formats.image_files import encode
 from properties.textured_planes import Board
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
 
 # 32 x 32 texels in charts of 16 x 16, with 8 texels of background between them; none is turned.
 BOARD = Board(
@@ -25,7 +17,7 @@ BOARD = Board(
 SIDE, CHART, FIRST, STRIDE = 32, 16, 4, 24
 
 
-def write_board(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Path:
+def write_board(path, image):
     """Write the board with its texture, (48, 48, 3), beside it."""
     surface = BOARD.surface()
     lines = [f"mtllib {path.stem}.mtl", "usemtl board"]
@@ -39,10 +31,9 @@ def write_board(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> Pa
     return path
 
 
-def painted(painting: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def painted(painting):
     """Lay a painting (32, 32, 3) out in the image (48, 48, 3); the rest is 0."""
     image = BOARD.image_of(painting.astype(float)) * 0
     rows, columns = BOARD.texel_places()
     image[rows, columns] = painting
-    result: NDArray[np.uint8] | NDArray[np.uint16] = image.astype(painting.dtype)
-    return result
+    return image.astype(painting.dtype)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from typing import TYPE_CHECKING, Any
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,14 +21,8 @@ from cli.commands import SAMPLES, beltrami
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
 
-if TYPE_CHECKING:
-    import subprocess
-    from pathlib import Path
 
-    from beltrami_cli.formats.document import Written
-
-
-def saved(written: Written, path: Path) -> Path:
+def saved(written, path):
     path.write_bytes(b"".join(written.main))
     for name, data in written.sidecars.items():
         (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
@@ -36,7 +30,7 @@ def saved(written: Written, path: Path) -> Path:
     return path
 
 
-def halved(source: Path, target: Path) -> Path:
+def halved(source, target):
     """Write a file with darker vertex colours."""
     document = open_document(str(source))
     colours = document.painted().colours * np.float32(0.5)
@@ -51,7 +45,7 @@ def halved(source: Path, target: Path) -> Path:
         *("tiled-noisy.glb", "torus-two-noisy.gltf", "mirrored-noisy.obj"),
     ],
 )
-def test_smoothing_changes_nothing_else(name: str, tmp_path: Path) -> None:
+def test_smoothing_changes_nothing_else(name, tmp_path):
     smooth_file(SAMPLES / name, tmp_path / name, ONCE)
     report = check_files(SAMPLES / name, tmp_path / name)
     assert report.faithful
@@ -59,11 +53,11 @@ def test_smoothing_changes_nothing_else(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "mirrored-noisy.obj", "torus-two-noisy.gltf"])
-def test_a_file_does_not_differ_from_itself(name: str) -> None:
+def test_a_file_does_not_differ_from_itself(name):
     assert check_files(SAMPLES / name, SAMPLES / name).differences == []
 
 
-def everything(encoding: str) -> bytes:
+def everything(encoding):
     tables = coloured(6, [[0, 1, 2], [1, 2, 3, 4], [5, 4, 3]], "uchar", 1)
     tables.append(Table("other", [("list", "uchar float"), ("scalar", "short")], [[[0.5, 1.5], 3], [[], 4]]))
     return build(tables, encoding, comments=["made by hand", "TextureFile a.png"]).data + b"\ntrailing"
@@ -73,7 +67,7 @@ def everything(encoding: str) -> bytes:
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_every_other_byte_of_a_ply_file_counts(encoding: str, data: st.DataObject, tmp_path: Path) -> None:
+def test_every_other_byte_of_a_ply_file_counts(encoding, data, tmp_path):
     before = tmp_path / "before.ply"
     before.write_bytes(everything(encoding))
     (tmp_path / "a.png").write_bytes(PICTURE)
@@ -92,7 +86,7 @@ OBJ = (
 @pytest.mark.parametrize("paint", ["", "polypaint"])
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_every_other_byte_of_an_obj_file_counts(paint: str, data: st.DataObject, tmp_path: Path) -> None:
+def test_every_other_byte_of_an_obj_file_counts(paint, data, tmp_path):
     before = tmp_path / "before.obj"
     text = OBJ
     if paint:
@@ -105,7 +99,7 @@ def test_every_other_byte_of_an_obj_file_counts(paint: str, data: st.DataObject,
     assert_damage_is_found(before, after, data)
 
 
-def assert_damage_is_found(before: Path, after: Path, data: st.DataObject) -> None:
+def assert_damage_is_found(before, after, data):
     """Damage a byte: that must be found, unless it made another colour of a colour, or spelled it otherwise."""
     good = after.read_bytes()
     at = data.draw(st.integers(0, len(good) - 1))
@@ -124,19 +118,19 @@ def assert_damage_is_found(before: Path, after: Path, data: st.DataObject) -> No
         assert not np.array_equal(known[1], true) or np.array_equal(known[0], true)
 
 
-def same_but_for_spelling(*texts: bytes) -> bool:
+def same_but_for_spelling(*texts):
     """Return whether texts are the same without the last three numbers of vertices of six."""
     blanked = {re.sub(rb"(?m)^(v(?: \S+){3})(?: \S+){3}", rb"\1", text) for text in texts}
     return len(blanked) == 1
 
 
-def leaves(tree: Any, place: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+def leaves(tree, place=()):
     children = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
     found = [leaf for key, value in children for leaf in leaves(value, (*place, key))]
     return found or [place]
 
 
-def sample_as_text(name: str, folder: Path) -> Path:
+def sample_as_text(name, folder):
     """Put a sample into a folder as a glTF file of text."""
     before = folder / "before.gltf"
     if name == "nonmanifold":
@@ -149,7 +143,7 @@ def sample_as_text(name: str, folder: Path) -> Path:
     return before
 
 
-def another(value: object) -> object:
+def another(value):
     """Return another value of the same kind, if it is text or a number."""
     if isinstance(value, str):
         return f"{value}-"
@@ -157,7 +151,7 @@ def another(value: object) -> object:
 
 
 @pytest.mark.parametrize("name", ["torus-two-noisy.gltf", "nonmanifold"])
-def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
+def test_every_member_of_a_gltf_counts(name, tmp_path):
     before = sample_as_text(name, tmp_path)
     tree = json.loads(before.read_text())
     tree["extras"] = {"note": "kept", "numbers": [1, 2.5]}
@@ -193,7 +187,7 @@ def test_every_member_of_a_gltf_counts(name: str, tmp_path: Path) -> None:
     ] == []
 
 
-def test_bytes_behind_accessors_count(tmp_path: Path) -> None:
+def test_bytes_behind_accessors_count(tmp_path):
     source = SAMPLES / "nonmanifold-noisy.glb"
     after = halved(source, tmp_path / "after.glb")
     assert check_files(source, after).faithful
@@ -212,7 +206,7 @@ def test_bytes_behind_accessors_count(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
-def test_images_may_differ_in_pixels_but_not_in_size(kind: str, tmp_path: Path) -> None:
+def test_images_may_differ_in_pixels_but_not_in_size(kind, tmp_path):
     before = write_model(tmp_path / "a", kind, "a.png")
     (tmp_path / "a" / "a.png").write_bytes(PICTURE)
     after = write_model(tmp_path / "b", kind, "a.png")
@@ -230,26 +224,23 @@ def test_images_may_differ_in_pixels_but_not_in_size(kind: str, tmp_path: Path) 
     assert not check_files(before, after).faithful
 
 
-def test_the_command_lists_and_exits_as_it_says(tmp_path: Path) -> None:
+def test_the_command_lists_and_exits_as_it_says(tmp_path):
     source = SAMPLES / "nonmanifold-noisy.ply"
     after = halved(source, tmp_path / "after.ply")
 
-    def check(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return beltrami("check", source, *arguments, text=True)
-
-    run = check(str(after))
-    assert (run.returncode, run.stderr) == (0, "")
+    check = partial(beltrami, "check", source, text=True)
+    run = check(after)
+    assert run.stderr == ""
     assert "colour  vertex colours:" in run.stdout
     assert run.stdout.endswith("nothing else differs\n")
-    assert check(str(source)).stdout == "nothing differs\n"
-    data = json.loads(check(str(after), "--json").stdout)
+    assert check(source).stdout == "nothing differs\n"
+    data = json.loads(check(after, "--json").stdout)
     assert data["faithful"]
     assert data["differences"][0]["of_colour"]
     after.write_bytes(after.read_bytes() + b"more")
-    run = check(str(after))
-    assert run.returncode == 1
+    run = check(after, code=1)
     assert "OTHER  what follows the last element" in run.stdout
     assert run.stdout.endswith("\n1 thing besides colours differs\n")
-    assert check(str(after), "-q").stdout == ""
-    assert check(str(SAMPLES / "nonmanifold-noisy.obj")).returncode == 2
-    assert check(str(tmp_path / "absent.ply")).returncode == 3
+    assert check(after, "-q", code=1).stdout == ""
+    check(SAMPLES / "nonmanifold-noisy.obj", code=2)
+    check(tmp_path / "absent.ply", code=3)

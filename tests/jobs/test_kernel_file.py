@@ -18,7 +18,9 @@ from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel import kernel_file
 from beltrami_cli.samples.settings import DEFAULTS, ImageSettings, SmoothSettings
+from formats.image_files import encode
 from oracles import surfaces
+from small_models import ply
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 HEAD = SAMPLES / "head-noisy.ply"
@@ -38,7 +40,7 @@ OF_VERTICES = {
 }
 
 
-RANGE = ("obj_info num_cols 14", "obj_info num_rows 11")
+RANGE = b"obj_info num_cols 14\nobj_info num_rows 11\n"
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +50,10 @@ def folder(tmp_path_factory):
     random = np.random.default_rng(2)
     flat, faces = surfaces.plane(14, 11, 0.2)
     colours = step(flat[:, 0]) + random.normal(0, 0.06, (len(flat), 3))
-    write_ply(path / "mesh.ply", np.column_stack([flat, colours]).astype("<f4"), faces)
-    write_ply(path / "range.ply", np.column_stack([flat, colours]).astype("<f4"), faces[:0], RANGE)
+    rows, floats = np.column_stack([flat, colours]).tolist(), "float x y z red green blue"
+    (path / "mesh.ply").write_bytes(ply(floats, rows, faces.tolist(), "binary_little_endian"))
+    grid = ply(floats, rows, encoding="binary_little_endian").replace(b"element", RANGE + b"element", 1)
+    (path / "range.ply").write_bytes(grid)
     write_exr(path / "image.exr", step(np.arange(40) / 14)[None] + random.normal(0, 0.06, (30, 40, 3)))
     y, x = np.mgrid[:30, :40]
     write_exr(path / "heights.exr", 6 * np.sin(x / 4)[..., None] * np.cos(y / 5)[..., None])
@@ -60,23 +64,8 @@ def step(x):
     return np.where(x[..., None] > 1.4, [0.7, 0.6, 0.4], [0.3, 0.4, 0.5])
 
 
-def write_ply(path, rows, faces, remarks=()):
-    header = ["ply", "format binary_little_endian 1.0", *remarks, f"element vertex {len(rows)}"]
-    header += [f"property float {name}" for name in ("x", "y", "z", "red", "green", "blue")]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    polygons = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
-    polygons["count"], polygons["corners"] = 3, faces
-    path.write_bytes("\n".join(header).encode() + rows.tobytes() + polygons.tobytes())
-
-
 def write_exr(path, pixels):
-    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "float")
-    if pixels.shape[2] == 1:
-        spec.channelnames = ("Z",)
-    output = OpenImageIO.ImageOutput.create(str(path))
-    assert output.open(str(path), spec)
-    assert output.write_image(np.ascontiguousarray(pixels, np.float32))
-    output.close()
+    path.write_bytes(encode(np.float32(pixels), "openexr", "float"))
 
 
 def read_pixels(path):

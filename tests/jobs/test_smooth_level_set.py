@@ -14,6 +14,7 @@ from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.settings import LevelSetSettings
 from formats.volume_files import lattice_fields, npz, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
+from small_models import ply
 
 RANDOM = np.random.default_rng(9)
 DEFAULTS = SmoothSettings()
@@ -39,17 +40,8 @@ def test_colours_come_from_another_file_alike(source, tmp_path):
         other = write(tmp_path / "points.npz", npz(**arrays))
     else:
         colours = np.round(255 * pattern(directions(points))).astype(int)
-        rows = [
-            f"{' '.join(map(repr, p.tolist()))} {r} {g} {b}"
-            for p, (r, g, b) in zip(points, colours, strict=True)
-        ]
-        names = [
-            f"property {t} {n}"
-            for t, ns in (("double", "xyz"), ("uchar", ("red", "green", "blue")))
-            for n in ns
-        ]
-        head = ["ply", "format ascii 1.0", f"element vertex {len(points)}", *names, "end_header"]
-        other = write(tmp_path / "points.ply", "\n".join([*head, *rows, ""]).encode())
+        rows = [[*place, *shade] for place, shade in zip(points.tolist(), colours.tolist(), strict=True)]
+        other = write(tmp_path / "points.ply", ply("double x y z, uchar red green blue", rows))
     settings = SmoothSettings(level_set=LevelSetSettings(colours=str(other)))
     painted = opened(volume, settings).painted()
     # What is linear is exact; the pattern bends by less than 6 and points are some 0.05 away.
@@ -161,9 +153,6 @@ def test_options_of_level_sets_are_refused_for_meshes_and_out_of_range(tmp_path)
     )
     with pytest.raises(UsageError, match="--level, --inside"):
         opened(tmp_path / "mesh.ply", SmoothSettings(level_set=LevelSetSettings(level=1.0, inside="above")))
-    for wrong in ({"level": float("nan")}, {"inside": "left"}, {"max_voxels": 7}):
-        with pytest.raises(UsageError):
-            LevelSetSettings(**wrong)
 
 
 def any_numbers(shape):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import OpenImageIO
 import pytest
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from formats.image_files import encode
+from small_models import textured_squares
 
 SIDE = 48
 CHART = slice(SIDE // 4, 3 * SIDE // 4)
@@ -29,16 +30,10 @@ def noisy_and_soft():
 
 
 def write(path, pixels, kind, *, associated):
-    spec = OpenImageIO.ImageSpec(SIDE, SIDE, 4, kind)
-    pixels = pixels.copy()
     if associated:
-        pixels[..., :3] *= pixels[..., 3:]
-    else:
-        spec.attribute("oiio:UnassociatedAlpha", 1)
-    file = OpenImageIO.ImageOutput.create(str(path))
-    assert file.open(str(path), spec)
-    assert file.write_image(pixels)
-    assert file.close()
+        pixels = np.concatenate([pixels[..., :3] * pixels[..., 3:], pixels[..., 3:]], axis=2)
+    known = {".tif": "tiff", ".exr": "openexr"}[path.suffix]
+    path.write_bytes(encode(pixels, known, kind, oiio__UnassociatedAlpha=int(not associated)))
 
 
 def pixels_of(path):
@@ -57,12 +52,8 @@ def smoothed_texture(path, settings=SETTINGS):
     """Show the middle of a picture on a square, and return what becomes of all of it."""
     folder = path.parent / f"of-{path.name}"
     folder.mkdir()
-    (path.parent / "square.mtl").write_text(f"newmtl paint\nmap_Kd {path.name}\n")
-    (path.parent / "square.obj").write_text(
-        "mtllib square.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
-        "vt .25 .25\nvt .75 .25\nvt .75 .75\nvt .25 .75\nf 1/1 2/2 3/3 4/4\n"
-    )
-    beltrami_cli.smooth_file(path.parent / "square.obj", folder / "square.obj", settings)
+    model = textured_squares(path.parent / "square.obj", (path.name, 0, (0.25, 0.75)))
+    beltrami_cli.smooth_file(model, folder / "square.obj", settings)
     return pixels_of(folder / f"square_{path.name}")
 
 

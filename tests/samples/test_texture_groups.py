@@ -15,6 +15,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples import texture_groups
 from beltrami_cli.samples.settings import SmoothSettings
 from formats.image_files import encode
+from small_models import textured_squares
 
 SIDE = 96  # texels of an image
 SIGMA = 20 / 255
@@ -33,20 +34,11 @@ def clean_images():
 def write_model(folder, images, gap):
     """Write quads side by side, each with an image, as far from each other as `gap`; return the path."""
     folder.mkdir()
-    lines, materials = ["mtllib model.mtl"], []
     for number, image in enumerate(images):
-        name, left = f"image{number}.png", number * (1 + gap)
-        (folder / name).write_bytes(encode(np.rint(image.clip(0, 1) * 255).astype(np.uint8), "png"))
-        materials += [f"newmtl m{number}", f"map_Kd {name}"]
-        for u, v in ((0, 0), (1, 0), (1, 1), (0, 1)):
-            lines += [f"v {left + u} {v} 0", f"vt {u} {v}"]
-        lines += [
-            f"usemtl m{number}",
-            "f " + " ".join(f"{k}/{k}" for k in range(4 * number + 1, 4 * number + 5)),
-        ]
-    (folder / "model.obj").write_text("\n".join(lines) + "\n")
-    (folder / "model.mtl").write_text("\n".join(materials) + "\n")
-    return folder / "model.obj"
+        pixels = np.rint(image.clip(0, 1) * 255).astype(np.uint8)
+        (folder / f"image{number}.png").write_bytes(encode(pixels, "png"))
+    squares = ((f"image{number}.png", number * (1 + gap), (0, 1)) for number in range(len(images)))
+    return textured_squares(folder / "model.obj", *squares)
 
 
 @pytest.fixture

