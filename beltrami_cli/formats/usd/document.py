@@ -189,10 +189,10 @@ class UsdDocument(Document):
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:
-        opacity = self._arrays["opacity"]
+        mesh, is_opaque = self._mesh, not self._words["counts"].get("transparent")
         return dataclasses.replace(
-            self._mesh,
-            alpha=opacity.clip(0, 1).astype(np.float32) if self._words["counts"].get("transparent") else None,
+            mesh,
+            alpha=None if is_opaque else self._arrays["opacity"].clip(0, 1).astype(np.float32),
             left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
         )
 
