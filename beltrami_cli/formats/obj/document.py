@@ -37,15 +37,22 @@ from beltrami_cli.formats.obj.texturing import (
 from beltrami_cli.formats.obj.vertices import (
     Scan,
     among,
-    new_colours,
     new_positions,
     read_normals,
-    renumbered,
     repainted_entries,
     scan_file,
 )
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, common_suffix, new_files, slots_by_path
-from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
+from beltrami_cli.formats.tokens import (
+    PLACEHOLDER,
+    Spans,
+    exchange_spans,
+    new_colours,
+    renumbered,
+    shifted,
+    without_tokens,
+    zeroed,
+)
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
@@ -95,11 +102,12 @@ class ObjDocument(Document):
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
         parts = []
         if colours is not None:
-            changed = colours != self._colours
             if paint is not None:
+                changed = colours != self._colours
                 data = repainted_entries(data, shifted(paint.starts, spans), colours, changed)
             else:
-                parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], colours, changed, self._scale))
+                both = self._colours, colours
+                parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], *both, self._scale))
         if places is not None:
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))

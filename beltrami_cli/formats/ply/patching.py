@@ -32,7 +32,12 @@ class Change:
 def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[Change]) -> list[Bytes]:
     """Exchange values in the body, at least one, each property once; every other byte stays. Return it in pieces."""
     if not header.order:
-        return [*_patch_text(data[header.end :], vertices, changes)]
+        text = data[header.end :]
+        starts, ends = tokens.find_tokens(text)
+        places = [indices(vertices.places(change.name))[change.rows] for change in changes]
+        both = zip(places, changes, strict=True)
+        new = [tokens.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
+        return [*tokens.renumbered(text, new)]
     patched = bytearray(data)
     for change in changes:
         everywhere = values_in_bytes(patched, header.order + change.values.dtype.str[1:])
@@ -42,26 +47,6 @@ def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[C
         else:
             everywhere[where[change.rows]] = change.values
     return [memoryview(patched)[header.end :]]
-
-
-def _patch_text(text: bytes, vertices: Table, changes: Sequence[Change]) -> list[bytes | memoryview]:
-    starts, ends = tokens.find_tokens(text)
-    places = np.concatenate([indices(vertices.places(change.name))[change.rows] for change in changes])
-    # Properties may stand in any order; tokens are exchanged from first to last.
-    order = np.argsort(places)
-    firsts = np.cumsum([0] + [len(change.values) for change in changes])
-
-    def spell(block: slice) -> list[bytes]:
-        wanted = order[block]
-        spelled = np.empty(len(wanted), "S32")
-        for change, first in zip(changes, firsts[:-1], strict=True):
-            mine = (wanted >= first) & (wanted < first + len(change.values))
-            spelled[mine] = change.values[wanted[mine] - first]  # the shortest that reads back the same
-        tokens_of_block: list[bytes] = spelled.tolist()
-        return tokens_of_block
-
-    there = places[order]
-    return tokens.exchange_tokens(text, starts[there], ends[there], spell)
 
 
 def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertices) -> list[Change]:
