@@ -16,7 +16,6 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.document import (
-    Bytes,
     Changes,
     Document,
     Fingerprint,
@@ -25,7 +24,7 @@ from beltrami_cli.formats.document import (
     NewImages,
     Written,
 )
-from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference, path_inside
+from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference, path_inside
 from beltrami_cli.formats.obj.materials import Library, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import (
@@ -242,11 +241,9 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
 def _repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
     """Return the files beside an OBJ file, without the file itself, and the new names in it."""
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
-    names = NewNames(naming, source, materials.paths, missing)
-    sidecars: dict[str, Bytes] = {}
-    copies: dict[str, str] = {}
-    edits = _take_images(materials, images, names, sidecars, copies)
-    _take_others(materials, names, edits, sidecars, copies)
+    names = NewFiles(naming, source, materials.paths, missing)
+    edits = _take_images(materials, images, names)
+    _take_others(materials, names, edits)
     spans: Spans = {}
     for library in materials.libraries:
         own = edits.get(library.path, {})
@@ -260,19 +257,13 @@ def _repainted(materials: Materials, images: NewImages, source: str, naming: Nam
         for name, start, end in library.mentions:
             spans[start, end] = new_reference(name, library.path, new)
         if is_new:
-            sidecars[new] = exchange_spans(library.data, own)
+            names.sidecars[new] = exchange_spans(library.data, own)
         else:
-            copies[new] = library.path
-    return Written([], sidecars, tuple(names.notices), copies), spans
+            names.copied[new] = library.path
+    return names.written(), spans
 
 
-def _take_images(
-    materials: Materials,
-    images: NewImages,
-    names: NewNames,
-    sidecars: dict[str, Bytes],
-    copies: dict[str, str],
-) -> dict[str, Spans]:
+def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
     """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
     for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
@@ -284,20 +275,14 @@ def _take_images(
         suffix = common_suffix(image.suffix for _, image in files)
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
         new_of = new_files(path, new, materials.folder.tiles)
-        sidecars |= {new_of.pop(file): image.content for file, image in files}
-        copies |= {file: old for old, file in new_of.items() if file != old}
+        names.sidecars |= {new_of.pop(file): image.content for file, image in files}
+        names.copied |= {file: old for old, file in new_of.items() if file != old}
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
     return edits
 
 
-def _take_others(
-    materials: Materials,
-    names: NewNames,
-    edits: dict[str, Spans],
-    sidecars: dict[str, Bytes],
-    copies: dict[str, str],
-) -> None:
+def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
     """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
     tiles, new_of = materials.folder.tiles, dict[str, str]()
     for library in materials.libraries:
@@ -316,9 +301,9 @@ def _take_others(
                 new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
                 for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
                     if is_outside(old):
-                        sidecars[new] = materials.folder.content(old)
+                        names.sidecars[new] = materials.folder.content(old)
                     else:
-                        copies[new] = old
+                        names.copied[new] = old
             own[found.start, found.end] = _spelled(found, path, new_of[path], library)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s
 from beltrami_cli.formats import tokens
 from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, NewImages, Written
-from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
+from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
 from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
@@ -67,13 +67,11 @@ def renamed_images(
     """Return the files beside a PLY file, without the file itself, and new names by their place in the header."""
     present = [comment.path for comment in comments if comment.path is not None]
     missing = [comment.name for comment in comments if comment.path is None]
-    names = NewNames(naming, source, present, missing)
-    sidecars: dict[str, Bytes] = {}
-    copies: dict[str, str] = {}
+    names = NewFiles(naming, source, present, missing)
     new_of: dict[str, str] = {}
     for (_, path), image in images.items():
         new_of[path] = names.image(path, image.suffix)
-        sidecars[new_of[path]] = image.data
+        names.sidecars[new_of[path]] = image.data
     for comment in comments if names.copies else ():
         if comment.path is None or comment.path in new_of:
             continue
@@ -81,13 +79,13 @@ def renamed_images(
             names.leave(comment.name)
         else:
             new_of[comment.path] = names.image(comment.path)
-            copies[new_of[comment.path]] = comment.path
+            names.copied[new_of[comment.path]] = comment.path
     spans: tokens.Spans = {}
     for comment in comments:
         if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
             new = new_reference(comment.name, comment.path, new_of[comment.path])
             spans[comment.start, comment.end] = new
-    return Written([], sidecars, tuple(names.notices), copies), spans
+    return names.written(), spans
 
 
 def take_apart(
