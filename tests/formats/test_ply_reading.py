@@ -46,7 +46,7 @@ def test_strips_are_unrolled_with_one_orientation(encoding):
         "tristrips", [("vertex_indices", "int int")], [[[0, 1, 2, 3, 4, -1, 5, 6, 7, -1, 1, 2, 2, 3]]]
     )
     faces = PlyDocument(build(tables, encoding).data, "x.ply").painted().faces
-    assert faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [5, 6, 7]]
+    assert faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [5, 6, 7]]
 
 
 def test_points_have_no_faces():
