@@ -13,6 +13,7 @@ from formats.gltf_files import JPEG, PNG, SLOT_PATHS, WEBP, Textured, joined, op
 
 HEADS = {".png": PNG, ".jpg": JPEG, ".webp": WEBP}
 MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
+EXTENSIONS = {"webp": "EXT_texture_webp", "ktx2": "KHR_texture_basisu", "avif": "EXT_texture_avif"}
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0]], "<f4")
 
 
@@ -85,3 +86,16 @@ def with_images(folder, count, form="glb", place="view"):
         texture = model.texture(model.image(picture(number, size=300), f"{number}.png"))
         model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture), translation=[number, 0, 0])
     return model.written_to(folder, form)
+
+
+def with_better_image(known, better, fallback=None):
+    """Return a triangle whose texture is of a type that core glTF lacks, with or without a plain image beside it."""
+    model = Textured()
+    plain = None if fallback is None else model.image(fallback)
+    source = {"source": model.image(better, f"b.{known}", f"image/{known}")}
+    texture = model.texture(plain, extensions={EXTENSIONS[known]: source})
+    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
+    model.tree["extensionsUsed"] = [EXTENSIONS[known]]
+    if fallback is None:
+        model.tree["extensionsRequired"] = [EXTENSIONS[known]]
+    return model

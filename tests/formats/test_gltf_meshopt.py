@@ -16,10 +16,12 @@ from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_comparison import json_differences
 from formats.gltf_compressed import (
     CORNERS,
+    DRACO,
     GRID,
     SIDE,
     UV,
     decompressed,
+    draco_model,
     meshopt_model,
     packed_attribute,
     packed_view,
@@ -243,14 +245,21 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     np.testing.assert_array_equal(again.painted().colours, opened.painted().colours)
 
 
-def test_without_the_package_its_extra_is_named(monkeypatch):
-    opened = document(meshopt_model(COLOURS))
-    monkeypatch.setitem(sys.modules, "meshoptimizer", None)
+@pytest.mark.parametrize(
+    ("make", "module", "extra", "extension"),
+    [
+        (meshopt_model, "meshoptimizer", "meshopt", "EXT_meshopt_compression"),
+        (draco_model, "DracoPy", "draco", DRACO),
+    ],
+)
+def test_without_a_package_its_extra_is_named(make, module, extra, extension, monkeypatch):
+    opened = document(make(COLOURS))
+    monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as caught:
         opened.painted()
-    assert "EXT_meshopt_compression" in str(caught.value)
-    assert "pip install 'beltrami-cli[meshopt]'" in str(caught.value)
-    assert opened.facts()["colour accessors"]
+    assert extension in str(caught.value)
+    assert f"pip install 'beltrami-cli[{extra}]'" in str(caught.value)
+    assert opened.facts()["extensions required"] == [extension]
 
 
 @pytest.mark.parametrize(

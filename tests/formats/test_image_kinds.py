@@ -11,35 +11,11 @@ import pytest
 from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.image import check_writable, losses, read_image, to_float, write_image
-from formats.image_files import RARER_SUFFIXES, encode, noise, png_chunks, png_file
+from beltrami_cli.formats.image import check_writable, losses, read_image, write_image
+from formats.image_files import encode, noise, png_chunks, png_file
 from formats.repainting import repainted
 
 PALETTED = [".png", ".bmp", ".tga", ".tif", ".gif"]
-WRITTEN = [
-    *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
-    *(("jpeg2000", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
-    *(("pnm", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3)),
-    *(("dpx", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
-    *(("sgi", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
-    *(("fits", kind, channels) for kind in ("uint8", "float") for channels in (1, 3, 4)),
-    *(("rla", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("known", "kind", "channels"), WRITTEN)
-def test_rarer_formats_come_back_value_for_value(known, kind, channels):
-    pixels = noise(kind, channels, 40, 43)  # JPEG 2000 halves the sides five times
-    picture = read_image(encode(pixels, known, kind), "x" + RARER_SUFFIXES[known])
-    assert (picture.format, picture.alpha) == (known, 3 if channels == 4 else None)
-    np.testing.assert_array_equal(picture.pixels, pixels)
-    changed = np.zeros(pixels.shape, bool)
-    changed[1:3] = True
-    new = repainted(picture, 0.5 * to_float(picture), changed)
-    again = read_image(write_image(picture, new).data, "y" + RARER_SUFFIXES[known])
-    np.testing.assert_array_equal(again.pixels, new)
-    assert again.stored == picture.stored
 
 
 def dds(pixels):

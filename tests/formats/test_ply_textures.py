@@ -16,7 +16,6 @@ from formats.ply_files import ENCODINGS, Table, build
 
 XYZ = [("x", "float"), ("y", "float"), ("z", "float")]
 PLACES = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [1, 0.5, 0], [0, 2, 0]]
-NEW = ImageFile(b"new image", ".png")
 
 
 def opened(folder, tables, encoding="ascii", newline="\n", *names):
@@ -179,12 +178,3 @@ def test_only_the_name_changes_and_colours_beside_it(tmp_path_factory, encoding,
     assert dict(written.sidecars) == {name: b"new"}
     assert (folder / "model.ply").read_bytes() == source
     assert (folder / "a b.png").read_bytes() == b"image a b.png"
-
-
-def test_the_models_stem_is_replaced_in_names_and_sources_stay(tmp_path):
-    (tmp_path / "model_0.png").write_bytes(b"x")
-    document = opened(tmp_path, pentagon(), "ascii", "\n", "model_0.png")
-    for stem, name in (("clean", "clean_0.png"), ("model", "model_0-2.png")):
-        written = document.patch(None, Naming(stem), images={("baseColor", "model_0.png"): NEW})
-        assert list(written.sidecars) == [name]
-    assert document.patch(None, Naming("x", keeps=True)).main == [(tmp_path / "model.ply").read_bytes()]
