@@ -19,7 +19,6 @@ from beltrami_cli.formats.document import (
     Changes,
     Document,
     Fingerprint,
-    NamedImage,
     Naming,
     NewImages,
     Written,
@@ -52,7 +51,14 @@ from beltrami_cli.formats.tokens import (
     without_tokens,
     zeroed,
 )
-from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
+from beltrami_cli.surface.records import (
+    MeshContents,
+    Slot,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+    VertexColours,
+)
 
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
@@ -232,9 +238,10 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             tiles = materials.folder.tiles.get(path or "", {})
             for tile, file in tiles.items():
                 name = file.rpartition("/")[2]
-                paintings[f"{label}, tile {tile}"] = NamedImage(name, partial(materials.folder.content, file))
+                content = partial(materials.folder.content, file)
+                paintings[f"{label}, tile {tile}"] = Texture(file, name, content)
             if path is not None and not tiles:
-                paintings[label] = NamedImage(found.name, partial(materials.folder.content, path))
+                paintings[label] = Texture(path, found.name, partial(materials.folder.content, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
 
 

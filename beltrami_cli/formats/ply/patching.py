@@ -11,13 +11,13 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s
 from beltrami_cli.formats import tokens
-from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, NewImages, Written
+from beltrami_cli.formats.document import Bytes, Fingerprint, Naming, NewImages, Written
 from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
 from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
 from beltrami_cli.formats.ply.texturing import TextureComment
-from beltrami_cli.surface.records import MovedVertices
+from beltrami_cli.surface.records import MovedVertices, Texture
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def take_apart(
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
     colours = {"vertex colours": painted[1]} if painted else {}
     paintings = {
-        f"texture {number}": NamedImage(image.name, partial(folder.content, image.path))
+        f"texture {number}": Texture(image.path, image.name, partial(folder.content, image.path))
         for number, image in enumerate(images)
         if image.path is not None
     }

@@ -52,9 +52,6 @@ class ReadOnlyDocument(Document):
         assert kind is not None
         self._kind = kind
 
-    def contents(self) -> MeshContents:
-        return self._mesh
-
     @cached_property
     def _mesh(self) -> MeshContents:
         found = self._read()

@@ -18,7 +18,6 @@ from beltrami_cli.formats.document import (
     Changes,
     Document,
     Fingerprint,
-    NamedImage,
     Naming,
     NewImages,
     Written,
@@ -28,7 +27,7 @@ from beltrami_cli.formats.model_folder import LEFT_ALONE, NewFiles
 from beltrami_cli.formats.textured_mesh import common_suffix, new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
-from beltrami_cli.surface.records import ImageFile, MeshContents, Slot, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, MeshContents, Slot, Texture, TexturedMesh, TexturedSurface
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
@@ -221,7 +220,9 @@ class UsdDocument(Document):
             parts |= {f"file {name}": package.read(name) for name in others}
         colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
         read = self._layers.image
-        images = {at: NamedImage(posixpath.basename(file), partial(read, file)) for at, file in named.items()}
+        images = {
+            at: Texture(file, posixpath.basename(file), partial(read, file)) for at, file in named.items()
+        }
         return Fingerprint(parts, colours, images, package.faults() if package is not None else ())
 
     def facts(self) -> dict[str, object]:
