@@ -88,6 +88,12 @@ def test_decimals_follow_the_source_within_what_loses_nothing():
         assert len(patched.split()[-1]) == 2 + found
 
 
+def test_exponents_are_kept():
+    document = ObjDocument(b"v 0 0 0 5e-1 0 1E0\n", "x.obj", None)
+    patched = document.patch(np.array([[0.25, 0, 1]], np.float32), Naming("out"))
+    assert b"".join(patched.main) == b"v 0 0 0 0.25 0 1E0\n"
+
+
 def test_whole_numbers_of_0_to_255_stay_whole_and_in_range():
     document = ObjDocument(b"v 0 0 0 200 0 7\n", "x.obj", None)
     patched = document.patch(np.array([[1.5, -1, 0.5]], np.float32), Naming("out"))
