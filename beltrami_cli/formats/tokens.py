@@ -160,8 +160,10 @@ class NewNumbers:
 
     def spelled(self, chosen: Int64s) -> list[bytes]:
         values = self.values[chosen]
-        found: list[bytes] = values.astype("S32").tolist()
-        return [self.style % value for value in values.tolist()] if self.style else found
+        if self.style:
+            return [self.style % value for value in values.tolist()]
+        shortest: list[bytes] = values.astype("S32").tolist()
+        return shortest
 
 
 def renumbered(text: bytes, parts: Sequence[NewNumbers]) -> list[bytes | memoryview]:
