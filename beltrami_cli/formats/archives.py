@@ -109,6 +109,14 @@ def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
         return file.read(member.file_size)
 
 
+def is_npz(data: bytes, _: str = "") -> bool:
+    """Whether a file is an archive that starts with an array."""
+    if data[:4] != _MAGIC or len(data) < 30:
+        return False
+    # The name of the first member follows its local header: PKWARE's APPNOTE.TXT, section 4.3.7.
+    return data[30 : 30 + int.from_bytes(data[26:28], "little")].endswith(b".npy")
+
+
 class NpzArchive:
     """An opened archive; InputError if it is damaged. `names` are the arrays in it."""
 
@@ -118,14 +126,6 @@ class NpzArchive:
             self._archive = zipfile.ZipFile(io.BytesIO(data))
         members = (member.filename for member in self._archive.infolist())
         self.names = tuple(member[:-4] for member in members if member.endswith(".npy"))
-
-    @staticmethod
-    def recognises(data: bytes) -> bool:
-        """Whether a file is an archive that starts with an array."""
-        if data[:4] != _MAGIC or len(data) < 30:
-            return False
-        # The name of the first member follows its local header: PKWARE's APPNOTE.TXT, section 4.3.7.
-        return data[30 : 30 + int.from_bytes(data[26:28], "little")].endswith(b".npy")
 
     def kind(self) -> Literal["level set", "points"] | None:
         if self.first(LEVEL_SET_KEYS):

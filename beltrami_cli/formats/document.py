@@ -5,8 +5,8 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
 - The constructor takes the bytes, the name for messages, the folder of sidecar files (None: there are none, as for
   standard input) and the `Access`, and calls `_open` with the folder. Files may be parsed lazily, and every count is
   held against the length of the data before anything is allocated.
-- `_mesh` or `_painted`, `_patched`, `contents` and `facts` are required; the others have defaults for a format without
-  textures, files beside it, range images, further attributes or movable vertices. With textures, `slots` and
+- `_mesh` (or `_painted` and `contents`), `_patched` and `facts` are required; the others have defaults for a format
+  without textures, files beside it, range images, further attributes or movable vertices. With textures, `slots` and
   `_gathered` are required, too; `formats/textured_mesh.py` collects their images.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
@@ -92,18 +92,6 @@ class Changes:
 
 
 @dataclass(frozen=True)
-class NamedImage:
-    """An image file, by the name that users know it by."""
-
-    name: str
-    content: bytes | Callable[[], bytes]  # or what reads it, of a file that lies beside the model
-
-    @property
-    def data(self) -> bytes:
-        return self.content if isinstance(self.content, bytes) else self.content()
-
-
-@dataclass(frozen=True)
 class Fingerprint:
     """A file with colours and images separated from all the rest, so that two files can be compared."""
 
@@ -111,7 +99,7 @@ class Fingerprint:
     # files that differ in nothing but colours have equal parts.
     parts: Mapping[str, bytes]
     colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
-    images: Mapping[str, NamedImage] = field(default_factory=dict)  # by where they are used
+    images: Mapping[str, records.Texture] = field(default_factory=dict)  # by where they are used
     faults: Sequence[str] = ()  # what some readers cannot do with; there may be fewer in the other file
 
 
@@ -240,9 +228,9 @@ class Document(ABC):
         """Return relative paths of existing unchanged files that the model needs beside it ("/" separates)."""
         return ()
 
-    @abstractmethod
     def contents(self) -> records.MeshContents:
         """Return the mesh for conversion to another format; InputError as `painted`."""
+        return self._mesh
 
     def textured_mesh(self, colours: Float32s | None = None) -> records.TexturedMesh:
         """Return all triangles with materials and images, for conversion; `colours` as in `patch`."""

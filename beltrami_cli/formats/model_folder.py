@@ -17,13 +17,13 @@ import posixpath
 import re
 import stat
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import product
 from pathlib import Path, PurePosixPath
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
-from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.document import Bytes, Naming, Written
 from beltrami_cli.formats.image.picture import format_of_suffix
 from beltrami_cli.surface.tiling import COLUMNS, ROWS, Tile
 
@@ -247,13 +247,15 @@ def found_tiles(pattern: str, names: Iterable[str]) -> dict[Tile, str]:
 _LONGEST = 255  # bytes of a name, on all usual file systems
 
 
-class NewNames:
-    """Gives the files beside one output their names, each once."""
+class NewFiles:
+    """Gives the files beside one output their names, each once, and collects them."""
 
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
         """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
         self.copies = naming.copies
         self.notices: dict[str, None] = {}  # of files that stay where they are, for another folder
+        self.sidecars: dict[str, Bytes] = {}  # and copies, as in `Written`
+        self.copied: dict[str, str] = {}
         self._naming, self._source = naming, Path(source).stem
         # In another folder what is present gets other names, and references to what is missing stay.
         self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
@@ -284,6 +286,10 @@ class NewNames:
         """Leave a file outside the folder where it is, and have the output name it as before."""
         if self.copies:
             self.notices[f"'{name}' {_STAYS}"] = None
+
+    def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
+        """Return what was collected beside a main file, or without it."""
+        return Written(main, self.sidecars, (*notices, *self.notices), self.copied)
 
     def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:
         whole, number = PurePosixPath(path), 2

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Kind = Literal["image", "volume", "model"]
 
 _ZIP = b"PK"
+_VOLUMES = (b"NRRD", b" BDV", _ZIP)  # what their files start with
 
 # What archives, compressed files and point clouds that are not read start with, and at which offset.
 _ARCHIVES = {
@@ -71,8 +72,7 @@ class Format:
         return tuple(f".{name}" for name in (self.name, *self.aliases))
 
     def load(self, name: str) -> Any:
-        module, _, own = f"beltrami_cli.formats.{self.module}.{name}".rpartition(".")
-        return getattr(importlib.import_module(module), own)
+        return _loaded(f"{self.module}.{name}")
 
 
 def _starts(pattern: bytes) -> Recogniser:
@@ -80,26 +80,14 @@ def _starts(pattern: bytes) -> Recogniser:
     return lambda data, name: compiled.match(data) is not None
 
 
-def _is_image(data: bytes, name: str) -> bool:
-    from beltrami_cli.formats.image.picture import is_image
-
-    return is_image(data, name)
-
-
-def _is_volume(data: bytes, name: str) -> bool:
-    if not data.startswith((b"NRRD", b" BDV", _ZIP)):
-        return False
-    from beltrami_cli.formats.volume.arrays import is_volume
-
-    return is_volume(data, name)
+def _asks(function: str, *starts: bytes) -> Recogniser:
+    """Ask a function of this package, which is imported for files that start in one of some ways, or for all."""
+    return lambda data, name: data.startswith(starts or b"") and bool(_loaded(function)(data, name))
 
 
-def _is_npz(data: bytes, name: str) -> bool:
-    if not data.startswith(_ZIP):
-        return False
-    from beltrami_cli.formats.archives import NpzArchive
-
-    return NpzArchive.recognises(data)
+def _loaded(name: str) -> Any:
+    module, _, own = f"beltrami_cli.formats.{name}".rpartition(".")
+    return getattr(importlib.import_module(module), own)
 
 
 def _is_usdz(data: bytes, name: str) -> bool:
@@ -110,14 +98,6 @@ def _is_usdz(data: bytes, name: str) -> bool:
     return is_layer or name.lower().endswith(".usdz")
 
 
-def _is_read_only(data: bytes, name: str) -> bool:
-    if name.lower().endswith(".obj"):
-        return False
-    from beltrami_cli.formats.read_only.document import kind_of
-
-    return kind_of(data, name) is not None
-
-
 def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", **more: Any) -> Format:
     """Return a line of a format whose writers are called after it, or after another `form`."""
     module, _, document = reader.partition(".")
@@ -125,10 +105,11 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
     return Format(name, mark, module, f"document.{document}", *writers, **more)
 
 
+_is_image = _asks("image.picture.is_image")
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
     Format("image", _is_image, "image", "read_image", kind="image"),
-    Format("volume", _is_volume, "volume.arrays", "read_volume", kind="volume"),
+    Format("volume", _asks("volume.arrays.is_volume", *_VOLUMES), "volume.arrays", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*"),
     _textured("obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*"),
     _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
@@ -142,8 +123,8 @@ FORMATS = (
     _textured("usd", _starts(rb"(?!)"), "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
     Format("xyz", _BY_NAME, "points.text_document", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
     Format("pts", _BY_NAME, "points.text_document", "TextPointsDocument", "write_pts"),
-    Format("npz", _is_npz, "points.archive", "NpzPointsDocument", "write_npz"),
-    Format("foreign", _is_read_only, "read_only", "document.ReadOnlyDocument"),
+    Format("npz", _asks("archives.is_npz", _ZIP), "points.archive", "NpzPointsDocument", "write_npz"),
+    Format("foreign", _asks("read_only.document.kind_of"), "read_only", "document.ReadOnlyDocument"),
 )  # fmt: skip
 
 _WRITERS = {line.name: line for line in FORMATS if line.writer}

@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.model_folder import NewNames, remedy_for, tile_name
+from beltrami_cli.formats.model_folder import NewFiles, remedy_for, tile_name
 from beltrami_cli.surface.records import (
     AlphaMode,
     ImageFile,
@@ -191,7 +191,7 @@ def common_suffix(suffixes: Iterable[str]) -> str | None:
 
 def image_names(mesh: TexturedMesh, stem: str) -> list[str]:
     """Return names for the files of the images, after the model, all different."""
-    names, found = NewNames(Naming(stem), mesh.source, (), ()), []
+    names, found = NewFiles(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
         # A reference in MTL and PLY is the rest of a line, of which programs cut the blanks at the ends.
         plain = plain_name(PurePosixPath(image.name).stem)

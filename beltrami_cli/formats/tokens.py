@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.large_arrays import blocks
 
@@ -20,6 +21,7 @@ _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MOST_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
 _LEAST_DIGITS, _MOST_DIGITS = 6, 9  # of full scale: as fine as 20 bits, and all that single precision has
+_WITH_EXPONENT = b"%.9g"
 _BLOCK = 1 << 16  # tokens exchanged or lines made at a time, which bounds the memory that the pieces take
 
 
@@ -147,13 +149,67 @@ def exchange_tokens(
     return pieces
 
 
+@dataclass(frozen=True)
+class NewNumbers:
+    """Tokens of a text and the numbers that replace them."""
+
+    starts: Int64s  # (K,) where the tokens stand
+    ends: Int64s
+    values: Array
+    style: bytes = b""  # how one is spelled; empty: the shortest that is read back the same
+
+    def spelled(self, chosen: Int64s) -> list[bytes]:
+        values = self.values[chosen]
+        if self.style:
+            return [self.style % value for value in values.tolist()]
+        shortest: list[bytes] = values.astype("S32").tolist()
+        return shortest
+
+
+def renumbered(text: bytes, parts: Sequence[NewNumbers]) -> list[bytes | memoryview]:
+    """Exchange tokens for numbers, each token once, and keep every other byte; return the text in pieces."""
+    starts, ends = (
+        np.concatenate(both) for both in zip(*((part.starts, part.ends) for part in parts), strict=True)
+    )
+    order = np.argsort(starts)
+    firsts = np.cumsum([0, *(len(part.starts) for part in parts)])
+
+    def spell(block: slice) -> list[bytes]:
+        wanted = order[block]
+        spelled = np.empty(len(wanted), object)
+        for part, first, stop in zip(parts, firsts[:-1], firsts[1:], strict=True):
+            mine = (wanted >= first) & (wanted < stop)
+            spelled[mine] = part.spelled(wanted[mine] - first)
+        in_order: list[bytes] = spelled.tolist()
+        return in_order
+
+    return exchange_tokens(text, starts[order], ends[order], spell) if len(starts) else [text]
+
+
+def new_colours(
+    text: bytes, starts: Int64s, ends: Int64s, before: Float32s, after: Float32s, scale: float
+) -> NewNumbers:
+    """Spell the colours that changed, all of shape (V, C), like the old ones; `scale` is their full scale."""
+    changed, values, style = after != before, after.astype(np.float64) * scale, _WITH_EXPONENT
+    characters = np.frombuffer(text, np.uint8)
+    exponents = np.append(np.flatnonzero((characters == ord("e")) | (characters == ord("E"))), len(text))
+    if not (exponents[np.searchsorted(exponents, starts)] < ends).any():
+        decimals = _colour_decimals(text, starts.ravel(), ends.ravel(), scale)
+        style = b"%%.%df" % max(decimals, 0)
+        if decimals < 0:
+            low, high = min(0, before.min()) * scale, max(1, before.max()) * scale
+            values = np.rint(np.clip(values, low, high)) + 0.0  # no -0
+            changed &= values != np.rint(before.astype(np.float64) * scale)
+    return NewNumbers(starts[changed], ends[changed], values[changed], style)
+
+
 def most_decimals(text: bytes, starts: Int64s, ends: Int64s) -> int:
     """Return how many characters stand behind the point of a token at most; negative if no token has one."""
     points = np.append(np.flatnonzero(np.frombuffer(text, np.uint8) == ord(".")), len(text))
     return int((ends - points[np.searchsorted(points, starts)] - 1).max())
 
 
-def colour_decimals(text: bytes, starts: Int64s, ends: Int64s, scale: float) -> int:
+def _colour_decimals(text: bytes, starts: Int64s, ends: Int64s, scale: float) -> int:
     """Return with how many decimals to spell colours of a full scale: as the old ones, as far as float32 goes.
 
     Negative where all old ones are whole numbers, and so the new ones are to be.

@@ -12,12 +12,12 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.document import NamedImage
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.records import Texture
 
 Held = TypeVar("Held")
 
@@ -95,7 +95,7 @@ def _amount(before: Array, after: Array) -> str:
     return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {255 * largest:.1f}/255 at most"
 
 
-def _of_images(old: NamedImage, new: NamedImage, access: Access) -> tuple[str, bool] | None:
+def _of_images(old: Texture, new: Texture, access: Access) -> tuple[str, bool] | None:
     if old.data == new.data:
         return None
     require_memory([(old.name, old.data), (new.name, new.data)], access)

@@ -130,7 +130,7 @@ def _describe_under_textures(
         "vertices": len(surface.positions),
         "triangles": len(surface.faces),
         "coincident_vertices": len(surface.positions) - len(first),
-        **dataclasses.asdict(count_topology(positions, place_of[surface.faces])),
+        **count_topology(positions, place_of[surface.faces]),
         "bounds": bounds(positions),
     }
     return {"surface": counts}

@@ -18,7 +18,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_there, read_source
-from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, read_npy
+from beltrami_cli.formats.archives import NPY_MAGIC, NpzArchive, is_npz, read_npy
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
@@ -59,7 +59,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     data = read_source(path, access)
     if data[: len(NPY_MAGIC)] == NPY_MAGIC:
         table = read_npy(data, path)
-    elif NpzArchive.recognises(data) and (archive := NpzArchive(data, path)).kind() != "points":
+    elif is_npz(data) and (archive := NpzArchive(data, path)).kind() != "points":
         if len(archive.names) != 1:
             which = ", ".join(archive.names)
             raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")

@@ -74,7 +74,7 @@ class Repainting:
             border, lone = (self._of_texture(texels, index)[1] for texels in self.looked_up)
             keep_others(refilled, border, lone)
             opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
-            fill_gutter(pixels, covered, None, self.gutter, known, self.threads, columns, opacity)
+            fill_gutter(pixels, covered, self.gutter, known, self.threads, columns, opacity)
         return pixels, change
 
     def shift(self, index: int, added: NewColours, limits: tuple[float, float]) -> Array:
@@ -88,7 +88,7 @@ class Repainting:
         if self.gutter is not None:
             covered, known, rows = self._near_charts(index, shape, added)
             table[self._of_texture(added.beyond_places[rows], index)[1]] = added.beyond[rows]
-            fill_gutter(change, covered, None, self.gutter, known)
+            fill_gutter(change, covered, self.gutter, known)
         moved = np.flatnonzero(table.any(axis=1))
         after = (self.colours.working(picture, moved) + table[moved]).clip(*limits)
         there = moved + self.texture_offsets[index]

@@ -148,14 +148,13 @@ class VertexSamples(PaintedSamples):
         # The position of each place: a hard colour edge is no boundary of the surface.
         positions = np.empty((sampling.places, surface.positions.shape[1]))
         positions[sampling.place_of] = surface.positions
-        topology = count_topology(positions, sampling.place_of[surface.faces])
         return {
             "vertices": len(painted.positions),
             "triangles": len(painted.faces),
             "samples": len(surface.colours),
             "coincident_vertices": len(painted.positions) - sampling.places,
             "hard_edge_samples": len(surface.colours) - sampling.places,
-            **dataclasses.asdict(topology),
+            **count_topology(positions, sampling.place_of[surface.faces]),
         }
 
     def _describe_points(self) -> dict[str, object]:

@@ -274,20 +274,18 @@ ROWS = 512
 
 
 def fill_gutter(
-    pixels: Array, covered: Bools, mask: Bools | None, width: int | None, known: Bools | None = None,
+    pixels: Array, covered: Bools, width: int | None, known: Bools | None = None,
     threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
 ) -> None:  # fmt: skip
     """Give texels beside charts, in place, the colour of the nearest covered texel."""
-    # `mask`: where the source had content; other texels keep theirs. `width`: the largest distance, in texels; None:
-    # any. `known`: uncovered texels that have their colours already, from beyond a seam, and keep them. `opacity`: what
-    # is multiplied into the colours, which are given that of the texel that they go to; not 0 where covered.
+    # `width`: the largest distance, in texels; None: any. `known`: uncovered texels that have their colours already, as
+    # from beyond a seam, and keep them. `opacity`: what is multiplied into the colours, which are given that of the
+    # texel that they go to; not 0 where covered.
     reach = sum(covered.shape) if width is None else width
     for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
         target = ~covered[band]
         if known is not None:
             target &= ~known[band]
-        if mask is not None:
-            target &= mask[band]
         if not target.any():
             continue
         first, last = max(0, band.start - reach), band.stop + reach

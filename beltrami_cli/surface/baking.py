@@ -204,7 +204,7 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
     # Where charts are smaller than a texel, what lies beside them is all that there is.
     source = covered if covered.any() else beside
     texture = pixels.reshape(height, width, channels)
-    fill_gutter(texture, source.reshape(height, width), None, None, beside.reshape(height, width))
+    fill_gutter(texture, source.reshape(height, width), None, beside.reshape(height, width))
     return texture
 
 

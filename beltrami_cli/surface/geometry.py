@@ -11,8 +11,6 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
@@ -169,32 +167,20 @@ def _edge_uses(corners: Int64s, count: int) -> tuple[Int64s, Int64s]:
     return edges, uses
 
 
-@dataclass(frozen=True)
-class TopologyCounts:
-    """Counts of the parts of a triangle mesh."""
-
-    edges: int  # distinct ones
-    boundary_edges: int  # with one triangle
-    non_manifold_edges: int  # with more than two
-    degenerate_faces: int  # triangles without area
-    duplicate_faces: int  # triangles with the same three vertices as an earlier one
-    isolated_vertices: int  # vertices in no triangle
-
-
-def count_topology(positions: Float64s, faces: Int32s) -> TopologyCounts:
-    """Count the parts of a triangle mesh; duplicate faces count once for the edges."""
+def count_topology(positions: Float64s, faces: Int32s) -> dict[str, int]:
+    """Count the parts of a triangle mesh, by their names; duplicate faces count once for the edges."""
     count, proper = len(positions), _proper(faces)
     distinct = _distinct(proper)
     _, uses = _edge_uses(distinct, count)
     flat = np.count_nonzero(triangle_areas(positions, proper.astype(np.int32)) == 0)
-    return TopologyCounts(
-        edges=len(uses),
-        boundary_edges=int(np.count_nonzero(uses == 1)),
-        non_manifold_edges=int(np.count_nonzero(uses > 2)),
-        degenerate_faces=len(faces) - len(proper) + int(flat),
-        duplicate_faces=int(len(proper) - len(distinct)),
-        isolated_vertices=count - len(np.unique(faces)),
-    )
+    return {
+        "edges": len(uses),  # distinct ones
+        "boundary_edges": int(np.count_nonzero(uses == 1)),  # with one triangle
+        "non_manifold_edges": int(np.count_nonzero(uses > 2)),
+        "degenerate_faces": len(faces) - len(proper) + int(flat),  # triangles without area
+        "duplicate_faces": int(len(proper) - len(distinct)),  # with the same three vertices as an earlier one
+        "isolated_vertices": count - len(np.unique(faces)),  # in no triangle
+    }
 
 
 # Means over neighbours are taken this often: far enough to be steady where edges differ at random, near enough to

@@ -48,6 +48,23 @@ def triangulate_corners(positions: Float64s, corners: Int32s, offsets: Int64s) -
     return cut, np.searchsorted(offsets, cut[:, 0], side="right") - 1
 
 
+def unrolled(strips: Int64s, ends: Int64s) -> Int64s:
+    """Convert strips, which -1 restarts, to triangles, with every other one of a strip reversed."""
+    if strips.size < 3:
+        return np.empty((0, 3), np.int64)
+    begins = np.zeros(len(strips), np.bool_)
+    begins[ends[:-1][ends[:-1] < len(strips)]] = True
+    begins[1:] |= strips[:-1] == -1
+    numbers = np.arange(len(strips))
+    since = numbers - np.maximum.accumulate(np.where(begins, numbers, 0))
+    triangles = np.column_stack([strips[:-2], strips[1:-1], strips[2:]])
+    odd = since[2:] % 2 == 1
+    triangles[odd] = triangles[odd][:, [0, 2, 1]]
+    a, b, c = triangles.T
+    proper = (since[2:] >= 2) & (triangles >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)
+    return np.asarray(triangles[proper])
+
+
 def _cut(positions: Float64s, polygons: Int32s) -> Int32s:
     """Cut polygons of one size, shape (P, n), into triangles of shape (P, n - 2, 3)."""
     size = polygons.shape[1]

@@ -23,6 +23,15 @@ LOSSLESS = [
     *(("bmp", "uint8", channels) for channels in (1, 3, 4)),
     *(("webp", "uint8", channels) for channels in (3, 4)),
 ]
+RARER = [
+    *(("jpegxl", kind, channels) for kind in ("uint8", "uint16", "half", "float") for channels in (1, 3, 4)),
+    *(("jpeg2000", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
+    *(("pnm", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3)),
+    *(("dpx", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
+    *(("sgi", kind, channels) for kind in ("uint8", "uint16") for channels in (1, 3, 4)),
+    *(("fits", kind, channels) for kind in ("uint8", "float") for channels in (1, 3, 4)),
+    *(("rla", kind, channels) for kind in ("uint8", "uint16", "float") for channels in (1, 3, 4)),
+]
 SUFFIXES = {
     "png": ".png", "tiff": ".tif", "openexr": ".exr", "targa": ".tga", "bmp": ".bmp", "webp": ".webp",
     "jpeg": ".jpg", "hdr": ".hdr",

@@ -16,7 +16,7 @@ from beltrami_cli.formats.archives import NpzArchive
 HELD, ANNOUNCED = 25_165_937, 100
 
 
-def archive_with_a_longer_member(checksum: int) -> bytes:
+def archive_with_a_longer_member(checksum):
     """Write an archive of an array and of zeros, of which it announces too few."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -16,12 +16,12 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
-from formats.gltf_files import Textured, only_input_errors, opened, picture
+from formats.gltf_files import only_input_errors, opened, picture
+from formats.gltf_images import EXTENSIONS, with_better_image
 from formats.image_files import encode
 from fuzz.test_replay import mutated
 
 ONCE = KernelParameters(iterations=1, t=2, beta=20)
-EXTENSIONS = {"ktx2": "KHR_texture_basisu", "avif": "EXT_texture_avif"}
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], "f4")
 
 
@@ -100,19 +100,6 @@ def test_a_profile_and_its_metadata_stay_in_avif():
         assert bytes(np.asarray(new.spec.getattribute("ICCProfile"), np.uint8)) == profile
 
 
-def model_with(known, *, fallback):
-    """Return a square with a texture of a kind, with or without a plain image to fall back on."""
-    model = Textured()
-    plain = model.image(encode(painting(), "png")) if fallback else None
-    better = model.image(file_of(known), f"b.{known}", f"image/{known}")
-    texture = model.texture(plain, extensions={EXTENSIONS[known]: {"source": better}})
-    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
-    model.tree["extensionsUsed"] = [EXTENSIONS[known]]
-    if not fallback:
-        model.tree["extensionsRequired"] = [EXTENSIONS[known]]
-    return model
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [None, ".png", ".jpg", ".webp", ".ktx2", ".avif"])
 @pytest.mark.parametrize("fallback", [False, True])
@@ -120,7 +107,9 @@ def model_with(known, *, fallback):
 def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, known, fallback, suffix):
     if suffix == ".ktx2" and extra_codecs.missing_package("ktx2"):
         pytest.skip("not installed: alktx2")
-    source = model_with(known, fallback=fallback).written_to(tmp_path)
+    source = with_better_image(
+        known, file_of(known), encode(painting(), "png") if fallback else None
+    ).written_to(tmp_path)
     target = tmp_path / "out.glb"
     report = smooth_file(
         source, target, SmoothSettings(kernel=ONCE, textures=TextureSettings(image_suffix=suffix))
@@ -151,7 +140,7 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
 def test_without_its_package_a_texture_is_left_as_it_is_and_the_package_is_named(
     tmp_path, known, monkeypatch
 ):
-    model = model_with(known, fallback=False)
+    model = with_better_image(known, file_of(known))
     plain = model.texture(model.image(encode(painting(), "png")))
     model.triangles(SQUARE + 2, SQUARE[:, :2], model.material(baseColor=plain))
     source, image = model.written_to(tmp_path), file_of(known)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import DracoPy
 import numpy as np
 import pytest
@@ -175,16 +173,6 @@ def test_a_substitute_in_another_order_is_refused_rather_than_painted_wrong():
     colours = opened.painted().colours
     with pytest.raises(InputError, match="another order than the uncompressed geometry"):
         opened.patch(1 - colours, Naming("out"))
-
-
-def test_without_the_package_its_extra_is_named(monkeypatch):
-    opened = document(draco_model(COLOURS))
-    monkeypatch.setitem(sys.modules, "DracoPy", None)
-    with pytest.raises(InputError) as caught:
-        opened.painted()
-    assert "KHR_draco_mesh_compression" in str(caught.value)
-    assert "pip install 'beltrami-cli[draco]'" in str(caught.value)
-    assert opened.facts()["extensions required"] == [DRACO]
 
 
 def change(model, key, value):

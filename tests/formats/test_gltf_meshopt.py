@@ -16,10 +16,12 @@ from beltrami_cli.formats.gltf.document import GltfDocument
 from formats.gltf_comparison import json_differences
 from formats.gltf_compressed import (
     CORNERS,
+    DRACO,
     GRID,
     SIDE,
     UV,
     decompressed,
+    draco_model,
     meshopt_model,
     packed_attribute,
     packed_view,
@@ -170,16 +172,15 @@ def test_only_the_compressed_colours_change(tmp_path_factory, extension, seed, f
                 np.testing.assert_array_equal(numbers(new, new_buffers, index), after[index])
     free = ("buffers[0].byteLength", "bufferViews[1].extensions", "accessors[1].m")
     assert [place for place in json_differences(old, new) if not place.startswith(free)] == []
-    check_bytes(old, old_buffers[0], new_buffers[0], extension)
-
-
-def check_bytes(old, before, after, extension):
-    """All bytes of the first buffer but those of the compressed colours are where they were."""
-    place = old["bufferViews"][1]["extensions"][extension]
-    start, end = place["byteOffset"], place["byteOffset"] + place["byteLength"]
-    size = old["buffers"][0]["byteLength"]
-    assert after[:start] == before[:start]
-    assert after[end:size] == before[end:size]
+    place = old["bufferViews"][1]["extensions"][extension]  # all other bytes of the first buffer stay
+    start, end, size = (
+        place["byteOffset"],
+        place["byteOffset"] + place["byteLength"],
+        old["buffers"][0]["byteLength"],
+    )
+    assert (
+        new_buffers[0][:start] + new_buffers[0][end:size] == old_buffers[0][:start] + old_buffers[0][end:size]
+    )
 
 
 def test_colours_interleaved_with_other_attributes_leave_these_alone():
@@ -244,14 +245,21 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     np.testing.assert_array_equal(again.painted().colours, opened.painted().colours)
 
 
-def test_without_the_package_its_extra_is_named(monkeypatch):
-    opened = document(meshopt_model(COLOURS))
-    monkeypatch.setitem(sys.modules, "meshoptimizer", None)
+@pytest.mark.parametrize(
+    ("make", "module", "extra", "extension"),
+    [
+        (meshopt_model, "meshoptimizer", "meshopt", "EXT_meshopt_compression"),
+        (draco_model, "DracoPy", "draco", DRACO),
+    ],
+)
+def test_without_a_package_its_extra_is_named(make, module, extra, extension, monkeypatch):
+    opened = document(make(COLOURS))
+    monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as caught:
         opened.painted()
-    assert "EXT_meshopt_compression" in str(caught.value)
-    assert "pip install 'beltrami-cli[meshopt]'" in str(caught.value)
-    assert opened.facts()["colour accessors"]
+    assert extension in str(caught.value)
+    assert f"pip install 'beltrami-cli[{extra}]'" in str(caught.value)
+    assert opened.facts()["extensions required"] == [extension]
 
 
 @pytest.mark.parametrize(

@@ -96,12 +96,6 @@ def test_several_buffers_and_images_become_one_chunk(tmp_path, changed):
     assert len([notice for notice in written.notices if "stays outside" in notice]) == 2
 
 
-def test_the_same_form_is_a_patch():
-    data = model_with_colours().glb()
-    document = GltfDocument(data, "a.glb", None)
-    assert joined(document.patch(document.painted().colours, Naming("b"), form="glb")) == data
-
-
 def test_lost_chunks_are_reported():
     document = GltfDocument(model_with_colours().glb((b"XTRA", b"1234")), "a.glb", None)
     written = document.patch(document.painted().colours, Naming("b"), form="gltf")

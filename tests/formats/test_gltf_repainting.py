@@ -24,6 +24,7 @@ from formats.gltf_images import (
     new_image,
     save,
     shown,
+    with_better_image,
     with_images,
 )
 
@@ -144,14 +145,9 @@ def test_the_type_is_given_wherever_it_stands(tmp_path, place, suffix):
 @pytest.mark.parametrize("fallback", [True, False])
 @pytest.mark.parametrize("suffix", [".webp", ".png"])
 def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
-    model = Textured()
-    plain = model.image(picture(1)) if fallback else None
-    better = model.image(picture(2, WEBP), "b.webp", "image/webp")
-    texture = model.texture(plain, extensions={"EXT_texture_webp": {"source": better}})
-    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
-    model.tree["extensionsUsed"] = ["KHR_other", "EXT_texture_webp"]
-    if not fallback:
-        model.tree["extensionsRequired"] = ["EXT_texture_webp"]
+    model = with_better_image("webp", picture(2, WEBP), picture(1) if fallback else None)
+    model.tree["extensionsUsed"].insert(0, "KHR_other")
+    (better,) = model.tree["textures"][0]["extensions"]["EXT_texture_webp"].values()
     document = open_document(str(model.written_to(tmp_path)))
     (key,) = (texture.key for texture in document.textured("baseColor").textures)
     written = document.patch(None, Naming("o", keeps=True), images={("baseColor", key): new_image(1, suffix)})

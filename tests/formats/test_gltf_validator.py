@@ -19,6 +19,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured, gltf_files
+from formats.gltf_images import EXTENSIONS, with_better_image
 from formats.gltf_showcase import noisy, photo, showcase
 from formats.gltf_validator import issues, needs_auditor, needs_validator, unfit
 from formats.image_files import noise
@@ -127,30 +128,16 @@ def with_colours(arrangement):
     return model
 
 
-def with_extension(known, extension, *, fallback):
-    """Return a model whose texture is of a type that core glTF lacks."""
+def with_extension(known, *, fallback):
     if known in EXTRA_CODECS and missing_package(known):
         pytest.skip(f"not installed: {missing_package(known)}")
-    model, pixels = Textured(), noise("uint8", 3, 16, 16)
-    plain = model.image(photo(1)) if fallback else None
+    pixels = noise("uint8", 3, 16, 16)
     data = write_image(new_picture(pixels, "x"), pixels, suffix=f".{known}").data
-    texture = model.texture(
-        plain, extensions={extension: {"source": model.image(data, f"b.{known}", f"image/{known}")}}
-    )
-    corners, uv = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "f4"), np.eye(3, 2)
-    model.triangles(corners, uv, model.material(baseColor=texture))
-    model.tree["extensionsUsed"] = [extension]
-    if not fallback:
-        model.tree["extensionsRequired"] = [extension]
+    model = with_better_image(known, data, photo(1) if fallback else None)
     model.tree["accessors"][0] |= {"min": [0, 0, 0], "max": [1, 1, 0]}
     return model
 
 
-EXTENSIONS = {
-    "webp": "EXT_texture_webp",
-    "ktx2": "KHR_texture_basisu",
-    "avif": "EXT_texture_avif",
-}
 COLOUR_KINDS = ("zeros", "sparse zeros", "shared", "overlapping")
 MODELS = {
     **{f"everything, images as {place}": partial(showcase, place) for place in ("view", "data", "file")},
@@ -159,10 +146,8 @@ MODELS = {
     "Draco, vertices in order": lambda: draco_model(COLOURS, in_order=True),
     "meshoptimizer": lambda: meshopt_model(COLOURS),
     **{
-        f"{known}{' with fallback' if fallback else ''}": partial(
-            with_extension, known, extension, fallback=fallback
-        )
-        for known, extension in EXTENSIONS.items()
+        f"{known}{' with fallback' if fallback else ''}": partial(with_extension, known, fallback=fallback)
+        for known in EXTENSIONS
         for fallback in (False, True)
     },
 }

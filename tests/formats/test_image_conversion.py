@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING
 
 import numpy as np
 import OpenImageIO
@@ -16,13 +15,10 @@ from beltrami_cli.samples.samples import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, stored
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 RGB = [(known, kind) for known, kind, channels in LOSSLESS if channels == 3]
 
 
-def picture_of(known: str, kind: str, channels: int, low: float = 0):
+def picture_of(known, kind, channels, low=0):
     pixels = noise(kind, channels, 16, 24)
     if kind in ("half", "float"):
         pixels = np.clip(pixels, low, 1)
@@ -32,9 +28,7 @@ def picture_of(known: str, kind: str, channels: int, low: float = 0):
 @pytest.mark.slow
 @pytest.mark.parametrize("target", sorted(SUFFIXES.values()))
 @pytest.mark.parametrize(("known", "kind", "channels"), LOSSLESS)
-def test_every_format_can_be_written_as_every_other(
-    known: str, kind: str, channels: int, target: str
-) -> None:
+def test_every_format_can_be_written_as_every_other(known, kind, channels, target):
     picture = picture_of(known, kind, channels)
     written = write_image(picture, picture.pixels, suffix=target)
     assert written.suffix == target
@@ -51,7 +45,7 @@ def test_every_format_can_be_written_as_every_other(
 
 
 @pytest.mark.parametrize(("known", "kind"), RGB)
-def test_numbers_survive_the_way_to_a_format_that_holds_them(known: str, kind: str) -> None:
+def test_numbers_survive_the_way_to_a_format_that_holds_them(known, kind):
     picture = picture_of(known, kind, 3)
     for target in (".tif", ".png" if kind in ("uint8", "uint16") else ".exr"):
         again = read_image(write_image(picture, picture.pixels, suffix=target).data, "x" + target)
@@ -59,7 +53,7 @@ def test_numbers_survive_the_way_to_a_format_that_holds_them(known: str, kind: s
         assert again.stored == picture.stored
 
 
-def test_light_becomes_display_values_in_integers_and_data_stay() -> None:
+def test_light_becomes_display_values_in_integers_and_data_stay():
     picture = picture_of("openexr", "float", 3)
     colours = read_image(write_image(picture, picture.pixels, suffix=".png").data, "x.png")
     assert colours.stored == "uint16"
@@ -68,7 +62,7 @@ def test_light_becomes_display_values_in_integers_and_data_stay() -> None:
     np.testing.assert_allclose(to_float(data), picture.pixels, atol=0.51 / 65535)
 
 
-def test_display_values_come_back_from_light() -> None:
+def test_display_values_come_back_from_light():
     picture = picture_of("png", "uint8", 3)
     for target in (".exr", ".hdr"):
         light = read_image(write_image(picture, picture.pixels, suffix=target).data, "x" + target)
@@ -82,7 +76,7 @@ def test_display_values_come_back_from_light() -> None:
         assert target == ".hdr" or error.max() == 0
 
 
-def test_alpha_is_divided_out_and_multiplied_in_where_formats_differ() -> None:
+def test_alpha_is_divided_out_and_multiplied_in_where_formats_differ():
     picture = picture_of("png", "uint16", 4)
     exr = read_image(write_image(picture, picture.pixels, suffix=".exr", as_data=True).data, "x.exr")
     whole = to_float(picture)
@@ -92,7 +86,7 @@ def test_alpha_is_divided_out_and_multiplied_in_where_formats_differ() -> None:
     np.testing.assert_allclose(to_float(back)[thick], whole[thick], atol=1e-4)
 
 
-def test_profile_and_texts_go_along_where_they_still_hold() -> None:
+def test_profile_and_texts_go_along_where_they_still_hold():
     source = encode(noise("uint8", 3), "tiff", ICCProfile=icc_profile(), Artist="me", DateTime="")
     picture = read_image(source, "x.tif")
     png = dict(png_chunks(write_image(picture, picture.pixels, suffix=".png").data))
@@ -107,7 +101,7 @@ def test_profile_and_texts_go_along_where_they_still_hold() -> None:
 
 @pytest.mark.parametrize("target", [".jpg", ".png", ".tif", ".webp"])
 @pytest.mark.parametrize("source", ["jpeg", "png", "tiff"])
-def test_exif_goes_along(source: str, target: str) -> None:
+def test_exif_goes_along(source, target):
     data = encode(noise("uint8", 3), source, Orientation=6, ImageDescription="a view", DateTime="")
     picture = read_image(data, "x" + SUFFIXES[source])
     spec = read_image(write_image(picture, picture.pixels, suffix=target).data, "x" + target).spec
@@ -115,13 +109,13 @@ def test_exif_goes_along(source: str, target: str) -> None:
     assert spec.get_string_attribute("ImageDescription") == "a view"
 
 
-def test_a_picture_without_exif_gets_none() -> None:
+def test_a_picture_without_exif_gets_none():
     picture = picture_of("png", "uint8", 3)
     assert b"EXIF" not in write_image(picture, picture.pixels, suffix=".webp").data
 
 
 @pytest.mark.parametrize("turned", range(1, 9))
-def test_where_no_tag_turns_a_picture_its_pixels_are_turned(turned: int, tmp_path: Path) -> None:
+def test_where_no_tag_turns_a_picture_its_pixels_are_turned(turned, tmp_path):
     source = tmp_path / "a.tif"
     source.write_bytes(encode(noise("uint8", 3), "tiff", Orientation=turned))
     upright = OpenImageIO.ImageBufAlgo.reorient(OpenImageIO.ImageBuf(str(source)))
@@ -132,19 +126,19 @@ def test_where_no_tag_turns_a_picture_its_pixels_are_turned(turned: int, tmp_pat
     np.testing.assert_array_equal(stored(tmp_path / "b.png"), noise("uint8", 3))
 
 
-def test_texts_that_are_no_utf_8_do_not_bar_a_conversion() -> None:
+def test_texts_that_are_no_utf_8_do_not_bar_a_conversion():
     header, *others = png_chunks(encode(noise("uint8", 3), "png"))
     picture = read_image(png_file([header, (b"tEXt", b"Author\0Zo\xeb"), *others]), "x.png")
     assert b"Zo\xeb" in write_image(picture, picture.pixels, suffix=".jpg").data
 
 
-def test_an_unknown_extension_is_refused() -> None:
+def test_an_unknown_extension_is_refused():
     picture = picture_of("png", "uint8", 3)
     with pytest.raises(UsageError, match=r"\.xyz"):
         write_image(picture, picture.pixels, suffix=".xyz")
 
 
-def test_a_jpeg_that_coding_would_change_more_than_the_result_stays() -> None:
+def test_a_jpeg_that_coding_would_change_more_than_the_result_stays():
     """Hues of single pixels, stored for 2 x 2 of them, are lost by far more than a step in one pixel."""
     hues = np.random.default_rng(0).random((64, 64, 3), np.float32)
     subsampled = jpeg_file(hues, 90)

@@ -24,19 +24,19 @@ KINDS = {known: (known, kind, channels) for known, kind, channels in LOSSLESS} |
 }
 
 
-def sample(known: str, size: int = 24) -> bytes:
+def sample(known, size=24):
     _, kind, channels = KINDS.get(known, (known, "float" if known == "fits" else "uint8", 3))
     return encode(noise(kind, channels, size, size), known, kind)
 
 
-def png(width: int, height: int, lines: bytes = b"") -> bytes:
+def png(width, height, lines=b""):
     header = width.to_bytes(4) + height.to_bytes(4) + bytes([8, 2, 0, 0, 0])
     return png_file([(b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")])
 
 
 @pytest.mark.parametrize("known", sorted(KINDS))
 @pytest.mark.parametrize("part", [0.02, 0.3, 0.6, 0.9])
-def test_a_cut_off_image_is_refused_by_name(known: str, part: float) -> None:
+def test_a_cut_off_image_is_refused_by_name(known, part):
     data = sample(known)
     pixels = len(data) - (521 if known == "targa" else 0)  # A TGA file ends with a table that may be missing.
     with pytest.raises(InputError) as raised:
@@ -51,7 +51,7 @@ def test_a_cut_off_image_is_refused_by_name(known: str, part: float) -> None:
 @pytest.mark.parametrize("known", [*sorted(KINDS), "jpegxl", "jpeg2000", "pnm", "dpx", "sgi", "fits", "rla"])
 @given(st.data())
 @settings(max_examples=30, deadline=None)
-def test_damage_gives_pixels_or_an_input_error(known: str, data: st.DataObject) -> None:
+def test_damage_gives_pixels_or_an_input_error(known, data):
     whole = sample(known, 8 if known in KINDS else 40)
     damaged = bytearray(whole[: data.draw(st.integers(len(whole) // 2, len(whole)))])
     for _ in range(data.draw(st.integers(1, 4))):
@@ -62,7 +62,7 @@ def test_damage_gives_pixels_or_an_input_error(known: str, data: st.DataObject) 
     assert OpenImageIO.geterror() == ""
 
 
-def test_bombs_are_refused_by_their_header() -> None:
+def test_bombs_are_refused_by_their_header():
     for width, height in ((30000, 30000), (1 << 30, 1), (1, 1 << 30), (65535, 65535)):
         begin = time.perf_counter()
         with pytest.raises(InputError, match=r"\d+ x \d+ pixels|size|damaged"):
@@ -70,7 +70,7 @@ def test_bombs_are_refused_by_their_header() -> None:
         assert time.perf_counter() - begin < 1
 
 
-def test_images_of_no_size_are_refused() -> None:
+def test_images_of_no_size_are_refused():
     for width, height in ((0, 4), (4, 0), (0, 0)):
         with pytest.raises(InputError):
             read_image(png(width, height), "none.png")
@@ -82,7 +82,7 @@ def test_images_of_no_size_are_refused() -> None:
             read_image(bytes(data), "none" + SUFFIXES[known])
 
 
-def test_what_is_no_image_is_refused_whatever_its_name() -> None:
+def test_what_is_no_image_is_refused_whatever_its_name():
     for data in (b"", b"hello", b"GIF89a" + bytes(30), b"RIFF\0\0\0\0WAVE", bytes(100)):
         with pytest.raises(InputError, match=r"no known image format|damaged|is empty"):
             read_image(data, "x.png")
@@ -90,7 +90,7 @@ def test_what_is_no_image_is_refused_whatever_its_name() -> None:
         read_image(b"hello", "x.tga")
 
 
-def test_inks_of_print_are_refused() -> None:
+def test_inks_of_print_are_refused():
     jpeg = bytearray(sample("jpeg"))
     frame = jpeg.index(b"\xff\xc0")
     jpeg[frame + 9] = 4
@@ -101,19 +101,19 @@ def test_inks_of_print_are_refused() -> None:
         read_image(tiff, "print.tif")
 
 
-def test_values_that_are_not_finite_are_refused() -> None:
+def test_values_that_are_not_finite_are_refused():
     pixels = noise("float", 3)
     pixels[0, 0, 0], pixels[1, 1, 1] = np.nan, np.inf
     with pytest.raises(InputError, match="2 of its values are not finite"):
         read_image(encode(pixels, "openexr", "float"), "x.exr")
 
 
-def test_samples_of_other_types_are_refused() -> None:
+def test_samples_of_other_types_are_refused():
     with pytest.raises(InputError, match="int16"):
         read_image(encode(noise("uint8", 3).astype(np.int16), "tiff", "int16"), "x.tif")
 
 
-def test_of_an_animation_the_first_image_is_taken_and_said_so() -> None:
+def test_of_an_animation_the_first_image_is_taken_and_said_so():
     frames = []
     for seed in (0, 1):
         pixels = noise("uint8", 4, 8, 8, seed)
@@ -127,7 +127,7 @@ def test_of_an_animation_the_first_image_is_taken_and_said_so() -> None:
     assert not read_image(sample("webp"), "still.webp").notices
 
 
-def test_a_compression_that_is_not_built_in_is_no_damage() -> None:
+def test_a_compression_that_is_not_built_in_is_no_damage():
     data = bytearray(sample("tiff"))
     first = int.from_bytes(data[4:8], "little")
     for entry in range(int.from_bytes(data[first : first + 2], "little")):
@@ -139,8 +139,8 @@ def test_a_compression_that_is_not_built_in_is_no_damage() -> None:
         read_image(bytes(data), "x.tif")
 
 
-def test_no_room_for_a_copy_names_the_image(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
+def test_no_room_for_a_copy_names_the_image(monkeypatch):
+    def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     data = sample("png")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.surface.records import MovedVertices
+from formats.gltf_comparison import json_differences
 from formats.gltf_files import Model, joined, numbers, unpacked
 from formats.gltf_validator import issues, needs_validator
 from formats.ply_files import ENCODINGS, Table, build
@@ -175,9 +177,9 @@ def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
     new = numbers(tree, buffers, 0)
     assert tree["accessors"][0]["min"] == new.min(axis=0).tolist()
     assert tree["accessors"][0]["max"] == new.max(axis=0).tolist()
-    del tree["accessors"][0], before["accessors"][0]
-    tree["buffers"], before["buffers"] = [], []
-    assert tree == before
+    assert all(
+        re.match(r"accessors\[0\]\.(min|max)|buffers", place) for place in json_differences(before, tree)
+    )
 
 
 def test_an_accessor_that_something_else_uses_is_spared():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,9 +19,6 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples.settings import SmoothSettings
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 CORNERS = "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -57,7 +53,7 @@ FIRST = (
 SECOND = "newmtl slate\r\nmap_Kd\tmaps/slate.png  \r\nillum 2"
 
 
-def write_everything(folder: Path, newline: str = "\n") -> Path:
+def write_everything(folder, newline="\n"):
     (folder / "maps").mkdir(parents=True)
     (folder / "model.obj").write_bytes(EVERYTHING.replace("\n", newline).encode())
     (folder / "first one.mtl").write_bytes(FIRST.replace("\n", newline).encode())
@@ -69,7 +65,7 @@ def write_everything(folder: Path, newline: str = "\n") -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_all_dialects_together_in_another_folder(newline: str, tmp_path: Path) -> None:
+def test_all_dialects_together_in_another_folder(newline, tmp_path):
     model = write_everything(tmp_path / "in", newline)
     (tmp_path / "out").mkdir()
     report = smooth_file(model, tmp_path / "out" / "clean.obj")
@@ -90,7 +86,7 @@ def test_all_dialects_together_in_another_folder(newline: str, tmp_path: Path) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_all_dialects_together_beside_the_source(newline: str, tmp_path: Path) -> None:
+def test_all_dialects_together_beside_the_source(newline, tmp_path):
     model = write_everything(tmp_path, newline)
     before = snapshot(tmp_path)
     smooth_file(model, tmp_path / "clean.obj")
@@ -105,7 +101,7 @@ def test_all_dialects_together_beside_the_source(newline: str, tmp_path: Path) -
         "maps/clean_slate.png",
     ]
 
-    def text(name: str) -> bytes:
+    def text(name):
         return after[name][1]
 
     assert text("clean.obj") == before["model.obj"][1].replace(
@@ -133,7 +129,7 @@ def test_all_dialects_together_beside_the_source(newline: str, tmp_path: Path) -
         ("-s none -o -1e", "a.png"),
     ],
 )
-def test_options_before_the_name_of_a_map(options: str, name: str, tmp_path: Path) -> None:
+def test_options_before_the_name_of_a_map(options, name, tmp_path):
     (tmp_path / name).write_bytes(PICTURE)
     (tmp_path / "m.mtl").write_text(f"newmtl m\nmap_Kd {options} {name}\n")
     (tmp_path / "x.obj").write_text(f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n")
@@ -143,7 +139,7 @@ def test_options_before_the_name_of_a_map(options: str, name: str, tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["m a.mtl", '"m a.mtl"', "./m a.mtl", ".\\m a.mtl", "m a.mtl # why"])
-def test_a_library_is_found_however_it_is_named(name: str, tmp_path: Path) -> None:
+def test_a_library_is_found_however_it_is_named(name, tmp_path):
     (tmp_path / "a.png").write_bytes(PICTURE)
     (tmp_path / "m a.mtl").write_text('newmtl m\nmap_Kd "a.png"\n')
     source = f"mtllib {name}\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n"
@@ -153,7 +149,7 @@ def test_a_library_is_found_however_it_is_named(name: str, tmp_path: Path) -> No
     assert (tmp_path / "y.mtl").read_text() == 'newmtl m\nmap_Kd "y_a.png"\n'
 
 
-def test_the_first_library_that_has_a_material_counts(tmp_path: Path) -> None:
+def test_the_first_library_that_has_a_material_counts(tmp_path):
     for name, image in {"a": PICTURE, "b": OTHER}.items():
         (tmp_path / f"{name}.png").write_bytes(image)
         (tmp_path / f"{name}.mtl").write_text(f"newmtl m\nmap_Kd {name}.png\n")
@@ -162,7 +158,7 @@ def test_the_first_library_that_has_a_material_counts(tmp_path: Path) -> None:
     assert texture.data == PICTURE
 
 
-def test_without_its_library_a_file_with_colours_is_smoothed_all_the_same(tmp_path: Path) -> None:
+def test_without_its_library_a_file_with_colours_is_smoothed_all_the_same(tmp_path):
     lines = [f"{line} {i / 4} 0 1" for i, line in enumerate(SQUARE.splitlines())]
     model = tmp_path / "x.obj"
     model.write_text("\n".join(["mtllib gone.mtl", *lines, "usemtl m", "f 1 2 3 4"]))
@@ -181,7 +177,7 @@ PAINTED = (
 )
 
 
-def test_polypaint_is_read_entry_by_entry() -> None:
+def test_polypaint_is_read_entry_by_entry():
     document = ObjDocument(PAINTED.encode(), "x.obj", None)
     levels = [[0x10, 0x20, 0x30], [0xAA, 0xBB, 0xCC], [0, 0, 0], [0x7F, 0x80, 0xFF]]
     painted = document.painted()
@@ -191,7 +187,7 @@ def test_polypaint_is_read_entry_by_entry() -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(st.data())
-def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(data: st.DataObject) -> None:
+def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(data):
     count = data.draw(st.integers(3, 140))
     levels = np.random.default_rng(count).integers(0, 256, (count, 4), np.uint8)
     style = data.draw(st.sampled_from(["{:02x}", "{:02X}"]))
@@ -230,12 +226,12 @@ def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(data: st
         ("#MRGB \n", "0 colours"),
     ],
 )
-def test_damaged_polypaint_is_refused(lines: str, message: str) -> None:
+def test_damaged_polypaint_is_refused(lines, message):
     with pytest.raises(InputError, match=re.escape(message)):
         ObjDocument((SQUARE + lines).encode(), "x.obj", None).painted()
 
 
-def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_mentioned() -> None:
+def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_mentioned():
     source = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n#MRGB ff000000ff000000ff000000\nf 1 2 3\n"
     document = ObjDocument(source.encode(), "x.obj", None)
     written = b"".join(document.patch(document.painted().colours * np.float32(0.5), Naming("out")).main)

@@ -19,7 +19,7 @@ LINES = st.sampled_from([
 
 
 @st.composite
-def files(draw: st.DrawFn) -> tuple[list[str], list[list[str]]]:
+def files(draw):
     """Pieces of a file, every other one a colour token, and the tokens by vertex."""
     full = draw(st.sampled_from([1, 255]))
     newline = draw(st.sampled_from(["\n", "\r\n"]))
@@ -47,7 +47,7 @@ def files(draw: st.DrawFn) -> tuple[list[str], list[list[str]]]:
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(files(), st.data())
-def test_only_changed_tokens_change(file: tuple[list[str], list[list[str]]], data: st.DataObject) -> None:
+def test_only_changed_tokens_change(file, data):
     pieces, tokens = file
     source = "".join(pieces).encode()
     document = ObjDocument(source, "random.obj", None)
@@ -74,21 +74,27 @@ def test_only_changed_tokens_change(file: tuple[list[str], list[list[str]]], dat
 
 @settings(max_examples=50, deadline=None)
 @given(files())
-def test_unchanged_colours_give_the_same_bytes(file: tuple[list[str], list[list[str]]]) -> None:
+def test_unchanged_colours_give_the_same_bytes(file):
     source = "".join(file[0]).encode()
     document = ObjDocument(source, "random.obj", None)
     assert b"".join(document.patch(document.painted().colours.copy(), Naming("out")).main) == source
     assert document.patch(None, Naming("out")).main == [source]
 
 
-def test_decimals_follow_the_source_within_what_loses_nothing() -> None:
+def test_decimals_follow_the_source_within_what_loses_nothing():
     for token, found in (("1", 6), ("0.5", 6), ("0.50000000", 8), ("0.5000000000000000", 9)):
         document = ObjDocument(f"v 0 0 0 {token} 0 0\n".encode(), "x.obj", None)
         patched = b"".join(document.patch(np.full((1, 3), 0.2, np.float32), Naming("out")).main)
         assert len(patched.split()[-1]) == 2 + found
 
 
-def test_whole_numbers_of_0_to_255_stay_whole_and_in_range() -> None:
+def test_exponents_are_kept():
+    document = ObjDocument(b"v 0 0 0 5e-1 0 1E0\n", "x.obj", None)
+    patched = document.patch(np.array([[0.25, 0, 1]], np.float32), Naming("out"))
+    assert b"".join(patched.main) == b"v 0 0 0 0.25 0 1E0\n"
+
+
+def test_whole_numbers_of_0_to_255_stay_whole_and_in_range():
     document = ObjDocument(b"v 0 0 0 200 0 7\n", "x.obj", None)
     patched = document.patch(np.array([[1.5, -1, 0.5]], np.float32), Naming("out"))
     assert b"".join(patched.main) == b"v 0 0 0 255 0 128\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,17 +13,14 @@ from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_bytes
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 THREE = b"v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n"
 
 
-def opened(data: bytes) -> ObjDocument:
+def opened(data):
     return ObjDocument(data, "some.obj", None)
 
 
-def test_reading_agrees_with_trimesh() -> None:
+def test_reading_agrees_with_trimesh():
     random = np.random.default_rng(7)
     lines = ["v {} {} {} {} {} {}".format(*row) for row in random.random((50, 6)).round(6)]
     lines += ["f {} {} {}".format(*row) for row in random.integers(1, 51, (80, 3))]
@@ -42,20 +38,20 @@ def test_reading_agrees_with_trimesh() -> None:
     ["f 1 2 3", "f 1/1 2/1 3/1", "f 1//1 2//9 3//1", "f 1/4/1 2/5/1 3/6/1", "f -3 -2 -1", "\t f\t1  2\t3 # x",
      "f 1 \\\n2 3", "f 1 \\\r\n 2 3\r", "f 001 2 3"],
 )  # fmt: skip
-def test_every_shape_of_a_corner(face: str) -> None:
+def test_every_shape_of_a_corner(face):
     assert opened(THREE + face.encode()).painted().faces.tolist() == [[0, 1, 2]]
 
 
-def test_a_byte_order_mark_hides_no_vertex() -> None:
+def test_a_byte_order_mark_hides_no_vertex():
     assert len(opened(b"\xef\xbb\xbf" + THREE).painted().positions) == 3
 
 
-def test_negative_indices_count_back_from_the_vertices_before_the_face() -> None:
+def test_negative_indices_count_back_from_the_vertices_before_the_face():
     data = THREE + b"f -3 -2 -1\n" + THREE + b"f -3 -2 -1\nf 1 5 6\n"
     assert opened(data).painted().faces.tolist() == [[0, 1, 2], [3, 4, 5], [0, 4, 5]]
 
 
-def test_polygons_are_kept_for_conversion_and_cut_for_the_surface() -> None:
+def test_polygons_are_kept_for_conversion_and_cut_for_the_surface():
     document = opened(THREE + b"v 1 1 0 1 1 1\nf 1 2 4 3\nf 1 2 3\nl 1 2\np 1\n")
     assert document.painted().faces.shape == (3, 3)
     assert document.contents().offsets.tolist() == [0, 4, 7]
@@ -71,20 +67,18 @@ def test_polygons_are_kept_for_conversion_and_cut_for_the_surface() -> None:
         (["1 2 3 1 .1 .2 .3 .5", "4 5 6 2 .4 .5 .6 1"], [0.5, 1]),
     ],
 )
-def test_weights_and_alpha_are_distinguished_from_colours(
-    lines: list[str], alpha: list[float] | None
-) -> None:
+def test_weights_and_alpha_are_distinguished_from_colours(lines, alpha):
     contents = opened("".join(f"v {line}\n" for line in lines).encode()).contents()
     assert contents.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
     np.testing.assert_array_equal(contents.colours, np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], np.float32))
     assert (None if contents.alpha is None else contents.alpha.tolist()) == alpha
 
 
-def test_seven_numbers_with_red_and_opacity_full_are_colours() -> None:
+def test_seven_numbers_with_red_and_opacity_full_are_colours():
     assert opened(b"v 0 0 0 1 .2 .3 1\n").painted().colours.tolist() == np.float32([[1, 0.2, 0.3]]).tolist()
 
 
-def test_uncoloured_vertices_and_their_faces_take_no_part() -> None:
+def test_uncoloured_vertices_and_their_faces_take_no_part():
     document = opened(b"v 9 9 9\n" + THREE + b"f 1 2 3\nf 2 3 4\nf 4 1\n")
     assert document.painted().faces.tolist() == [[0, 1, 2]]
     assert document.painted().positions[0].tolist() == [0, 0, 0]
@@ -115,13 +109,13 @@ def test_uncoloured_vertices_and_their_faces_take_no_part() -> None:
         (THREE + b"v 0 0 0 300 0 0\n", "neither 1 nor 255"),
     ],
 )
-def test_the_message_names_the_cause_and_the_line(data: bytes, message: str) -> None:
+def test_the_message_names_the_cause_and_the_line(data, message):
     with pytest.raises(InputError) as caught:
         opened(data).painted()
     assert message in str(caught.value)
 
 
-def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path: Path) -> None:
+def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path):
     model = tmp_path / "model"
     (model / "sub dir").mkdir(parents=True)
     for name in ("my one.mtl", "two.mtl", "a.png", "sub dir/b c.jpg"):
@@ -139,13 +133,13 @@ def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path:
     assert ObjDocument(b"mtllib two.mtl\n" + THREE, "x.obj", None).references() == []
 
 
-def test_facts_are_known_without_colours() -> None:
+def test_facts_are_known_without_colours():
     facts = opened(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\n").facts()
     assert (facts["vertices"], facts["coloured_vertices"], facts["polygons"]) == (3, 0, 1)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
-def test_text_in_utf_16_is_named(encoding: str) -> None:
+def test_text_in_utf_16_is_named(encoding):
     data = "\ufeffv 0 0 0 1 0 0\n".encode(encoding)
     with pytest.raises(InputError, match="UTF-16; save it as UTF-8"):
         open_bytes(data, "x.obj", None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,16 +17,13 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
 from formats.image_files import encode, noise
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 CORNERS = "vt 0 0\nvt 1 0\nvt 1 0.75\nvt 0 1\n"
 FACE = "f 1/1 2/2 3/3 4/4\n"
 NEW = ImageFile(b"new image", ".png")
 
 
-def folder_with(folder: Path, files: dict[str, str | bytes]) -> Path:
+def folder_with(folder, files):
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,7 +31,7 @@ def folder_with(folder: Path, files: dict[str, str | bytes]) -> Path:
     return folder
 
 
-def model(folder: Path, mtl: str, obj: str | None = None, **files: bytes) -> ObjDocument:
+def model(folder, mtl, obj=None, **files):
     folder_with(folder, {"m.mtl": mtl, "a.png": b"image a", "b.png": b"image b", **files})
     text = obj if obj is not None else f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}"
     (folder / "model.obj").write_bytes(text.encode())
@@ -44,7 +40,7 @@ def model(folder: Path, mtl: str, obj: str | None = None, **files: bytes) -> Obj
     return document
 
 
-def test_coordinates_are_those_of_the_corners_with_v_turned_down(tmp_path: Path) -> None:
+def test_coordinates_are_those_of_the_corners_with_v_turned_down(tmp_path):
     document = model(tmp_path, "newmtl one\nmap_Kd a.png\n")
     assert not document.has_vertex_colours()
     assert document.slots() == ("baseColor",)
@@ -59,7 +55,7 @@ def test_coordinates_are_those_of_the_corners_with_v_turned_down(tmp_path: Path)
     assert texture.wrap == ("repeat", "repeat")
 
 
-def test_reading_agrees_with_trimesh(tmp_path: Path) -> None:
+def test_reading_agrees_with_trimesh(tmp_path):
     random = np.random.default_rng(3)
     png = encode(noise("uint8", 3), "png")
     lines = ["v {} {} {}".format(*row) for row in random.random((40, 3)).round(4)]
@@ -78,7 +74,7 @@ def test_reading_agrees_with_trimesh(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.uv, np.stack([uv[..., 0], 1 - uv[..., 1]], axis=2), atol=1e-12)
 
 
-def test_negative_indices_count_back_from_the_coordinates_before_the_face(tmp_path: Path) -> None:
+def test_negative_indices_count_back_from_the_coordinates_before_the_face(tmp_path):
     obj = f"mtllib m.mtl\n{SQUARE}usemtl one\nvt 0 0\nvt 0.5 0\nvt 0 0.5\nf 1/-3 2/-2 3/-1\n"
     obj += f"{CORNERS}f 1/-4 2/-3/1 3/-2/\n"
     surface = model(tmp_path, "newmtl one\nmap_Kd a.png\n", obj).textured("baseColor")
@@ -86,7 +82,7 @@ def test_negative_indices_count_back_from_the_coordinates_before_the_face(tmp_pa
     assert surface.uv[1].tolist() == [[0, 1], [1, 1], [1, 0.25]]
 
 
-def test_concave_polygons_keep_each_corner_with_its_coordinates(tmp_path: Path) -> None:
+def test_concave_polygons_keep_each_corner_with_its_coordinates(tmp_path):
     points = [(0, 0), (2, 0), (2, 2), (1, 0.5), (0, 2)]
     obj = "mtllib m.mtl\nusemtl one\n" + "".join(f"v {x} {y} 0\nvt {x / 2} {y / 2}\n" for x, y in points)
     surface = model(tmp_path, "newmtl one\nmap_Kd a.png\n", obj + "f 1/1 2/2 3/3 4/4 5/5\n").textured(
@@ -97,7 +93,7 @@ def test_concave_polygons_keep_each_corner_with_its_coordinates(tmp_path: Path) 
     assert len(surface.faces) == 3
 
 
-def test_faces_without_coordinates_material_or_map_have_no_texture(tmp_path: Path) -> None:
+def test_faces_without_coordinates_material_or_map_have_no_texture(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nnewmtl plain\nKd 1 1 1\nnewmtl two # b\nmap_Kd b.png\nnewmtl lost\nmap_Kd c.png\n"
     obj = (
         f"mtllib m.mtl\n{SQUARE}{CORNERS}f 1/1 2/2 3/3\nusemtl one\nf 1/1 2/2 3/3\nf 1 2 3\nf 1//1 2//1 3//1\n"
@@ -113,7 +109,7 @@ def test_faces_without_coordinates_material_or_map_have_no_texture(tmp_path: Pat
     assert "3 triangles" in said
 
 
-def test_options_scale_shift_and_clamp(tmp_path: Path) -> None:
+def test_options_scale_shift_and_clamp(tmp_path):
     mtl = "newmtl one\nmap_Kd -blendu on -mm 0 1 "
     mtl += "-s 2 3 1 -o .25 -1e-1 -clamp on -bm 1.5 -imfchan r sub dir\\4 a.png\r\n"
     document = model(tmp_path, mtl, **{"sub dir/4 a.png": b"image"})
@@ -125,7 +121,7 @@ def test_options_scale_shift_and_clamp(tmp_path: Path) -> None:
     assert surface.textures[0].key == "sub dir/4 a.png"
 
 
-def test_slots_are_recognised_by_their_keywords(tmp_path: Path) -> None:
+def test_slots_are_recognised_by_their_keywords(tmp_path):
     mtl = "newmtl one\nmap_Ks b.png\nmap_Ke b.png\nmap_Bump -bm 0.5 b.png\nnorm a.png\n"
     document = model(tmp_path, mtl)
     assert document.slots() == ("emissive", "normal")
@@ -135,14 +131,14 @@ def test_slots_are_recognised_by_their_keywords(tmp_path: Path) -> None:
         document.textured("baseColor")
 
 
-def test_materials_that_share_a_file_share_a_texture(tmp_path: Path) -> None:
+def test_materials_that_share_a_file_share_a_texture(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nnewmtl two\nmap_Kd ./a.png\n"
     obj = f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl two\nf 1/1 2/2 3/3\nusemtl one\nf 1/1 2/2 3/3\n"
     (texture,) = model(tmp_path, mtl, obj).textured("baseColor").textures
     assert sorted(texture.materials) == ["one", "two"]
 
 
-def test_a_missing_texture_is_an_error_only_if_there_is_no_other(tmp_path: Path) -> None:
+def test_a_missing_texture_is_an_error_only_if_there_is_no_other(tmp_path):
     for name in ("gone.png", "../a.png", "/etc/passwd", "http://a.b/c.png", "sub"):
         (tmp_path / "sub").mkdir(exist_ok=True)
         document = model(tmp_path, f"newmtl one\nmap_Kd {name}\n")
@@ -163,14 +159,14 @@ def test_a_missing_texture_is_an_error_only_if_there_is_no_other(tmp_path: Path)
      ("f 1/-5 2/1 3/1", "'1/-5' refers"), ("vt nan 0\nf 1/1 2/1 3/1", "finite"), ("vt\nf 1/1 2/1 3/1", "no numbers"),
      ("vt a b\nf 1/1 2/1 3/1", "is no number")],
 )  # fmt: skip
-def test_damaged_coordinates_are_refused_with_their_line(tmp_path: Path, line: str, cause: str) -> None:
+def test_damaged_coordinates_are_refused_with_their_line(tmp_path, line, cause):
     obj = f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{line}\n"
     with pytest.raises(InputError, match=cause) as raised:
         model(tmp_path, "newmtl one\nmap_Kd a.png\n", obj).textured("baseColor")
     assert "line 11" in str(raised.value)
 
 
-def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path: Path) -> None:
+def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path):
     document = model(tmp_path, "newmtl one\nKd 1 1 1\nmap_Kd -o 1 1 a.png # c\n".replace(" # c", ""))
     written = document.patch(None, Naming("out", keeps=True), images={("baseColor", "a.png"): NEW})
     assert b"".join(written.main) == (tmp_path / "model.obj").read_bytes()
@@ -184,7 +180,7 @@ def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path: Path) -> N
     }
 
 
-def test_beside_the_source_only_names_change(tmp_path: Path) -> None:
+def test_beside_the_source_only_names_change(tmp_path):
     mtl = "# t\r\nnewmtl one\r\n"
     mtl += "map_Kd -s 1 2 3 maps\\old model_Skin.png\t\r\nmap_Ka maps\\old model_Skin.png\r\nnorm a.png\r\n"
     obj = f"# x\nmtllib my lib.mtl m.mtl\nmtllib my lib.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}"
@@ -210,9 +206,7 @@ def test_beside_the_source_only_names_change(tmp_path: Path) -> None:
     assert sorted(document.references()) == ["a.png", "m.mtl", "maps/old model_Skin.png", "my lib.mtl"]
 
 
-def test_names_without_the_models_stem_get_the_new_one_in_front_and_none_is_taken_twice(
-    tmp_path: Path,
-) -> None:
+def test_names_without_the_models_stem_get_the_new_one_in_front_and_none_is_taken_twice(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke model.png\nnorm out_a.png\n"
     document = model(tmp_path, mtl, **{"out_a.png": b"", "model.png": b"", "out.mtl": b""})
     images = {("baseColor", "a.png"): NEW, ("emissive", "model.png"): ImageFile(b"light", ".jpg")}
@@ -227,7 +221,7 @@ def test_names_without_the_models_stem_get_the_new_one_in_front_and_none_is_take
     assert "m.mtl" not in same.sidecars
 
 
-def test_an_image_in_two_slots_is_replaced_in_one(tmp_path: Path) -> None:
+def test_an_image_in_two_slots_is_replaced_in_one(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke a.png\n"
     document = model(tmp_path, mtl)
     for moved in (True, False):
@@ -248,9 +242,7 @@ COLOURED = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 1 1 0 0 0 1\nv 0 1 0 0.5 0.5 0.5\n"
     st.data(),
 )
 @settings(max_examples=60, deadline=None)
-def test_colours_and_names_change_together_and_nothing_else(
-    tmp_path_factory: pytest.TempPathFactory, lines: list[str], data: st.DataObject
-) -> None:
+def test_colours_and_names_change_together_and_nothing_else(tmp_path_factory, lines, data):
     folder = tmp_path_factory.mktemp("m")
     rows, wanted, count = [], [], 4
     new = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0.5]], np.float32)

@@ -11,7 +11,7 @@ from beltrami_cli.formats.ply.document import PlyDocument
 from formats.ply_files import ENCODINGS, build, coloured
 
 
-def read(data: bytes) -> None:
+def read(data):
     document = PlyDocument(data, "bad.ply")
     painted = document.painted()
     document.contents()
@@ -23,7 +23,7 @@ def read(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_every_truncation_is_an_error(encoding: str) -> None:
+def test_every_truncation_is_an_error(encoding):
     data = build(coloured(4, [[0, 1, 2], [0, 1, 2, 3]]), encoding).data
     # The last blanks of a text may go, and a shortened last token looks like a shorter number.
     whole = len(data.rstrip()) if encoding == "ascii" else len(data)
@@ -33,7 +33,7 @@ def test_every_truncation_is_an_error(encoding: str) -> None:
     read(data)
 
 
-def change(old: bytes, new: bytes, encoding: str = "ascii") -> bytes:
+def change(old, new, encoding="ascii"):
     data = build(coloured(), encoding).data
     assert old in data
     return data.replace(old, new, 1)
@@ -75,7 +75,7 @@ def change(old: bytes, new: bytes, encoding: str = "ascii") -> bytes:
         (change(b"uchar int vertex", b"uchar float vertex"), "not whole numbers"),
     ],
 )
-def test_the_message_names_the_cause_and_the_place(data: bytes, message: str) -> None:
+def test_the_message_names_the_cause_and_the_place(data, message):
     with pytest.raises(InputError) as caught:
         read(data)
     assert message in str(caught.value)
@@ -83,23 +83,23 @@ def test_the_message_names_the_cause_and_the_place(data: bytes, message: str) ->
 
 
 @pytest.mark.parametrize("kind", ["char", "short", "int"])
-def test_signed_colours_are_refused(kind: str) -> None:
+def test_signed_colours_are_refused(kind):
     with pytest.raises(InputError, match="are signed"):
         read(build(coloured(colour=kind)).data)
 
 
-def test_colours_beyond_255_are_refused() -> None:
+def test_colours_beyond_255_are_refused():
     with pytest.raises(InputError, match="neither 1 nor 255"):
         read(build(coloured(colour="float", value=1000.0)).data)
 
 
-def test_a_colour_that_is_not_finite_is_named() -> None:
+def test_a_colour_that_is_not_finite_is_named():
     tables = coloured(colour="float", value=0.5)
     tables[0].rows[2][4] = float("inf")
     with pytest.raises(InputError, match="the colour of vertex 2 is not finite"):
         read(build(tables, "binary_big_endian").data)
 
 
-def test_colours_far_below_zero_are_refused() -> None:
+def test_colours_far_below_zero_are_refused():
     with pytest.raises(InputError, match=r"go from -1e\+130 to -1e\+130"):
         read(build(coloured(colour="double", value=-1e130), "binary_little_endian").data)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply.document import PlyDocument
-from formats.ply_files import CODES, ENCODINGS, Built, Table, build, coloured
+from formats.ply_files import CODES, ENCODINGS, Table, build, coloured
 
 FAMILIES = (
     ("red", "green", "blue"),
@@ -24,9 +24,9 @@ COLOUR_TYPES = ("uchar", "uint8", "ushort", "uint16", "float", "float32", "doubl
 FULL = {"B": 255, "H": 65535, "I": 2**32 - 1}
 
 
-def value(draw: st.DrawFn, kind: str) -> float | list[float]:
+def value(draw, kind):
     if " " in kind:
-        return [value(draw, kind.split()[1]) for _ in range(draw(st.integers(0, 4)))]  # type: ignore[return-value]
+        return [value(draw, kind.split()[1]) for _ in range(draw(st.integers(0, 4)))]
     code = CODES[kind]
     if code in "fd":
         return draw(st.floats(-100, 100, width=32))
@@ -39,7 +39,7 @@ def value(draw: st.DrawFn, kind: str) -> float | list[float]:
 
 
 @st.composite
-def files(draw: st.DrawFn) -> tuple[Built, tuple[str, ...], str, list[list[float]]]:
+def files(draw):
     """A random file, its colour properties, their type, and the colours with full scale 1."""
     names, kind = draw(st.sampled_from(FAMILIES)), draw(st.sampled_from(COLOUR_TYPES))
     full = FULL.get(CODES[kind], 1)
@@ -86,9 +86,7 @@ def files(draw: st.DrawFn) -> tuple[Built, tuple[str, ...], str, list[list[float
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(files(), st.data())
-def test_only_changed_colour_entries_change_and_they_are_rounded_once(
-    file: tuple[Built, tuple[str, ...], str, list[list[float]]], data: st.DataObject
-) -> None:
+def test_only_changed_colour_entries_change_and_they_are_rounded_once(file, data):
     built, names, kind, colours = file
     document = PlyDocument(built.data, "random.ply")
     before = document.painted().colours
@@ -111,7 +109,7 @@ def test_only_changed_colour_entries_change_and_they_are_rounded_once(
     np.testing.assert_array_equal(again.faces, document.painted().faces)
 
 
-def same_elsewhere(data: bytes, patched: bytes, spans: list[tuple[int, int]], *, text: bool) -> bool:
+def same_elsewhere(data, patched, spans, *, text):
     starts, ends = [start for start, _ in spans], [end for _, end in spans]
     kept = [data[a:b] for a, b in zip([0, *ends], [*starts, len(data)], strict=True)]
     if text:
@@ -122,16 +120,14 @@ def same_elsewhere(data: bytes, patched: bytes, spans: list[tuple[int, int]], *,
 
 @settings(max_examples=50, deadline=None)
 @given(files())
-def test_unchanged_colours_give_the_same_bytes(
-    file: tuple[Built, tuple[str, ...], str, list[list[float]]],
-) -> None:
+def test_unchanged_colours_give_the_same_bytes(file):
     document = PlyDocument(file[0].data + b"trailing bytes", "random.ply")
     same = document.patch(document.painted().colours.copy(), Naming("out", keeps=True))
     assert b"".join(same.main) == file[0].data + b"trailing bytes"
     assert document.patch(None, Naming("out", keeps=True)).main == [file[0].data + b"trailing bytes"]
 
 
-def test_text_keeps_spacing_tokens_and_line_ends() -> None:
+def test_text_keeps_spacing_tokens_and_line_ends():
     data = (
         b"ply\r\nformat ascii 1.0\r\ncomment  two  blanks \r\nobj_info 3\r\nelement vertex 2\r\n"
         b"property float x\r\nproperty float y\r\nproperty float z\r\nproperty uchar blue\r\n"
@@ -147,7 +143,7 @@ def test_text_keeps_spacing_tokens_and_line_ends() -> None:
     assert patched == data.replace(b"007  8 9", b"007  200 9").replace(b" 1 2 3", b" 1 2 255")
 
 
-def test_float_text_round_trips_float32_in_a_plain_style() -> None:
+def test_float_text_round_trips_float32_in_a_plain_style():
     tables = coloured(colour="float", value=0.5)
     document = PlyDocument(build(tables).data, "x.ply")
     colours = np.random.default_rng(0).random((4, 3), np.float32)
@@ -157,7 +153,7 @@ def test_float_text_round_trips_float32_in_a_plain_style() -> None:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_integers_are_clipped_to_their_range_and_alpha_is_kept(encoding: str) -> None:
+def test_integers_are_clipped_to_their_range_and_alpha_is_kept(encoding):
     tables = coloured()
     tables[0].properties.insert(3, ("alpha", "uchar"))
     for number, row in enumerate(tables[0].rows):
@@ -172,7 +168,7 @@ def test_integers_are_clipped_to_their_range_and_alpha_is_kept(encoding: str) ->
     assert np.rint(alpha * 255).tolist() == [0, 1, 2, 3]
 
 
-def test_float_colours_of_0_to_255_keep_their_scale_with_a_notice() -> None:
+def test_float_colours_of_0_to_255_keep_their_scale_with_a_notice():
     document = PlyDocument(build(coloured(colour="float", value=51.0), "binary_little_endian").data, "x.ply")
     colours = document.painted().colours
     np.testing.assert_allclose(colours, 0.2)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,17 +14,11 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
 from formats.ply_files import ENCODINGS, Table, build
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 XYZ = [("x", "float"), ("y", "float"), ("z", "float")]
 PLACES = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [1, 0.5, 0], [0, 2, 0]]
-NEW = ImageFile(b"new image", ".png")
 
 
-def opened(
-    folder: Path, tables: list[Table], encoding: str = "ascii", newline: str = "\n", *names: str
-) -> PlyDocument:
+def opened(folder, tables, encoding="ascii", newline="\n", *names):
     comments = ["made by a test", *(f"TextureFile {name}" for name in names or ("a b.png",)), "last"]
     (folder / "model.ply").write_bytes(build(tables, encoding, newline, comments).data)
     for name in ("a b.png", "b.png"):
@@ -36,7 +28,7 @@ def opened(
     return document
 
 
-def pentagon(*, u: str = "s", v: str = "t", polygons: list[list[int]] | None = None) -> list[Table]:
+def pentagon(*, u="s", v="t", polygons=None):
     """A concave pentagon (or other polygons) whose coordinates are half its places."""
     rows = [[*place, place[0] / 2, place[1] / 2] for place in PLACES]
     faces = [[face] for face in polygons or [[0, 1, 2, 3, 4]]]
@@ -46,9 +38,7 @@ def pentagon(*, u: str = "s", v: str = "t", polygons: list[list[int]] | None = N
     ]
 
 
-def wedges(
-    polygons: list[list[int]], numbers: list[int] | None = None, bare: tuple[int, ...] = ()
-) -> list[Table]:
+def wedges(polygons, numbers=None, bare=()):
     """The same with coordinates of faces, and a number of the texture."""
     rows: list[list[float | list[float]]] = []
     for row, face in enumerate(polygons):
@@ -61,7 +51,7 @@ def wedges(
     ]
 
 
-def assert_half_the_places(document: PlyDocument, chosen: slice = slice(None)) -> None:
+def assert_half_the_places(document, chosen=slice(None)):
     surface = document.textured("baseColor")
     plane = surface.positions[surface.faces][chosen, :, :2] / 2
     np.testing.assert_allclose(surface.uv[chosen, :, 0], plane[..., 0], atol=1e-6)
@@ -72,7 +62,7 @@ def assert_half_the_places(document: PlyDocument, chosen: slice = slice(None)) -
 @pytest.mark.parametrize(
     ("u", "v"), [("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t")]
 )
-def test_coordinates_of_vertices_with_v_turned_down(tmp_path: Path, encoding: str, u: str, v: str) -> None:
+def test_coordinates_of_vertices_with_v_turned_down(tmp_path, encoding, u, v):
     document = opened(tmp_path, pentagon(u=u, v=v), encoding)
     assert not document.has_vertex_colours()
     assert document.slots() == ("baseColor",)
@@ -88,9 +78,7 @@ def test_coordinates_of_vertices_with_v_turned_down(tmp_path: Path, encoding: st
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_coordinates_of_faces_are_cut_along_with_polygons(
-    tmp_path: Path, encoding: str, newline: str
-) -> None:
+def test_coordinates_of_faces_are_cut_along_with_polygons(tmp_path, encoding, newline):
     polygons = [[0, 1, 2, 3, 4], [0, 1, 2], [4, 3, 0], [0, 1, 2, 4]]
     document = opened(
         tmp_path, wedges(polygons, [1, 0, -1, 1], bare=(1,)), encoding, newline, "b.png", "a b.png"
@@ -106,33 +94,33 @@ def test_coordinates_of_faces_are_cut_along_with_polygons(
 
 
 @pytest.mark.parametrize("kind", ["uchar", "int", "float"])
-def test_numbers_of_textures_may_be_of_any_type(tmp_path: Path, kind: str) -> None:
+def test_numbers_of_textures_may_be_of_any_type(tmp_path, kind):
     tables = wedges([[0, 1, 2], [0, 2, 4]], [1, 0])
     tables[1].properties[-1] = ("texnumber", kind)
     surface = opened(tmp_path, tables, "binary_big_endian", "\n", "b.png", "a b.png").textured("baseColor")
     assert [surface.textures[i].name for i in surface.texture_of] == ["a b.png", "b.png"]
 
 
-def test_coordinates_of_faces_go_before_those_of_vertices(tmp_path: Path) -> None:
+def test_coordinates_of_faces_go_before_those_of_vertices(tmp_path):
     tables = wedges([[0, 1, 2]])
     tables[0] = Table("vertex", [*XYZ, ("s", "float"), ("t", "float")], [[*place, 9, 9] for place in PLACES])
     assert_half_the_places(opened(tmp_path, tables))
 
 
-def test_several_images_without_numbers_show_the_first_and_say_so(tmp_path: Path) -> None:
+def test_several_images_without_numbers_show_the_first_and_say_so(tmp_path):
     document = opened(tmp_path, wedges([[0, 1, 2]]), "ascii", "\n", "b.png", "a b.png")
     assert document.textured("baseColor").texture_of.tolist() == [0]
     assert any("2 textures" in notice for notice in document.notices)
 
 
-def test_an_image_named_twice_is_one_texture(tmp_path: Path) -> None:
+def test_an_image_named_twice_is_one_texture(tmp_path):
     document = opened(tmp_path, wedges([[0, 1, 2], [0, 2, 4]], [0, 1]), "ascii", "\n", "b.png", "./b.png")
     surface = document.textured("baseColor")
     assert len(surface.textures) == 1
     assert surface.texture_of.tolist() == [0, 0]
 
 
-def test_a_missing_image_is_an_error_only_if_there_is_no_other(tmp_path: Path) -> None:
+def test_a_missing_image_is_an_error_only_if_there_is_no_other(tmp_path):
     for name in ("gone.png", "../b.png", "/etc/passwd", "http://a.b/c.png"):
         document = opened(tmp_path, wedges([[0, 1, 2]]), "ascii", "\n", name)
         with pytest.raises(InputError, match="missing"):
@@ -143,7 +131,7 @@ def test_a_missing_image_is_an_error_only_if_there_is_no_other(tmp_path: Path) -
     assert any("'gone.png'" in notice for notice in document.notices)
 
 
-def test_files_without_images_or_coordinates_have_no_slot(tmp_path: Path) -> None:
+def test_files_without_images_or_coordinates_have_no_slot(tmp_path):
     data = build(pentagon()).data
     assert PlyDocument(data, "x.ply").slots() == ()
     bare = opened(tmp_path, [Table("vertex", XYZ, [[0, 0, 0]])])
@@ -158,9 +146,7 @@ def test_files_without_images_or_coordinates_have_no_slot(tmp_path: Path) -> Non
      ([[[0, 1, 2], [0.0] * 5 + [float("inf")], 0]], "not finite")],
 )  # fmt: skip
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_damaged_coordinates_are_refused(
-    tmp_path: Path, rows: list[list[float | list[float]]], cause: str, encoding: str
-) -> None:
+def test_damaged_coordinates_are_refused(tmp_path, rows, cause, encoding):
     tables = wedges([[0, 1, 2]], [0])
     tables[1].rows[:] = rows
     with pytest.raises(InputError, match=cause):
@@ -169,14 +155,7 @@ def test_damaged_coordinates_are_refused(
 
 @given(st.sampled_from(ENCODINGS), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.booleans(), st.data())
 @settings(max_examples=40, deadline=None)
-def test_only_the_name_changes_and_colours_beside_it(
-    tmp_path_factory: pytest.TempPathFactory,
-    encoding: str,
-    newline: str,
-    moved: bool,
-    paint: bool,
-    data: st.DataObject,
-) -> None:
+def test_only_the_name_changes_and_colours_beside_it(tmp_path_factory, encoding, newline, moved, paint, data):
     folder = tmp_path_factory.mktemp("p")
     colour = data.draw(st.integers(0, 255))
     tables = pentagon()
@@ -199,12 +178,3 @@ def test_only_the_name_changes_and_colours_beside_it(
     assert dict(written.sidecars) == {name: b"new"}
     assert (folder / "model.ply").read_bytes() == source
     assert (folder / "a b.png").read_bytes() == b"image a b.png"
-
-
-def test_the_models_stem_is_replaced_in_names_and_sources_stay(tmp_path: Path) -> None:
-    (tmp_path / "model_0.png").write_bytes(b"x")
-    document = opened(tmp_path, pentagon(), "ascii", "\n", "model_0.png")
-    for stem, name in (("clean", "clean_0.png"), ("model", "model_0-2.png")):
-        written = document.patch(None, Naming(stem), images={("baseColor", "model_0.png"): NEW})
-        assert list(written.sidecars) == [name]
-    assert document.patch(None, Naming("x", keeps=True)).main == [(tmp_path / "model.ply").read_bytes()]

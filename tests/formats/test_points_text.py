@@ -134,6 +134,7 @@ def test_colours_that_stay_keep_their_bytes_to_the_last():
         (b"0 0 0 -1024\n0 0 1 2048", [[-1e-5], [1]], b"0 0 0 0\n0 0 1 2048"),
         (b"0 0 0 9 1 2 3\n0 0 0 9 4 5 6", [[1, 0, 0], [0, 1, 0]], b"0 0 0 9 255 0 0\n0 0 0 9 0 255 0"),
         (b"x y z b g r\n0 0 0 1 2 3", [1, 2 / 255, 0], b"x y z b g r\n0 0 0 0 2 255"),
+        (b"0 0 0 200 0 7", [1.5, -1, 0.5], b"0 0 0 255 0 128"),
     ],
 )
 def test_new_colours_are_spelled_as_the_old_ones(text, new, expected):

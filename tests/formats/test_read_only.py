@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import struct
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,13 +19,10 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.read_only_files import FACES, LEVELS, SQUARE, coff, opened, stl
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 @pytest.mark.parametrize("style", ["float", "integer"])
 @pytest.mark.parametrize(("prefix", "extra"), [("C", ""), ("", ""), ("CN", "0 0 1"), ("c", "")])
-def test_off_with_colours_of_vertices(style: str, prefix: str, extra: str) -> None:
+def test_off_with_colours_of_vertices(style, prefix, extra):
     painted = opened(coff(style, prefix, extra), "x.off").painted()
     np.testing.assert_array_equal(painted.positions, SQUARE)
     np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)
@@ -34,7 +30,7 @@ def test_off_with_colours_of_vertices(style: str, prefix: str, extra: str) -> No
 
 
 @pytest.mark.parametrize("alpha", ["", " 255"])
-def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha: str) -> None:
+def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha):
     places = "\n".join(" ".join(map(str, place)) for place in [*SQUARE.tolist(), [0.0, 3.0, 0.0]])
     lines = f"3 0 1 2 255 0 0{alpha}\n3 0 2 3 0 255 0{alpha}\n3 3 2 4 0 0 255{alpha}"
     document = opened(f"OFF 5 3 0\n{places}\n{lines}\n".encode(), "x.off")
@@ -67,12 +63,12 @@ def test_off_with_colours_of_faces_gives_vertices_their_mean(alpha: str) -> None
         (b"OFF\n0 0 0\n", "there are no polygons"),
     ],
 )
-def test_damaged_off_files_are_refused(data: bytes, message: str) -> None:
+def test_damaged_off_files_are_refused(data, message):
     with pytest.raises(InputError, match=re.escape(message)):
         opened(data, "x.off").painted()
 
 
-def test_stl_colours_of_both_dialects() -> None:
+def test_stl_colours_of_both_dialects():
     red, green = (
         31 << 10 | 1 << 15,
         31 << 5 | 1 << 15,
@@ -91,7 +87,7 @@ def test_stl_colours_of_both_dialects() -> None:
     assert alone[0, 1, 0] == [0, 1, 0]  # the colour of the whole
 
 
-def test_stl_without_colours_or_damaged_is_refused() -> None:
+def test_stl_without_colours_or_damaged_is_refused():
     with pytest.raises(UnpaintedError, match="none of its polygons"):
         opened(stl([0, 0]), "x.stl").painted()
     with pytest.raises(UnpaintedError, match="in text has no colours"):
@@ -105,12 +101,12 @@ def test_stl_without_colours_or_damaged_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["x.xaml", "x.3dxml", "x.step"])
-def test_formats_without_a_reader_are_refused(name: str) -> None:
+def test_formats_without_a_reader_are_refused(name):
     with pytest.raises(InputError, match="no known format"):
         opened(b"<GeometryModel3D></GeometryModel3D>", name)
 
 
-def test_off_with_its_counts_right_behind_the_mark() -> None:
+def test_off_with_its_counts_right_behind_the_mark():
     assert (
         len(
             opened(b" \tCOFF3 1 0\n0 0 0 1 0 0 1\n1 0 0 1 1 0 1\n0 1 0 1 0 1 1\n3 0 1 2", "x.off")
@@ -124,9 +120,7 @@ def test_off_with_its_counts_right_behind_the_mark() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["ply", "glb", "obj"])
-def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_so(
-    suffix: str, tmp_path: Path
-) -> None:
+def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_so(suffix, tmp_path):
     grid = np.stack(np.meshgrid(range(8), range(8), indexing="ij"), axis=2).reshape(-1, 2)
     levels = np.random.default_rng(0).integers(0, 256, (64, 3))
     lines = [
@@ -148,7 +142,7 @@ def test_they_are_smoothed_and_written_as_another_format_with_a_line_that_says_s
 
 @settings(max_examples=60, deadline=None)
 @given(st.data())
-def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data: st.DataObject) -> None:
+def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data):
     random = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     sizes = random.integers(3, 6, 10)
     corners = random.integers(0, 12, sizes.sum())

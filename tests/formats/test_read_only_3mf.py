@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError
 from formats.read_only_files import FACES, LEVELS, OBJECT, SQUARE, VERTICES, model, opened, threemf
 
 
-def test_3mf_colours_of_corners() -> None:
+def test_3mf_colours_of_corners():
     document = opened(threemf(model(OBJECT)), "x.3mf")
     painted = document.painted()
     np.testing.assert_array_equal(painted.positions, SQUARE)
@@ -22,7 +22,7 @@ def test_3mf_colours_of_corners() -> None:
     assert painted.stored == "uint8"
 
 
-def test_3mf_materials_parts_transforms_and_other_files() -> None:
+def test_3mf_materials_parts_transforms_and_other_files():
     flat = (
         '<basematerials id="5"><base name="a" displaycolor="#FF0000"/><base name="b" displaycolor="#00FF0080"/>'
         "</basematerials>"
@@ -51,7 +51,7 @@ def test_3mf_materials_parts_transforms_and_other_files() -> None:
     np.testing.assert_allclose(mesh.to_mesh().vertices[mesh.to_mesh().faces], ours.positions[ours.faces])
 
 
-def doubling(depth: int) -> str:
+def doubling(depth):
     parts = ""
     for number in range(2, depth):
         part = f'<component objectid="{number - 1}"/>'
@@ -84,14 +84,14 @@ LAUGHS = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">
         (threemf(model(OBJECT.replace("p1", "q1").replace("pindex", "q"), "")), "there are no polygons"),
     ],
 )
-def test_damaged_3mf_files_are_refused(data: bytes, message: str) -> None:
+def test_damaged_3mf_files_are_refused(data, message):
     with pytest.raises(InputError) as caught:
         opened(data, "x.3mf", 1 << 30).painted()
     assert message in str(caught.value)
 
 
 @pytest.mark.slow
-def test_3mf_files_that_unpack_to_much_are_refused() -> None:
+def test_3mf_files_that_unpack_to_much_are_refused():
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("3D/3dmodel.model", bytes(1 << 28))

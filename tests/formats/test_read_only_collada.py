@@ -14,7 +14,7 @@ from formats.read_only_files import FACES, SQUARE, opened
 pytest.importorskip("collada", reason="pycollada is not installed: run the tests by `make test`")
 
 
-def source(key: str, values: str, axes: str) -> str:
+def source(key, values, axes):
     params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
     accessor = f'<accessor source="#{key}a" count="4" stride="3">{params}</accessor>'
     array = f'<float_array id="{key}a" count="12">{values}</float_array>'
@@ -38,7 +38,7 @@ DAE = "\n".join(
 
 
 @pytest.mark.slow
-def test_dae_colours_in_their_place() -> None:
+def test_dae_colours_in_their_place():
     painted = opened(DAE.encode(), "x.dae").painted()
     np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
     seen = {
@@ -70,7 +70,7 @@ BOUND = (
 )
 
 
-def test_dae_colours_stay_beside_a_material_and_in_their_precision() -> None:
+def test_dae_colours_stay_beside_a_material_and_in_their_precision():
     text = DAE.replace("<library_geometries>", f"{MATERIAL}<library_geometries>")
     text = text.replace('<triangles count="2">', '<triangles count="2" material="s">')
     document = opened(text.replace('<instance_geometry url="#g"/>', BOUND).encode(), "x.dae")
@@ -101,7 +101,7 @@ SKIN = "\n".join(
 )
 
 
-def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
+def test_dae_polygons_with_a_skin_are_where_they_were_bound():
     skinned = DAE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#k"/>')
     skinned = skinned.replace("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>")
     document = opened(skinned.encode(), "x.dae")
@@ -111,7 +111,7 @@ def test_dae_polygons_with_a_skin_are_where_they_were_bound() -> None:
 
 
 @pytest.mark.slow
-def test_dae_polygons_that_cannot_be_read_are_mentioned() -> None:
+def test_dae_polygons_that_cannot_be_read_are_mentioned():
     with pytest.raises(InputError, match="it is damaged, or not understood"):
         opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
     broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'

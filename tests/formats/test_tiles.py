@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -24,20 +23,15 @@ from beltrami_cli.surface.lookup import look_up
 from formats.image_files import encode
 from formats.tile_files import GIVEN, SIDE, TILES, obj_text, painting, part, sheet, tiled_model
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
 REPEAT = ("repeat", "repeat")
 PATTERNS = ["skin.<UDIM>.png", "skin_<udim>.png", "<UVTILE>.skin.png", "skin<uvtile>.png"]
 
 
-def pixels(path: Path) -> NDArray[np.int64]:
+def pixels(path):
     return read_image(path.read_bytes(), path.name).pixels.astype(np.int64)
 
 
-def assembled(folder: Path, pattern: str) -> NDArray[np.int64]:
+def assembled(folder, pattern):
     """Return the tiles of a folder as one image."""
     whole = np.zeros((2 * SIDE, 2 * SIDE, 3), np.int64)
     for tile in TILES:
@@ -47,24 +41,24 @@ def assembled(folder: Path, pattern: str) -> NDArray[np.int64]:
 
 # The last tile of row 899 would be number 10000, and numbers have four digits.
 @given(st.sampled_from(PATTERNS), st.integers(0, 9), st.integers(0, 898))
-def test_a_name_made_for_a_tile_is_read_as_that_tile(pattern: str, u: int, v: int) -> None:
+def test_a_name_made_for_a_tile_is_read_as_that_tile(pattern, u, v):
     assert tile_of(pattern, tile_name(pattern, (u, v))) == (u, v)
 
 
-def test_numbers_are_those_of_mari_mudbox_and_zbrush() -> None:
+def test_numbers_are_those_of_mari_mudbox_and_zbrush():
     assert [tile_name(pattern, (2, 1)) for pattern in PATTERNS] == [
         "skin.1013.png", "skin_1013.png", "u3_v2.skin.png", "skinu2_v1.png",
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize("label", ["1000", "0999", "10010", "100", "1o01", "", "u1_v1", "１００１"])
-def test_other_names_are_of_no_tile(label: str) -> None:
+def test_other_names_are_of_no_tile(label):
     assert found_tiles("a.<UDIM>.png", [f"a.{label}.png", "a.png", "a..png"]) == {}
     assert found_tiles("a.<UVTILE>.png", ["a.u0_v1.png", "a.u11_v1.png", "a.1001.png"]) == {}
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_tiles_are_smoothed_as_one_image_would_be(pattern: str, tmp_path: Path) -> None:
+def test_tiles_are_smoothed_as_one_image_would_be(pattern, tmp_path):
     """Also across borders, which triangles cross: only the order of sums may differ."""
     smooth_file(tiled_model(tmp_path / "in", pattern), tmp_path / "new.obj", GIVEN)
     positions, uv, quads = sheet()
@@ -79,7 +73,7 @@ def test_tiles_are_smoothed_as_one_image_would_be(pattern: str, tmp_path: Path) 
     assert np.abs(assembled(tmp_path, f"new_{pattern}") - painting()).mean() > 3
 
 
-def test_nothing_but_the_images_changes(tmp_path: Path) -> None:
+def test_nothing_but_the_images_changes(tmp_path):
     model = tiled_model(tmp_path / "in")
     smooth_file(model, tmp_path / "new.obj", GIVEN)
     report = check_files(model, tmp_path / "new.obj")
@@ -97,7 +91,7 @@ def test_nothing_but_the_images_changes(tmp_path: Path) -> None:
     assert (assembled(model.parent, "skin.<UDIM>.png") == assembled(tmp_path, "new_skin.<UDIM>.png")).all()
 
 
-def test_tiles_that_are_not_chosen_come_along(tmp_path: Path) -> None:
+def test_tiles_that_are_not_chosen_come_along(tmp_path):
     model = tiled_model(tmp_path)
     new = tmp_path / "new.obj"
     smooth_file(model, new, GIVEN, names=("skin.1002.png",))
@@ -108,7 +102,7 @@ def test_tiles_that_are_not_chosen_come_along(tmp_path: Path) -> None:
     assert len(open_document(str(tmp_path / "jpg.obj")).textured("baseColor").textures) == len(TILES)
 
 
-def test_a_tile_that_is_missing_is_a_hole(tmp_path: Path) -> None:
+def test_a_tile_that_is_missing_is_a_hole(tmp_path):
     model = tiled_model(tmp_path / "in")
     (model.parent / "skin.1012.png").unlink()
     smooth_file(model, tmp_path / "new.obj", GIVEN)
@@ -119,7 +113,7 @@ def test_a_tile_that_is_missing_is_a_hole(tmp_path: Path) -> None:
     np.testing.assert_array_equal(surface.texture_of == -1, beyond)
 
 
-def test_tiles_may_differ_in_size_and_depth(tmp_path: Path) -> None:
+def test_tiles_may_differ_in_size_and_depth(tmp_path):
     model = tiled_model(tmp_path)
     small = encode(part(painting("uint16"), (1, 0))[::2, ::2], "png")
     (tmp_path / "skin.1002.png").write_bytes(small)
@@ -136,7 +130,7 @@ def test_tiles_may_differ_in_size_and_depth(tmp_path: Path) -> None:
     assert (picture.stored, picture.pixels.shape) == ("uint16", (SIDE // 2, SIDE // 2, 3))
 
 
-def test_materials_may_have_a_tile_each(tmp_path: Path) -> None:
+def test_materials_may_have_a_tile_each(tmp_path):
     """As programs export that know no tiles: coordinates stay in the plane, where images are repeated."""
     positions, uv, quads = sheet(1)
     both = [positions, positions + np.array([uv.max(), 0, 0.1 * np.sin(3)])]
@@ -160,7 +154,7 @@ def test_materials_may_have_a_tile_each(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["glb", "obj", "ply"])
-def test_converted_tiles_show_the_same_colours(suffix: str, tmp_path: Path) -> None:
+def test_converted_tiles_show_the_same_colours(suffix, tmp_path):
     if suffix == "obj":
         smooth_file(tiled_model(tmp_path), tmp_path / "by.glb", GIVEN, iterations=0)
         smooth_file(tmp_path / "by.glb", tmp_path / "new.obj", GIVEN, iterations=0)
@@ -178,7 +172,7 @@ def test_converted_tiles_show_the_same_colours(suffix: str, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_triangles_over_millions_of_tiles_are_refused(tmp_path: Path) -> None:
+def test_triangles_over_millions_of_tiles_are_refused(tmp_path):
     model = tiled_model(tmp_path)
     text = model.read_text()
     far = "vt -5 0\nvt 15 0\nvt 5 900\n" + "f -1/-1 -2/-2 -3/-3\n" * 20000
@@ -188,7 +182,7 @@ def test_triangles_over_millions_of_tiles_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path: Path) -> None:
+def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path):
     """Within a picture neighbours share the noise of colours, but not over the border of two pictures."""
     side, random = 512, np.random.default_rng(4)
     texture = [gaussian_filter(random.standard_normal((2 * side, 2 * side)), 6) for _ in range(3)]

@@ -12,7 +12,7 @@ texts = st.text(alphabet="1a.-e \t\n\r\v\f\0#", max_size=30).map(str.encode)
 
 
 @given(texts)
-def test_tokens_are_those_of_split(text: bytes) -> None:
+def test_tokens_are_those_of_split(text):
     starts, ends = find_tokens(text)
     assert [text[a:b] for a, b in zip(starts, ends, strict=True)] == text.split()
 
@@ -21,7 +21,7 @@ def test_tokens_are_those_of_split(text: bytes) -> None:
     st.lists(st.sampled_from(["1", "-2.5", "1e3", "nan", "x", "1-2", "0x1", "1_0", ".", "7,"]), max_size=12)
 )
 @example([" "])
-def test_numbers_are_read_up_to_the_first_token_that_is_none(tokens: list[str]) -> None:
+def test_numbers_are_read_up_to_the_first_token_that_is_none(tokens):
     good = []
     for token in " ".join(tokens).split():
         if token not in ("1", "-2.5", "1e3", "nan"):
@@ -31,7 +31,7 @@ def test_numbers_are_read_up_to_the_first_token_that_is_none(tokens: list[str]) 
 
 
 @given(texts, st.data())
-def test_exchange_keeps_everything_else(text: bytes, data: st.DataObject) -> None:
+def test_exchange_keeps_everything_else(text, data):
     starts, ends = find_tokens(text)
     chosen = np.array(
         sorted(data.draw(st.sets(st.integers(0, max(len(starts) - 1, 0))))) if len(starts) else [], int

@@ -123,8 +123,7 @@ def test_the_surface_is_that_which_is_shown(tmp_path):
     assert "1 mesh(es) have one colour" in said
 
 
-def test_coordinates_are_moved_and_images_wrapped_as_the_material_says(tmp_path):
-    transform = """        def Shader "move"
+MOVED = """        def Shader "move"
         {
             uniform token info:id = "UsdTransform2d"
             float2 inputs:in.connect = <%s/st.outputs:result>
@@ -134,12 +133,15 @@ def test_coordinates_are_moved_and_images_wrapped_as_the_material_says(tmp_path)
             float2 outputs:result
         }
 """
+
+
+def test_coordinates_are_moved_and_images_wrapped_as_the_material_says(tmp_path):
     other = '        def GeomSubset "part" (prepend apiSchemas = ["MaterialBindingAPI"])\n        {\n'
     other += '            uniform token elementType = "face"\n            uniform token familyName = "materialBind"\n'
     other += "            int[] indices = [0, 1]\n            rel material:binding = </scan/two>\n        }\n"
     text = scene(
         mesh_text(BOUND + other),
-        material_text("a.png", reader="move", extra=transform % "/scan/skin"),
+        material_text("a.png", reader="move", extra=MOVED % "/scan/skin"),
         material_text("b.png", "/scan/two"),
     )
     write(tmp_path, {"a.usda": text, "a.png": PICTURE, "b.png": PICTURE})
@@ -326,13 +328,39 @@ def test_images_that_cannot_be_read_are_named(image, tmp_path):
     assert image.rpartition("/")[2] in str(caught.value)
 
 
-def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
-    glowing = material_text("a.png").replace(
+def glowing(shader, extra=""):
+    """Return a material that glows with what a shader reads."""
+    return material_text("a.png", extra=extra).replace(
         "            float inputs:roughness",
-        "            color3f inputs:emissiveColor.connect = </scan/skin/diffuse.outputs:rgb>\n"
+        f"            color3f inputs:emissiveColor.connect = </scan/skin/{shader}.outputs:rgb>\n"
         "            float inputs:roughness",
     )
-    base = scene(mesh_text(BOUND), glowing)
+
+
+def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_path):
+    lamp = """        def Shader "lamp"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @b.png@
+            float2 inputs:st.connect = </scan/skin/move.outputs:result>
+            float3 outputs:rgb
+        }
+"""
+    text = scene(mesh_text(BOUND), glowing("lamp", MOVED % "/scan/skin" + lamp))
+    write(tmp_path, {"a.usda": text, "a.png": PICTURE, "b.png": PICTURE})
+    mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
+    assert [sorted(material.maps) for material in mesh.materials] == [["baseColor"]]
+    assert "emissive maps that are placed otherwise than the base colour" in mesh.left_out
+
+
+def test_a_scene_without_colours_of_vertices_has_no_contents(tmp_path):
+    write(tmp_path, {"a.usda": scene(mesh_text())})
+    with pytest.raises(UnpaintedError):
+        open_document(str(tmp_path / "a.usda")).contents()
+
+
+def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
+    base = scene(mesh_text(BOUND), glowing("diffuse"))
     write(
         tmp_path,
         {"a.usda": "#usda 1.0\n( subLayers = [@./base.usda@] )\n", "base.usda": base, "a.png": PICTURE},

@@ -43,7 +43,7 @@ from formats.usd_files import (
 pytestmark = pytest.mark.slow
 
 
-def pixels(data: bytes):
+def pixels(data):
     return read_image(data, "image").pixels.astype(np.int64)
 
 

@@ -83,18 +83,18 @@ def picture():
 
 def test_only_texels_within_the_width_are_filled(picture):
     pixels, covered = picture
-    filled = filled_gutter(pixels, covered, None, 3)
+    filled = filled_gutter(pixels, covered, 3)
     distance, (rows, columns) = ndimage.distance_transform_edt(~covered, return_indices=True)
     assert filled.dtype == pixels.dtype
     assert np.array_equal(filled[distance <= 3], pixels[rows, columns][distance <= 3])
     assert np.array_equal(filled[distance > 3], pixels[distance > 3])
 
 
-def test_without_a_width_all_texels_with_content_are_filled(picture):
+def test_without_a_width_all_texels_are_filled_whatever_is_not_known(picture):
     pixels, covered = picture
-    content = np.zeros_like(covered)
-    content[:, :25] = True
-    filled = filled_gutter(pixels, covered, content, None)
+    known = np.ones_like(covered)
+    known[:, :25] = False
+    filled = filled_gutter(pixels, covered, None, known)
     assert np.array_equal(filled[:, 25:], pixels[:, 25:])
     assert np.array_equal(filled[0, 0], pixels[10, 5])
     assert np.array_equal(filled[29, 24], pixels[19, 14])
@@ -104,15 +104,15 @@ def test_known_texels_keep_their_colours_and_lend_none(picture):
     pixels, covered = picture
     known = np.zeros_like(covered)
     known[10:20, 15] = True
-    filled = filled_gutter(pixels, covered, None, 4, known)
+    filled = filled_gutter(pixels, covered, 4, known)
     assert np.array_equal(filled[known], pixels[known])
     assert np.array_equal(filled[12, 16], pixels[12, 14])
 
 
 def test_nothing_covered_or_nothing_wanted_changes_nothing(picture):
     pixels, covered = picture
-    assert np.array_equal(filled_gutter(pixels, np.zeros_like(covered), None, None), pixels)
-    assert np.array_equal(filled_gutter(pixels, covered, None, 0), pixels)
+    assert np.array_equal(filled_gutter(pixels, np.zeros_like(covered), None), pixels)
+    assert np.array_equal(filled_gutter(pixels, covered, 0), pixels)
 
 
 @pytest.mark.parametrize("width", [3, 40])
@@ -120,8 +120,8 @@ def test_bands_of_rows_give_what_the_whole_gives(width, monkeypatch):
     random = np.random.default_rng(7)
     pixels = random.integers(0, 256, (90, 40, 3), dtype=np.uint8)
     covered = random.random((90, 40)) > 0.97
-    whole = filled_gutter(pixels, covered, None, width, channels=[0, 2])
+    whole = filled_gutter(pixels, covered, width, channels=[0, 2])
     assert np.array_equal(whole[..., 1], pixels[..., 1])
     assert not np.array_equal(whole, pixels)
     monkeypatch.setattr(atlas, "ROWS", 1)
-    assert np.array_equal(filled_gutter(pixels, covered, None, width, channels=[0, 2]), whole)
+    assert np.array_equal(filled_gutter(pixels, covered, width, channels=[0, 2]), whole)

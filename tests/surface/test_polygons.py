@@ -4,29 +4,28 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.surface.polygons import triangulate
 
 
-def cut(points: NDArray[np.float64], *polygons: list[int]) -> NDArray[np.int32]:
+def cut(points, *polygons):
     corners = np.array([corner for polygon in polygons for corner in polygon], np.int32)
     offsets = np.concatenate([[0], np.cumsum([len(polygon) for polygon in polygons])]).astype(np.int64)
     return triangulate(points, corners, offsets)
 
 
-def areas(points: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def areas(points, faces):
     a, b, c = (points[faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a) / 2
 
 
-def flat(*xy: tuple[float, float]) -> NDArray[np.float64]:
+def flat(*xy):
     return np.column_stack([np.array(xy, float), np.zeros(len(xy))])
 
 
 @st.composite
-def star_polygons(draw: st.DrawFn) -> NDArray[np.float64]:
+def star_polygons(draw):
     """Simple polygons around the origin, convex or not, counter-clockwise in the plane."""
     size = draw(st.integers(3, 12))
     radii = np.array(draw(st.lists(st.floats(0.2, 2.0), min_size=size, max_size=size)))
@@ -35,7 +34,7 @@ def star_polygons(draw: st.DrawFn) -> NDArray[np.float64]:
 
 
 @given(star_polygons(), st.integers(0, 2**32 - 1))
-def test_triangles_cover_a_simple_polygon_once_and_none_is_inverted(points: NDArray, seed: int) -> None:
+def test_triangles_cover_a_simple_polygon_once_and_none_is_inverted(points, seed):
     turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
     faces = cut(points @ turn + 7.0, list(range(len(points))))
     signed = areas(points, faces)[:, 2]
@@ -47,7 +46,7 @@ def test_triangles_cover_a_simple_polygon_once_and_none_is_inverted(points: NDAr
 
 
 @given(star_polygons())
-def test_every_edge_of_the_polygon_is_an_edge_of_one_triangle(points: NDArray) -> None:
+def test_every_edge_of_the_polygon_is_an_edge_of_one_triangle(points):
     size = len(points)
     faces = cut(points, list(range(size)))
     directed = {(int(f[i]), int(f[(i + 1) % 3])) for f in faces for i in range(3)}
@@ -55,7 +54,7 @@ def test_every_edge_of_the_polygon_is_an_edge_of_one_triangle(points: NDArray) -
     assert {(i, (i + 1) % size) for i in range(size)} <= directed
 
 
-def test_triangles_stay_as_they_are_and_polygons_keep_their_order() -> None:
+def test_triangles_stay_as_they_are_and_polygons_keep_their_order():
     points = np.random.default_rng(1).normal(size=(9, 3))
     polygons = [[5, 4, 3], [0, 1], [0, 1, 2, 3], [], [8, 7, 6], [2], [0, 2, 4, 6, 8]]
     faces = cut(points, *polygons)
@@ -66,25 +65,25 @@ def test_triangles_stay_as_they_are_and_polygons_keep_their_order() -> None:
     assert set(faces[4:].ravel()) == {0, 2, 4, 6, 8}
 
 
-def test_a_convex_quad_is_cut_along_its_shorter_diagonal() -> None:
+def test_a_convex_quad_is_cut_along_its_shorter_diagonal():
     rhomb = flat((0, -1), (3, 0), (0, 1), (-3, 0))
     for polygon in ([0, 1, 2, 3], [1, 2, 3, 0], [3, 2, 1, 0]):
         assert all({0, 2} <= set(face) for face in cut(rhomb, polygon).tolist())
 
 
-def test_a_concave_quad_is_cut_along_the_diagonal_inside_it_even_if_longer() -> None:
+def test_a_concave_quad_is_cut_along_the_diagonal_inside_it_even_if_longer():
     # An arrow head: corner 2 is reflex, and the other diagonal, outside, is shorter.
     arrow = flat((0, 0), (1, 4), (0, 3), (-1, 4))
     for polygon in ([0, 1, 2, 3], [1, 2, 3, 0], [3, 2, 1, 0]):
         assert all({0, 2} <= set(face) for face in cut(arrow, polygon).tolist())
 
 
-def test_a_quad_with_a_straight_corner_gets_no_empty_triangle() -> None:
+def test_a_quad_with_a_straight_corner_gets_no_empty_triangle():
     points = flat((0, 0), (1, 0), (2, 0), (1, 1))
     assert (np.linalg.norm(areas(points, cut(points, [0, 1, 2, 3])), axis=1) > 0.4).all()
 
 
-def test_convex_polygons_are_fans() -> None:
+def test_convex_polygons_are_fans():
     angles = np.linspace(0, 2 * np.pi, 7, endpoint=False)
     points = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
     assert cut(points, list(range(7))).tolist() == [[0, i, i + 1] for i in range(1, 6)]
@@ -92,16 +91,16 @@ def test_convex_polygons_are_fans() -> None:
 
 @settings(max_examples=50)
 @given(st.lists(st.integers(0, 3), min_size=0, max_size=9))
-def test_degenerate_and_self_crossing_polygons_still_give_n_minus_2(polygon: list[int]) -> None:
+def test_degenerate_and_self_crossing_polygons_still_give_n_minus_2(polygon):
     points = flat((0, 0), (1, 1), (1, 0), (0, 1))
     assert cut(points, polygon).shape == (max(len(polygon) - 2, 0), 3)
 
 
-def test_no_polygons_give_no_triangles() -> None:
+def test_no_polygons_give_no_triangles():
     assert cut(np.zeros((4, 3))).shape == (0, 3)
 
 
-def test_many_mixed_polygons_are_all_cut() -> None:
+def test_many_mixed_polygons_are_all_cut():
     random = np.random.default_rng(2)
     sizes = random.integers(3, 8, 100_000)
     offsets = np.concatenate([[0], np.cumsum(sizes)])
@@ -112,7 +111,7 @@ def test_many_mixed_polygons_are_all_cut() -> None:
 
 
 @pytest.mark.parametrize("size", [4, 5])
-def test_huge_polygons_are_cut_without_warnings(size: int) -> None:
+def test_huge_polygons_are_cut_without_warnings(size):
     points = np.random.default_rng(3).normal(size=(size, 3)) * 1e300
     assert cut(points, list(range(size))).shape == (size - 2, 3)
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import NamedImage
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import named_views
 from beltrami_cli.formats.gltf.columns import used_otherwise
@@ -20,6 +19,7 @@ from beltrami_cli.formats.gltf.container import Container
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of
 from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images
 from beltrami_cli.formats.model_folder import UnfitReferenceError
+from beltrami_cli.surface.records import Texture
 
 _SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
 _PLACE = ("uri", "bufferView", "mimeType")  # of an image
@@ -29,9 +29,9 @@ _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, i
 
 def fingerprint(
     container: Container, accessors: Accessors, images: Images
-) -> tuple[dict[str, bytes], dict[str, NamedImage]]:
+) -> tuple[dict[str, bytes], dict[str, Texture]]:
     """Return all parts of a glTF file but its colours and images, and its images."""
-    tree, paintings = container.copy_of_tree(), dict[str, NamedImage]()
+    tree, paintings = container.copy_of_tree(), dict[str, Texture]()
     parts = dict(_plain_parts(container, tree)) | _materials(images, tree, paintings) | _meshes(tree)
     return parts | _numbers(accessors, container.tree, tree), paintings
 
@@ -55,7 +55,7 @@ def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]
     yield "byte order mark", bytes([container.has_bom])
 
 
-def _materials(images: Images, tree: Tree, paintings: dict[str, NamedImage]) -> dict[str, bytes]:
+def _materials(images: Images, tree: Tree, paintings: dict[str, Texture]) -> dict[str, bytes]:
     """Return the materials with what their textures say of images and samplers, and note the images."""
     parts, shown = {}, set()
     for index, material in enumerate(objects(tree.get("materials"))):
@@ -84,14 +84,14 @@ def _infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
             yield place, value
 
 
-def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dict[str, NamedImage]) -> Tree:
+def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dict[str, Texture]) -> Tree:
     """Return a texture without where its image is, and note the image."""
     texture = dict(tree["textures"][number])
     texture.pop("source", None)
     kept = {k: v for k, v in texture.pop("extensions", {}).items() if k not in IMAGE_EXTENSIONS}
     try:
         image = images.shown(number)
-        paintings[place] = NamedImage(images.name(image), images.data(image))
+        paintings[place] = Texture(place, images.name(image), images.data(image))
     except UnfitReferenceError as error:
         return texture | {"extensions": kept, "image": str(error)}
     others = {key: value for key, value in tree["images"][image].items() if key not in _PLACE}

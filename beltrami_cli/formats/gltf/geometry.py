@@ -12,6 +12,7 @@ from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.compression import draco_extension
 from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.polygons import unrolled
 
 TRIANGLES, STRIP, FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 
@@ -236,13 +237,9 @@ def _triangles(mode: int, corners: Int64s) -> Int64s:
     """Return the triangles (F, 3) that a sequence of corners draws, with the winding that glTF defines."""
     if mode == TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    if mode not in (STRIP, FAN) or len(corners) < 3:
+    if mode == STRIP:
+        return unrolled(corners, np.array([0, len(corners)]))
+    if mode != FAN or len(corners) < 3:
         return np.empty((0, 3), np.int64)
     first = np.arange(len(corners) - 2)
-    if mode == FAN:
-        return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]
-    odd = first % 2
-    faces = corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
-    a, b, c = faces.T
-    # Triangles that repeat a corner only join parts of the strip.
-    return np.asarray(faces[(a != b) & (b != c) & (c != a)])
+    return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]

@@ -14,7 +14,7 @@ from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, gl
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import media_type
-from beltrami_cli.formats.model_folder import ModelFolder, NewNames, UnfitReferenceError, is_outside
+from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, UnfitReferenceError, is_outside
 from beltrami_cli.surface.records import ImageFile
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
@@ -27,10 +27,12 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
         return _as_glb(edit, folder)
     used = named_files(container.root)
     missing = [name for name in used if folder.find(name) is None]
-    names = NewNames(naming, container.name, used, missing)
-    sidecars = {} if keeps_form else _place_chunk(edit, names)
-    sidecars |= _place_buffers(edit, names) | _place_images(edit, names)
-    copies = _place_copies(edit, names, folder)
+    names = NewFiles(naming, container.name, used, missing)
+    if not keeps_form:
+        _place_chunk(edit, names)
+    _place_buffers(edit, names)
+    _place_images(edit, names)
+    _place_copies(edit, names, folder)
     if not keeps_form:
         main: list[Bytes] = [revised(container.text, edit.tree).encode()]
         lost = [chunk for chunk in container.chunks if chunk.kind != BIN_CHUNK]
@@ -40,18 +42,18 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
         main = [container.data]
     else:
         main = container.rebuilt(edit.tree, edit.buffers.get(0) if _source(edit, 0) == "chunk" else None)
-    return Written(main, sidecars, (*edit.notices, *names.notices), copies)
+    return names.written(main, edit.notices)
 
 
-def _place_chunk(edit: Edit, names: NewNames) -> dict[str, Bytes]:
+def _place_chunk(edit: Edit, names: NewFiles) -> None:
     """Make a sidecar of the BIN chunk of a binary file that becomes text."""
     tree, buffers = edit.tree, edit.accessors.buffers
     if not len(buffers) or buffers.source(0) != "chunk":
-        return {}
+        return
     data: Bytes = edit.buffers[0] if 0 in edit.buffers else buffers.stored(0)
     length, name = tree["buffers"][0]["byteLength"], names.new(".bin")
     tree["buffers"][0]["uri"] = quote(name)
-    return {name: data[:length] if len(data) - length < 4 else data}  # without the chunk's padding
+    names.sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the chunk's padding
 
 
 def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
@@ -64,9 +66,8 @@ def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
     return Written(glb_pieces(chunks + ([Chunk(BIN_CHUNK, binary)] if binary else [])), notices=notices)
 
 
-def _place_buffers(edit: Edit, names: NewNames) -> dict[str, Bytes]:
-    """Put changed buffers into data URIs or sidecars, which are returned; the BIN chunk is not among them."""
-    sidecars: dict[str, Bytes] = {}
+def _place_buffers(edit: Edit, names: NewFiles) -> None:
+    """Put changed buffers into data URIs or sidecars; the BIN chunk is not among them."""
     entries, buffers = edit.tree.get("buffers", []), edit.accessors.buffers
     for index, data in edit.buffers.items():
         source = _source(edit, index)
@@ -75,11 +76,10 @@ def _place_buffers(edit: Edit, names: NewNames) -> dict[str, Bytes]:
         elif source == "file":
             old = relative_name(buffers.uris[index] or "", outside=True)
             name = names.other(old, ".bin")
-            sidecars[name] = data
+            names.sidecars[name] = data
             for other in range(len(buffers)):
                 if buffers.canonical(other) == index and name != old:
                     entries[other]["uri"] = quote(name)
-    return sidecars
 
 
 def _source(edit: Edit, index: int) -> str:
@@ -89,9 +89,8 @@ def _source(edit: Edit, index: int) -> str:
     return buffers.source(index)
 
 
-def _place_images(edit: Edit, names: NewNames) -> dict[str, Bytes]:
-    """Name the new image files, which are returned, and put their names into the tree."""
-    sidecars: dict[str, Bytes] = {}
+def _place_images(edit: Edit, names: NewFiles) -> None:
+    """Name the new image files, and put their names into the tree."""
     chosen: dict[tuple[str, bool, ImageFile], str] = {}
     entries, known = edit.tree.get("images", []), len(edit.container.root.entries("images"))
     for index, file in edit.images.items():
@@ -100,14 +99,13 @@ def _place_images(edit: Edit, names: NewNames) -> dict[str, Bytes]:
         if key not in chosen:
             # A copy of an image never keeps the name of that.
             chosen[key] = names.image(old, file.suffix, is_replaced=index < known)
-            sidecars[chosen[key]] = file.data
+            names.sidecars[chosen[key]] = file.data
         if chosen[key] != old:
             entries[index]["uri"] = quote(chosen[key])
-    return sidecars
 
 
-def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str, str]:
-    """Give files that stay as they are their names in another folder; return the old paths by the new ones."""
+def _place_copies(edit: Edit, names: NewFiles, folder: ModelFolder) -> None:
+    """Give files that stay as they are their names in another folder."""
     new_of: dict[str, str] = {}
     for kind in ("buffers", "images") if names.copies else ():
         for index, entry in enumerate(edit.tree.get(kind, [])):
@@ -125,7 +123,7 @@ def _place_copies(edit: Edit, names: NewNames, folder: ModelFolder) -> dict[str,
             if path not in new_of:
                 new_of[path] = names.image(path) if kind == "images" else names.other(path, ".bin")
             entry["uri"] = quote(new_of[path])
-    return {new: path for path, new in new_of.items()}
+    names.copied |= {new: path for path, new in new_of.items()}
 
 
 def _merge_buffers(edit: Edit) -> bytearray:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 from urllib.parse import quote
 
@@ -42,28 +43,9 @@ Model = tuple[Tree, "Arrays", Mapping[str, ImageFile]]
 """The JSON of a file but for its buffer and images, the numbers behind it, and the images by their files' names."""
 
 
-def write_glb(contents: MeshContents, stem: str) -> Written:
-    """Write a mesh as one binary file; its colours become linear, as glTF demands, and `stem` its name."""
-    return _binary(_coloured(contents, stem))
-
-
-def write_gltf(contents: MeshContents, stem: str) -> Written:
-    """Write a mesh as JSON text with its numbers in the sidecar ``stem.bin``; otherwise as `write_glb`."""
-    return _text(_coloured(contents, stem), stem)
-
-
-def write_textured_glb(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh with its textures as one binary file; vertices are split where their corners differ."""
-    return _binary(_textured(mesh, stem))
-
-
-def write_textured_gltf(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh as JSON text, with its numbers and its images in files beside it; else as `write_textured_glb`."""
-    return _text(_textured(mesh, stem), stem)
-
-
-def _binary(model: Model) -> Written:
-    tree, arrays, images = model
+def _binary(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh, stem: str) -> Written:
+    """Write a mesh as one binary file."""
+    tree, arrays, images = make(mesh, stem)
     for name, image in images.items():
         view = arrays.add_bytes(image.data)
         shown = {"bufferView": view, "mimeType": MEDIA[image.suffix], "name": name.rpartition(".")[0]}
@@ -74,8 +56,9 @@ def _binary(model: Model) -> Written:
     return Written(pieces, notices=tuple(arrays.notices))
 
 
-def _text(model: Model, stem: str) -> Written:
-    tree, arrays, images = model
+def _text(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh, stem: str) -> Written:
+    """Write a mesh as JSON text, with its numbers in the sidecar ``stem.bin``, and its images in files beside it."""
+    tree, arrays, images = make(mesh, stem)
     if images:
         tree["images"] = [{"uri": quote(name), "name": name.rpartition(".")[0]} for name in images]
     tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": quote(f"{stem}.bin")}]
@@ -127,6 +110,7 @@ class Arrays:
 
 
 def _coloured(contents: MeshContents, stem: str) -> Model:
+    """Make a mesh with colours of vertices, which become linear, as glTF demands; `stem` is its name."""
     arrays = Arrays()
     notices = arrays.notices
     positions = _single_precision(contents.positions, stem, notices)
@@ -208,6 +192,7 @@ _BESIDE = (
 
 
 def _textured(mesh: TexturedMesh, stem: str) -> Model:
+    """Make a mesh with its textures; vertices are split where their corners differ."""
     mesh = _with_bare_materials(mesh)
     parts = _Parts(mesh, stem)
     meshes: list[Tree] = []
@@ -316,3 +301,7 @@ def _linear(colour: tuple[float, ...]) -> list[float]:
 def _plain(value: float) -> float | int:
     clipped = min(max(value, 0.0), 1.0)
     return int(clipped) if clipped in (0, 1) else clipped
+
+
+write_glb, write_textured_glb = partial(_binary, _coloured), partial(_binary, _textured)
+write_gltf, write_textured_gltf = partial(_text, _coloured), partial(_text, _textured)

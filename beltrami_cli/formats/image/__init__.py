@@ -48,10 +48,7 @@ class ImageDocument(Document):
         return Path(self.name).suffix or f".{label_of(format_of(self.data, self.name) or '')}"
 
     @property
-    def _painted(self) -> NoReturn:
-        raise InputError(self.name, "it is an image, and no model")
-
-    def contents(self) -> NoReturn:
+    def _mesh(self) -> NoReturn:
         raise InputError(self.name, "it is an image, and no model")
 
     def facts(self) -> dict[str, object]:

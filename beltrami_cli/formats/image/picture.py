@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -128,6 +128,8 @@ def suffix_of(name: str) -> str:
     return PurePosixPath(name.replace("\\", "/")).suffix
 
 
+TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
+STORED = {name: kind for kind, name in TYPES.items()}
 _ROWS = 64  # compared at a time
 _LEAST_OPACITY = 1 / 1024  # that colours are divided by
 _LEAST_STEPS = 16  # of opacity, for colours of 4 bits
@@ -154,27 +156,51 @@ class Picture:
     spec: Any = field(repr=False)  # OpenImageIO.ImageSpec of the file
 
 
+def described(
+    data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...] = ()
+) -> Picture:
+    """Return pixels and their OpenImageIO.ImageSpec as the picture in a file (data) of a format (known)."""
+    kinds = tuple(STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels))
+    channels = tuple(spec.channelnames)
+    if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
+        channels = ("Y", "A")
+    alpha = next((i for i, channel in enumerate(channels) if channel.lower() in ("a", "alpha")), None)
+    colour = _colour_channels(channels, alpha)
+    return Picture(
+        name=name,
+        pixels=pixels,
+        channels=channels,
+        colour=colour,
+        alpha=alpha,
+        encoding="linear" if pixels.dtype.kind == "f" else "srgb",
+        stored=kinds[colour[0]],
+        kinds=kinds,
+        format=known,
+        suffix=suffix_for(data, name),
+        notices=notices,
+        source=data,
+        spec=spec,
+    )
+
+
+def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int, ...]:
+    """Return red, green and blue by their names, or grey, or else the first channels that are not alpha."""
+    lower = [channel.lower() for channel in channels]
+    if all(letter in lower for letter in "rgb"):
+        return tuple(lower.index(letter) for letter in "rgb")
+    if "y" in lower and "x" not in lower:  # a luminance, and no coordinate
+        return (lower.index("y"),)
+    others = [i for i in range(len(channels)) if i != alpha] or [0]
+    return tuple(others[:3]) if len(others) >= 3 else (others[0],)
+
+
 def new_picture(pixels: Array, name: str) -> Picture:
     """Describe new sRGB pixels of uint8 or uint16, RGB or RGBA with unassociated alpha, as a PNG without metadata."""
     import OpenImageIO
 
     height, width, channels = pixels.shape
-    stored = "uint8" if pixels.dtype == "uint8" else "uint16"
-    return Picture(
-        name=name,
-        pixels=pixels,
-        channels=("R", "G", "B", "A")[:channels],
-        colour=(0, 1, 2),
-        alpha=3 if channels == 4 else None,
-        encoding="srgb",
-        stored=stored,
-        kinds=(stored,) * channels,
-        format="png",
-        suffix=".png",
-        notices=(),
-        source=b"",
-        spec=OpenImageIO.ImageSpec(width, height, channels, str(pixels.dtype)),
-    )
+    spec = OpenImageIO.ImageSpec(width, height, channels, str(pixels.dtype))
+    return replace(described(b"", name, "png", spec, pixels), suffix=".png")
 
 
 def to_float(picture: Picture) -> Float32s:

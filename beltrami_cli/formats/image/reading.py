@@ -12,19 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg, png_chunks
-from beltrami_cli.formats.image.picture import READABLE, Picture, format_of, label_of, suffix_for
+from beltrami_cli.formats.image.picture import READABLE, STORED, Picture, described, format_of, label_of
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 from beltrami_cli.surface.records import Texture
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
 _MOST_MEGABYTES = 8192  # of decoded pixels
-TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}  # of OpenImageIO
-_STORED = {name: kind for kind, name in TYPES.items()}
 _NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
 _COLOURED = 3  # channels
 _PALETTE_IN_TIFF = 3  # its photometric interpretation
@@ -151,7 +148,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it anew")
-    return _picture(data, name, known, spec, pixels, notices)
+    return described(data, name, known, spec, pixels, notices)
 
 
 def _read_extra(data: bytes, name: str, known: str) -> Picture:
@@ -163,7 +160,7 @@ def _read_extra(data: bytes, name: str, known: str) -> Picture:
     if profile:
         kind = OpenImageIO.TypeDesc(f"uint8[{len(profile)}]")
         spec.attribute("ICCProfile", kind, np.frombuffer(profile, np.uint8))
-    return _picture(data, name, known, spec, pixels, notices)
+    return described(data, name, known, spec, pixels, notices)
 
 
 def _check(spec: Any, format_name: str, known: str, name: str) -> None:
@@ -180,50 +177,13 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
         cause = f"its {width} x {height} pixels are more than the {_LARGEST} that are read"
         raise InputError(name, cause, "scale it down, or split it")
     kinds = {str(kind) for kind in (spec.channelformats or (spec.format,))}
-    if not kinds <= _STORED.keys() or (len(kinds) > 1 and not kinds <= {"half", "float"}):
+    if not kinds <= STORED.keys() or (len(kinds) > 1 and not kinds <= {"half", "float"}):
         raise InputError(name, f"its samples are {' and '.join(sorted(kinds))}", _EXPORT)
     colour_space = spec.get_string_attribute("tiff:ColorSpace")
     if "CMYK" in colour_space.upper():
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
     if colour_space.endswith("LAB"):  # OpenImageIO makes a yellow of its white, and 8 bits of 16
         raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
-
-
-def _picture(
-    data: bytes, name: str, known: str, spec: Any, pixels: Array, notices: tuple[str, ...]
-) -> Picture:
-    kinds = tuple(_STORED[str(kind)] for kind in (spec.channelformats or [spec.format] * spec.nchannels))
-    channels = tuple(spec.channelnames)
-    if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
-        channels = ("Y", "A")
-    alpha = next((i for i, channel in enumerate(channels) if channel.lower() in ("a", "alpha")), None)
-    colour = _colour_channels(channels, alpha)
-    return Picture(
-        name=name,
-        pixels=pixels,
-        channels=channels,
-        colour=colour,
-        alpha=alpha,
-        encoding="linear" if pixels.dtype.kind == "f" else "srgb",
-        stored=kinds[colour[0]],
-        kinds=kinds,
-        format=known,
-        suffix=suffix_for(data, name),
-        notices=notices,
-        source=data,
-        spec=spec,
-    )
-
-
-def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int, ...]:
-    """Return red, green and blue by their names, or grey, or else the first channels that are not alpha."""
-    lower = [channel.lower() for channel in channels]
-    if all(letter in lower for letter in "rgb"):
-        return tuple(lower.index(letter) for letter in "rgb")
-    if "y" in lower and "x" not in lower:  # a luminance, and no coordinate
-        return (lower.index("y"),)
-    others = [i for i in range(len(channels)) if i != alpha] or [0]
-    return tuple(others[:3]) if len(others) >= 3 else (others[0],)
 
 
 def _damaged(name: str, known: str, error: str, path: Path) -> InputError:

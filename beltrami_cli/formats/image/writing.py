@@ -11,6 +11,7 @@ from beltrami_cli.errors import ProcessingError, UsageError
 from beltrami_cli.formats.image import extra_codecs, metadata
 from beltrami_cli.formats.image.picture import (
     FORMATS,
+    TYPES,
     WRITABLE,
     Picture,
     as_stored,
@@ -19,7 +20,7 @@ from beltrami_cli.formats.image.picture import (
     label_of,
     without_alpha,
 )
-from beltrami_cli.formats.image.reading import TYPES, read_image, scratch_file
+from beltrami_cli.formats.image.reading import read_image, scratch_file
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile

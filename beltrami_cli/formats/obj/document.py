@@ -16,16 +16,14 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, opacity
 from beltrami_cli.formats.document import (
-    Bytes,
     Changes,
     Document,
     Fingerprint,
-    NamedImage,
     Naming,
     NewImages,
     Written,
 )
-from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference, path_inside
+from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference, path_inside
 from beltrami_cli.formats.obj.materials import Library, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import (
@@ -37,16 +35,30 @@ from beltrami_cli.formats.obj.texturing import (
 from beltrami_cli.formats.obj.vertices import (
     Scan,
     among,
-    new_colours,
     new_positions,
     read_normals,
-    renumbered,
     repainted_entries,
     scan_file,
 )
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, common_suffix, new_files, slots_by_path
-from beltrami_cli.formats.tokens import PLACEHOLDER, Spans, exchange_spans, shifted, without_tokens, zeroed
-from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
+from beltrami_cli.formats.tokens import (
+    PLACEHOLDER,
+    Spans,
+    exchange_spans,
+    new_colours,
+    renumbered,
+    shifted,
+    without_tokens,
+    zeroed,
+)
+from beltrami_cli.surface.records import (
+    MeshContents,
+    Slot,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+    VertexColours,
+)
 
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
@@ -95,11 +107,12 @@ class ObjDocument(Document):
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
         parts = []
         if colours is not None:
-            changed = colours != self._colours
             if paint is not None:
+                changed = colours != self._colours
                 data = repainted_entries(data, shifted(paint.starts, spans), colours, changed)
             else:
-                parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], colours, changed, self._scale))
+                both = self._colours, colours
+                parts.append(new_colours(data, starts[:, 3:], ends[:, 3:], *both, self._scale))
         if places is not None:
             changed = places.positions != known.positions[known.coloured]
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
@@ -225,20 +238,19 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             tiles = materials.folder.tiles.get(path or "", {})
             for tile, file in tiles.items():
                 name = file.rpartition("/")[2]
-                paintings[f"{label}, tile {tile}"] = NamedImage(name, partial(materials.folder.content, file))
+                content = partial(materials.folder.content, file)
+                paintings[f"{label}, tile {tile}"] = Texture(file, name, content)
             if path is not None and not tiles:
-                paintings[label] = NamedImage(found.name, partial(materials.folder.content, path))
+                paintings[label] = Texture(path, found.name, partial(materials.folder.content, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
 
 
 def _repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
     """Return the files beside an OBJ file, without the file itself, and the new names in it."""
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
-    names = NewNames(naming, source, materials.paths, missing)
-    sidecars: dict[str, Bytes] = {}
-    copies: dict[str, str] = {}
-    edits = _take_images(materials, images, names, sidecars, copies)
-    _take_others(materials, names, edits, sidecars, copies)
+    names = NewFiles(naming, source, materials.paths, missing)
+    edits = _take_images(materials, images, names)
+    _take_others(materials, names, edits)
     spans: Spans = {}
     for library in materials.libraries:
         own = edits.get(library.path, {})
@@ -252,19 +264,13 @@ def _repainted(materials: Materials, images: NewImages, source: str, naming: Nam
         for name, start, end in library.mentions:
             spans[start, end] = new_reference(name, library.path, new)
         if is_new:
-            sidecars[new] = exchange_spans(library.data, own)
+            names.sidecars[new] = exchange_spans(library.data, own)
         else:
-            copies[new] = library.path
-    return Written([], sidecars, tuple(names.notices), copies), spans
+            names.copied[new] = library.path
+    return names.written(), spans
 
 
-def _take_images(
-    materials: Materials,
-    images: NewImages,
-    names: NewNames,
-    sidecars: dict[str, Bytes],
-    copies: dict[str, str],
-) -> dict[str, Spans]:
+def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
     """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
     for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
@@ -276,20 +282,14 @@ def _take_images(
         suffix = common_suffix(image.suffix for _, image in files)
         new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
         new_of = new_files(path, new, materials.folder.tiles)
-        sidecars |= {new_of.pop(file): image.content for file, image in files}
-        copies |= {file: old for old, file in new_of.items() if file != old}
+        names.sidecars |= {new_of.pop(file): image.content for file, image in files}
+        names.copied |= {file: old for old, file in new_of.items() if file != old}
         for library, found in affected:
             edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
     return edits
 
 
-def _take_others(
-    materials: Materials,
-    names: NewNames,
-    edits: dict[str, Spans],
-    sidecars: dict[str, Bytes],
-    copies: dict[str, str],
-) -> None:
+def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
     """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
     tiles, new_of = materials.folder.tiles, dict[str, str]()
     for library in materials.libraries:
@@ -308,9 +308,9 @@ def _take_others(
                 new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
                 for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
                     if is_outside(old):
-                        sidecars[new] = materials.folder.content(old)
+                        names.sidecars[new] = materials.folder.content(old)
                     else:
-                        copies[new] = old
+                        names.copied[new] = old
             own[found.start, found.end] = _spelled(found, path, new_of[path], library)
 
 

@@ -11,7 +11,6 @@ ZBrush's polypaint stands in comments, as MMRRGGBB in hexadecimal digits. MM is 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +18,8 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.tokens import colour_decimals, exchange_tokens, most_decimals
+from beltrami_cli.formats.tokens import NewNumbers, most_decimals
 from beltrami_cli.surface.geometry import unit_vectors
 
 _SIZES = (3, 4, 5, 6, 7, 8)
@@ -139,27 +137,6 @@ def repainted_entries(data: bytes, starts: Int64s, colours: Float32s, changed: B
     return text.tobytes()
 
 
-@dataclass(frozen=True)
-class NewNumbers:
-    """Tokens of a file and the numbers that replace them."""
-
-    starts: Int64s  # (K,) where the tokens stand
-    ends: Int64s
-    values: Float64s
-    decimals: int
-
-
-def new_colours(
-    data: bytes, starts: Int64s, ends: Int64s, colours: Float32s, changed: Bools, scale: float
-) -> NewNumbers:
-    """Format the colours that changed, all of shape (V, 3), like the old ones; `scale` is full scale, 1 or 255."""
-    values = colours[changed].astype(np.float64) * scale
-    decimals = colour_decimals(data, starts, ends, scale) if len(values) else 0
-    if decimals < 0:
-        values = np.clip(np.rint(values), 0, scale)
-    return NewNumbers(starts[changed], ends[changed], values, max(decimals, 0))
-
-
 def new_positions(
     data: bytes, starts: Int64s, ends: Int64s, positions: Float64s, changed: Bools
 ) -> NewNumbers:
@@ -168,25 +145,7 @@ def new_positions(
     enough = _DIGITS - 1 - int(np.floor(np.log10(largest)))
     found = most_decimals(data, starts, ends) if changed.any() else 0
     decimals = min(max(found, enough, 0), _MOST_DECIMALS)
-    return NewNumbers(starts[changed], ends[changed], positions[changed], decimals)
-
-
-def renumbered(data: bytes, parts: Sequence[NewNumbers]) -> list[Bytes]:
-    """Exchange tokens for numbers, each token once, and keep every other byte; return the file in pieces."""
-    starts = np.concatenate([part.starts for part in parts])
-    if not len(starts):
-        return [data]
-    ends = np.concatenate([part.ends for part in parts])
-    values = np.concatenate([part.values for part in parts])
-    decimals = np.repeat([part.decimals for part in parts], [len(part.starts) for part in parts])
-    order = np.argsort(starts)
-
-    def spell(block: slice) -> list[bytes]:
-        chosen = order[block]
-        pairs = zip(decimals[chosen].tolist(), values[chosen].tolist(), strict=True)
-        return [b"%.*f" % pair for pair in pairs]
-
-    return [*exchange_tokens(data, starts[order], ends[order], spell)]
+    return NewNumbers(starts[changed], ends[changed], positions[changed], b"%%.%df" % decimals)
 
 
 _DROPPED = {

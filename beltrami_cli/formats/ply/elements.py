@@ -22,6 +22,7 @@ from beltrami_cli.formats.colours import BYTE, full_scale, intensity_scale
 from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.polygons import unrolled
 from beltrami_cli.surface.records import require_finite
 
 POSITION = ("x", "y", "z")
@@ -155,7 +156,7 @@ def read_polygons(tables: Mapping[str, Table], vertices: int, name: str) -> tupl
     _check(corners, offsets, vertices, 0, "face", name)
     strips, ends = _vertex_lists(tables, "tristrips", name)
     _check(strips, ends, vertices, -1, "strip", name)
-    triangles = _unroll(strips, ends)
+    triangles = unrolled(strips, ends)
     return (
         np.concatenate([corners, triangles.ravel()], dtype=np.int32, casting="unsafe"),
         np.concatenate([offsets, offsets[-1] + 3 * np.arange(1, len(triangles) + 1)]),
@@ -180,23 +181,6 @@ def _check(corners: Int64s, offsets: Int64s, vertices: int, least: int, what: st
         row = int(np.searchsorted(offsets, bad, side="right")) - 1
         cause = f"{what} {row} refers to vertex {corners[bad]}, but there are {vertices} vertices"
         raise InputError(name, cause)
-
-
-def _unroll(strips: Int64s, ends: Int64s) -> Int64s:
-    """Convert strips, which -1 restarts, to triangles, with every other one of a strip reversed."""
-    if strips.size < 3:
-        return np.empty((0, 3), np.int64)
-    begins = np.zeros(len(strips), np.bool_)
-    begins[ends[:-1][ends[:-1] < len(strips)]] = True
-    begins[1:] |= strips[:-1] == -1
-    numbers = np.arange(len(strips))
-    since = numbers - np.maximum.accumulate(np.where(begins, numbers, 0))
-    triangles = np.column_stack([strips[:-2], strips[1:-1], strips[2:]])
-    odd = since[2:] % 2 == 1
-    triangles[odd] = triangles[odd][:, [1, 0, 2]]
-    a, b, c = triangles.T
-    proper = (since[2:] >= 2) & (triangles >= 0).all(axis=1) & (a != b) & (b != c) & (c != a)
-    return np.asarray(triangles[proper])
 
 
 def read_grid(header: bytes, tables: Mapping[str, Table]) -> Int64s | None:

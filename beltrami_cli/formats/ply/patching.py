@@ -11,13 +11,13 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s
 from beltrami_cli.formats import tokens
-from beltrami_cli.formats.document import Bytes, Fingerprint, NamedImage, Naming, NewImages, Written
-from beltrami_cli.formats.model_folder import ModelFolder, NewNames, is_outside, new_reference
+from beltrami_cli.formats.document import Bytes, Fingerprint, Naming, NewImages, Written
+from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
 from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
 from beltrami_cli.formats.ply.texturing import TextureComment
-from beltrami_cli.surface.records import MovedVertices
+from beltrami_cli.surface.records import MovedVertices, Texture
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,12 @@ class Change:
 def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[Change]) -> list[Bytes]:
     """Exchange values in the body, at least one, each property once; every other byte stays. Return it in pieces."""
     if not header.order:
-        return [*_patch_text(data[header.end :], vertices, changes)]
+        text = data[header.end :]
+        starts, ends = tokens.find_tokens(text)
+        places = [indices(vertices.places(change.name))[change.rows] for change in changes]
+        both = zip(places, changes, strict=True)
+        new = [tokens.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
+        return [*tokens.renumbered(text, new)]
     patched = bytearray(data)
     for change in changes:
         everywhere = values_in_bytes(patched, header.order + change.values.dtype.str[1:])
@@ -42,26 +47,6 @@ def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[C
         else:
             everywhere[where[change.rows]] = change.values
     return [memoryview(patched)[header.end :]]
-
-
-def _patch_text(text: bytes, vertices: Table, changes: Sequence[Change]) -> list[bytes | memoryview]:
-    starts, ends = tokens.find_tokens(text)
-    places = np.concatenate([indices(vertices.places(change.name))[change.rows] for change in changes])
-    # Properties may stand in any order; tokens are exchanged from first to last.
-    order = np.argsort(places)
-    firsts = np.cumsum([0] + [len(change.values) for change in changes])
-
-    def spell(block: slice) -> list[bytes]:
-        wanted = order[block]
-        spelled = np.empty(len(wanted), "S32")
-        for change, first in zip(changes, firsts[:-1], strict=True):
-            mine = (wanted >= first) & (wanted < first + len(change.values))
-            spelled[mine] = change.values[wanted[mine] - first]  # the shortest that reads back the same
-        tokens_of_block: list[bytes] = spelled.tolist()
-        return tokens_of_block
-
-    there = places[order]
-    return tokens.exchange_tokens(text, starts[there], ends[there], spell)
 
 
 def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertices) -> list[Change]:
@@ -82,13 +67,11 @@ def renamed_images(
     """Return the files beside a PLY file, without the file itself, and new names by their place in the header."""
     present = [comment.path for comment in comments if comment.path is not None]
     missing = [comment.name for comment in comments if comment.path is None]
-    names = NewNames(naming, source, present, missing)
-    sidecars: dict[str, Bytes] = {}
-    copies: dict[str, str] = {}
+    names = NewFiles(naming, source, present, missing)
     new_of: dict[str, str] = {}
     for (_, path), image in images.items():
         new_of[path] = names.image(path, image.suffix)
-        sidecars[new_of[path]] = image.data
+        names.sidecars[new_of[path]] = image.data
     for comment in comments if names.copies else ():
         if comment.path is None or comment.path in new_of:
             continue
@@ -96,13 +79,13 @@ def renamed_images(
             names.leave(comment.name)
         else:
             new_of[comment.path] = names.image(comment.path)
-            copies[new_of[comment.path]] = comment.path
+            names.copied[new_of[comment.path]] = comment.path
     spans: tokens.Spans = {}
     for comment in comments:
         if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
             new = new_reference(comment.name, comment.path, new_of[comment.path])
             spans[comment.start, comment.end] = new
-    return Written([], sidecars, tuple(names.notices), copies), spans
+    return names.written(), spans
 
 
 def take_apart(
@@ -137,7 +120,7 @@ def take_apart(
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
     colours = {"vertex colours": painted[1]} if painted else {}
     paintings = {
-        f"texture {number}": NamedImage(image.name, partial(folder.content, image.path))
+        f"texture {number}": Texture(image.path, image.name, partial(folder.content, image.path))
         for number, image in enumerate(images)
         if image.path is not None
     }

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,10 +21,10 @@ from beltrami_cli.formats.colours import display_colours, intensity_scale, point
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
 from beltrami_cli.formats.tokens import (
     Lines,
-    colour_decimals,
-    exchange_tokens,
+    new_colours,
     number_lines,
     read_numbers,
+    renumbered,
     without_comments,
     without_tokens,
 )
@@ -54,7 +53,6 @@ _KNOWN = {
 }
 """What follows x, y and z, by the number of all columns; the first that can be is taken."""
 _UNIT = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
-_WHOLE, _WITH_EXPONENT = b"%.0f", b"%.9g"  # of new colours
 _REMEDY = "name them in a first line, such as: # x y z r g b"
 
 
@@ -229,7 +227,8 @@ class TextPointsDocument(Document):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         if new.colours is None:
             return Written([self.data])
-        return Written(_with_colours(self.data, *self._places(), self._colours, new.colours, self._scale))
+        colours = new_colours(self.data, *self._places(), self._colours, new.colours, self._scale)
+        return Written(renumbered(self.data, [colours]))
 
     def contents(self) -> MeshContents:
         columns = self._columns
@@ -301,27 +300,6 @@ class TextPointsDocument(Document):
 
     def _picked(self, columns: tuple[int, ...]) -> Float64s:
         return np.ascontiguousarray(self._table.values[np.ix_(self._measured, np.array(columns))])
-
-
-def _with_colours(
-    data: bytes, starts: Int64s, ends: Int64s, before: Float32s, after: Float32s, scale: float
-) -> Sequence[bytes | memoryview]:
-    """Exchange the colours, each of shape (P, C), that changed, and spell them like the old ones."""
-    exponents = np.append(np.flatnonzero((np.frombuffer(data, np.uint8) | 0x20) == ord("e")), len(data))
-    style = _WITH_EXPONENT
-    if not (exponents[np.searchsorted(exponents, starts)] < ends).any():
-        decimals = colour_decimals(data, starts.ravel(), ends.ravel(), scale)
-        style = _WHOLE if decimals < 0 else b"%%.%df" % decimals
-    values = after.astype(np.float64) * scale
-    changed = after != before
-    if style == _WHOLE:
-        values = np.rint(values) + 0.0  # no -0
-        changed &= values != np.rint(before.astype(np.float64) * scale)
-    if not changed.any():
-        return [data]
-    order = np.argsort(starts[changed])  # blue may stand before red
-    numbers, places = values[changed][order], (starts[changed][order], ends[changed][order])
-    return exchange_tokens(data, *places, lambda block: [style % value for value in numbers[block].tolist()])
 
 
 def write_xyz(contents: MeshContents, stem: str) -> Written:

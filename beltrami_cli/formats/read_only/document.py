@@ -33,6 +33,8 @@ _READ_ONLY = (
 def kind_of(data: bytes, name: str) -> Kind | None:
     """Return the format of a file by its content, and by its name where many formats have such content."""
     suffix = "." + name.lower().rpartition(".")[2]
+    if suffix == ".obj":
+        return None
     if data[:2] == b"PK":
         return _ARCHIVES.get(suffix)
     if HEADER.match(data):
@@ -51,9 +53,6 @@ class ReadOnlyDocument(Document):
         kind = kind_of(self.data, self.name)
         assert kind is not None
         self._kind = kind
-
-    def contents(self) -> MeshContents:
-        return self._mesh
 
     @cached_property
     def _mesh(self) -> MeshContents:

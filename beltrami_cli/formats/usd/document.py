@@ -18,17 +18,16 @@ from beltrami_cli.formats.document import (
     Changes,
     Document,
     Fingerprint,
-    NamedImage,
     Naming,
     NewImages,
     Written,
 )
 from beltrami_cli.formats.image.picture import format_of, format_of_suffix
-from beltrami_cli.formats.model_folder import LEFT_ALONE, NewNames
+from beltrami_cli.formats.model_folder import LEFT_ALONE, NewFiles
 from beltrami_cli.formats.textured_mesh import common_suffix, new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
-from beltrami_cli.surface.records import ImageFile, MeshContents, Slot, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, MeshContents, Slot, Texture, TexturedMesh, TexturedSurface
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
@@ -117,14 +116,15 @@ class UsdDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, form, package = new.colours, new.form or self.format, self._layers.package
-        files, renamed, copies = self._new_images(new.images, naming)
+        beside, renamed = self._new_images(new.images, naming)
+        files = dict(beside.sidecars)
         if colours is not None and np.array_equal(colours, self._painted.colours):
             colours = None
         root: Bytes | None = None
         if colours is not None or renamed or form != self.format:
             root = self._edited(colours, renamed, form)
         if package is None:
-            return Written([self.data if root is None else root], files, copies=copies)
+            return dataclasses.replace(beside, main=[self.data if root is None else root])
         if root is not None:
             files = {self._layers.root: root, **files}
         return Written(package.packed(files) if files else [self.data])
@@ -142,10 +142,8 @@ class UsdDocument(Document):
             self._made[key] = made
         return made
 
-    def _new_images(
-        self, images: NewImages, naming: Naming
-    ) -> tuple[dict[str, Bytes], dict[str, str], dict[str, str]]:
-        """Return new files, the attributes that name others with these names, and files that are copied."""
+    def _new_images(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
+        """Return the files beside the root layer, or in its package, and the attributes that name others with these."""
         shown, kept = self._textures, list[str]()
         if naming.copies and self._layers.package is None:
             kept = [*self._other_layers(), *shown.kept(images)]
@@ -154,26 +152,25 @@ class UsdDocument(Document):
                 cause = f"beside OUTPUT there is another '{taken}', whose name is needed for one of its files"
                 raise InputError(self.name, cause, "choose an empty folder")
         present = self._layers.package.members if self._layers.package else self.references()
-        names = NewNames(naming, self.name, present, [*shown.missing(), *kept])
-        files: dict[str, Bytes] = {}
+        names = NewFiles(naming, self.name, present, [*shown.missing(), *kept])
+        names.copied |= {file: file for file in kept}
         renamed: dict[str, str] = {}
-        copies = {file: file for file in kept}
         for (path, changed), slots in shown.replaced(images).items():
             attributes = shown.attributes(path, slots)
             is_replaced = attributes == shown.attributes(path)
             new = self._new_path(path, dict(changed), names, is_replaced=is_replaced)
             own = new_files(path, new, self._layers.folder.tiles)
-            files |= {own.pop(file): image.content for file, image in changed}
-            copies |= {file: old for old, file in own.items() if file != old}
+            names.sidecars |= {own.pop(file): image.content for file, image in changed}
+            names.copied |= {file: old for old, file in own.items() if file != old}
             if new != path:
                 start = posixpath.dirname(self._layers.root) or "."
                 renamed |= dict.fromkeys(attributes, "./" + posixpath.relpath(new, start))
         if self._layers.package is not None:
-            files |= {new: self._layers.image(old) for new, old in copies.items()}
-        return files, renamed, copies
+            names.sidecars |= {new: self._layers.image(old) for new, old in names.copied.items()}
+        return names.written(), renamed
 
     def _new_path(
-        self, path: str, new: Mapping[str, ImageFile], names: NewNames, *, is_replaced: bool
+        self, path: str, new: Mapping[str, ImageFile], names: NewFiles, *, is_replaced: bool
     ) -> str:
         """Return where an image or a set of tiles is written: in a package in its own place, if its type stays."""
         suffixes = {image.suffix for image in new.values()}
@@ -189,10 +186,10 @@ class UsdDocument(Document):
         return names.image(path, None if stays else suffix, is_replaced=is_replaced, tiles=tiles)
 
     def contents(self) -> MeshContents:
-        opacity = self._arrays["opacity"]
+        mesh, is_opaque = self._mesh, not self._words["counts"].get("transparent")
         return dataclasses.replace(
-            self._mesh,
-            alpha=opacity.clip(0, 1).astype(np.float32) if self._words["counts"].get("transparent") else None,
+            mesh,
+            alpha=None if is_opaque else self._arrays["opacity"].clip(0, 1).astype(np.float32),
             left_out=(*(["materials"] if self._words["materials"] else []), *self._left_out()),
         )
 
@@ -223,7 +220,9 @@ class UsdDocument(Document):
             parts |= {f"file {name}": package.read(name) for name in others}
         colours = {"vertex colours": self._painted.colours} if self.has_vertex_colours() else {}
         read = self._layers.image
-        images = {at: NamedImage(posixpath.basename(file), partial(read, file)) for at, file in named.items()}
+        images = {
+            at: Texture(file, posixpath.basename(file), partial(read, file)) for at, file in named.items()
+        }
         return Fingerprint(parts, colours, images, package.faults() if package is not None else ())
 
     def facts(self) -> dict[str, object]:

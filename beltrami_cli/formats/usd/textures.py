@@ -134,20 +134,24 @@ class Textures:
         """Return all triangles with their materials, groups, normals and texture coordinates."""
         positions, cut, polygon = self._triangles
         lost = [*left_out, *([textured_mesh.POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else [])]
-        uv = np.full((len(cut), 3, 2), np.nan)
+        numbers, known = self._arrays["material_of"][polygon], self._words["materials"]
+        numbers = np.where(numbers < 0, len(known), numbers)
+        uv, elsewhere = np.full((len(cut), 3, 2), np.nan), set[tuple[int, records.Slot]]()
         for slot in self.slots():
             own = self._arrays[f"uv {slot}"][cut]
             fresh = np.isnan(uv).any(axis=(1, 2))
             differs = ~fresh & ~np.isnan(own).any(axis=(1, 2)) & (own != uv).any(axis=(1, 2))
-            lost += [f"{slot} maps that are placed otherwise than the base colour"] if differs.any() else []
+            elsewhere |= {(number, slot) for number in numbers[differs].tolist()}
             uv[fresh] = own[fresh]
         uv = textured_mesh.usable_coordinates(uv)
         uv[..., 1] = 1 - uv[..., 1]
+        lost += [f"{slot} maps that are placed otherwise than the base colour" for _, slot in elsewhere]
         images = textured_mesh.MeshImages()
-        materials = [self._material(known, images, lost) for known in self._words["materials"]]
+        materials = []
+        for number, each in enumerate(known):
+            uses = {slot: use for slot, use in each["uses"].items() if (number, slot) not in elsewhere}
+            materials.append(self._material({**each, "uses": uses}, images, lost))
         materials.append(records.Material())
-        numbers = self._arrays["material_of"][polygon]
-        numbers = np.where(numbers < 0, len(materials) - 1, numbers)
         shown, material_of = textured_mesh.shown_materials(materials, numbers)
         normals = self._arrays["normals"][cut].astype(np.float32)
         mesh = records.TexturedMesh(

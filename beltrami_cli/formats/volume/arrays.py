@@ -26,7 +26,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive
+from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive, is_npz
 from beltrami_cli.formats.volume.nrrd import checked_lattice, read_nrrd, read_nrrd_colours
 from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
 
@@ -42,7 +42,7 @@ def is_volume(data: bytes, name: str) -> bool:
     """Whether a file is a level set, or claims to be one; InputError if it is a damaged archive of arrays."""
     if data.startswith((_NRRD, _OPENVDB)):
         return True
-    return NpzArchive.recognises(data) and NpzArchive(data, name).kind() == "level set"
+    return is_npz(data) and NpzArchive(data, name).kind() == "level set"
 
 
 def read_volume(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
@@ -60,7 +60,7 @@ def read_colours(data: bytes, name: str, folder: Path | None, most: int) -> Grid
     """Read a file of colours for a level set as `read_volume`; None if it is no volume and no archive."""
     if data.startswith(_NRRD):
         return read_nrrd_colours(data, name, folder, most)
-    if not NpzArchive.recognises(data):
+    if not is_npz(data):
         return None
     colours = _npz_colours(NpzArchive(data, name), most)
     if colours is None:
