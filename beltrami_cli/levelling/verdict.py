@@ -4,8 +4,8 @@ A fit can take out any step. But only if steps are of exposure does a fit to som
 others, for each chart has several seams, and one exposure: each seam is foretold from the others. A seam that alone
 joins two parts of a surface is foretold from its other stretches, if the same pattern is on both of its sides.
 
-Charts that were painted in one colour each foretell their seams as well. But only under an exposure do colours go up and
-down alike on both sides of a seam: such seams must vouch for what is foretold, or else nearly all of it must fit.
+Charts that were painted in one colour each foretell their seams as well. But only under an exposure do colours go up
+and down alike on both sides of a seam: such seams must vouch for what is foretold, or else nearly all of it must fit.
 """
 
 from __future__ import annotations

@@ -298,7 +298,8 @@ def painted_charts(pattern):
     A pattern is painted over all of it.
     """
     steps, random = grid(np.ones(64)), np.random.default_rng(12)
-    own, line = random.uniform(-10, 10, 64) / 255, random.choice([-10, 0, 10], 112, p=[0.05, 0.9, 0.05]) / 255
+    own = random.uniform(-10, 10, 64) / 255
+    line = random.choice([-10, 0, 10], 112, p=[0.05, 0.9, 0.05]) / 255
     colours = 0.4 + pattern * random.uniform(-1, 1, (len(steps.seams), 1))
     sides = colours + own[steps.ends] + np.column_stack([0 * steps.seams, line[steps.seams]])
     return replace(steps, colours=(sides + random.normal(0, 0.3 / 255, sides.shape))[:, :, None])
@@ -314,9 +315,13 @@ def test_charts_of_one_colour_each_are_painted_unless_a_pattern_goes_on_over_the
 
 def test_a_pattern_goes_on_over_a_seam_whatever_gain_and_slope_a_side_has():
     random = np.random.default_rng(13)
-    first = np.stack([random.uniform(0.4, 0.6, 100) for _ in range(3)] + [np.full(100, 0.5)])
-    exposed, fallen_off, other, plain = 1.1 * first[0] + 0.05, first[1] + np.linspace(0, 0.3, 100), first[2][::-1], first[3]
-    sides = np.stack([first, [exposed, fallen_off, other, plain]], axis=2).reshape(400, 2, 1)
+    first = random.uniform(0.4, 0.6, (4, 100))
+    first[3] = 0.5
+    second = first.copy()
+    second[0] = 1.1 * first[0] + 0.05
+    second[1] += np.linspace(0, 0.3, 100)
+    second[2] = first[2, ::-1]
+    sides = np.stack([first, second], axis=2).reshape(400, 2, 1)
     seams = np.repeat(np.arange(4), 100)
     steps = steps_of(np.column_stack([seams, seams + 1]), sides, seams, 1 / 255)
     assert pattern_goes_on(steps).reshape(4, 100).all(axis=1).tolist() == [True, True, False, False]
