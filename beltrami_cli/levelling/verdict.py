@@ -3,6 +3,9 @@
 A fit can take out any step. But only if steps are of exposure does a fit to some seams also foretell the steps at the
 others, for each chart has several seams, and one exposure: each seam is foretold from the others. A seam that alone
 joins two parts of a surface is foretold from its other stretches, if the same pattern is on both of its sides.
+
+Charts that were painted in one colour each foretell their seams as well. But only under an exposure do colours go up
+and down alike on both sides of a seam: such seams must vouch for what is foretold, or else nearly all of it must fit.
 """
 
 from __future__ import annotations
@@ -41,6 +44,14 @@ _ENOUGH_OF_FEW, _LEAST_ERRORS, _TELLING = 0.25, 0.9, 0.18
 # Painted models have faint steps of which some is foretold, by shading that was painted too: unless most is, what is
 # foretold must be larger.
 _LEAST_REMOVED, _MOST = 3.2 / 255, 0.5
+# Colours of both sides, less their means over so many stretches, have at least this covariance and correlation along a
+# seam over which a pattern goes on.
+_RUN, _COVARIANCE, _CORRELATION = 8, (1.5 / 255) ** 2, 0.5
+_FEWEST_FREE = 1.5  # stretches of it, less its means
+# Of the length of seams so much must have a pattern, and so much of the energy there must be foretold.
+_LEAST_WITH_PATTERN, _VOUCHED = 0.1, 0.12
+# Without a pattern so much of the energy must be foretold, as of few exposures on a surface of few colours.
+_FLAT = 0.95
 
 
 @dataclass(frozen=True)
@@ -52,11 +63,14 @@ class Verdict:
     errors: float
     removed: float  # root mean square of what is foretold of the steps
     seams: int  # between different charts
+    is_vouched: bool  # by seams over which a pattern goes on
     left: Float64s = field(repr=False, compare=False)  # of their energy, for each seam
 
     @property
     def is_sure(self) -> bool:
         """Whether there are exposure steps."""
+        if not self.is_vouched and self.share < _FLAT:
+            return False
         is_large = self.removed >= _LEAST_REMOVED or self.share >= _MOST
         few = _ENOUGH_OF_FEW, max(_LEAST_ERRORS, _TELLING * np.sqrt(self.seams))
         return is_large and any(
@@ -66,7 +80,7 @@ class Verdict:
 
 def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
     """Choose the kind of exposure steps by cross-validation over the seams."""
-    groups, folds, is_told = _groups(steps), *_folds(steps)
+    groups, folds, is_told = _runs(steps, _STRETCHES), *_folds(steps)
 
     def tried(plain: tuple[float, ...], tilted: tuple[float, ...]) -> Verdict:
         first = _foretold(steps, plain, folds, groups, is_told, fixed)
@@ -120,12 +134,12 @@ def _continues(steps: Steps) -> Bools:
     return np.asarray(spread >= _PATTERN * steps.noise)
 
 
-def _groups(steps: Steps) -> Int64s:
-    """Divide stretches into groups of neighbours on a seam, with the same two charts, and return their numbers."""
+def _runs(steps: Steps, most: int) -> Int64s:
+    """Divide stretches into runs of neighbours on a seam, with the same two charts, and return their numbers."""
     keys = np.column_stack([steps.seams, steps.ends])
     starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)][: len(keys)])
     within = np.arange(len(keys)) - np.repeat(starts, np.diff(np.r_[starts, len(keys)]))
-    return np.cumsum(within % _STRETCHES == 0) - 1
+    return np.cumsum(within % most == 0) - 1
 
 
 def _foretold(
@@ -145,14 +159,45 @@ def _foretold(
     seam_of[groups] = steps.seams
     part = steps.counts * (may_be_exposure(steps) & is_told)
     before, left = (_energy(steps, sides, groups, part) for sides in (steps.colours, after))
+    is_vouched = _is_vouched(steps, groups, before, left)
     units = seam_of if len(np.unique(seam_of)) >= _FEWEST_SEAMS else np.arange(len(seam_of))
     each, kept = (np.bincount(units, energy).astype(np.float64) for energy in (before - left, left))
     seams = len(np.unique(steps.seams[steps.ends[:, 0] != steps.ends[:, 1]]))
     error, gained, total = float(np.sqrt(np.square(each).sum())), float(each.sum()), float(before.sum())
     if not total or not error:
-        return Verdict(spread, 0.0, 0.0, 0.0, seams, kept)
+        return Verdict(spread, 0.0, 0.0, 0.0, seams, False, kept)
     removed = float(np.sqrt(max(0.0, gained) / part.sum()))
-    return Verdict(spread, gained / total, gained / error, removed, seams, kept)
+    return Verdict(spread, gained / total, gained / error, removed, seams, is_vouched, kept)
+
+
+def _is_vouched(steps: Steps, groups: Int64s, before: Float64s, left: Float64s) -> bool:
+    """Return whether steps are foretold where a pattern goes on over the seam, too, of groups of stretches."""
+    between = steps.ends[:, 0] != steps.ends[:, 1]
+    goes_on = pattern_goes_on(steps) & between
+    if np.average(goes_on, weights=steps.counts * between) < _LEAST_WITH_PATTERN:
+        return False
+    with_pattern = np.zeros(len(before), bool)
+    with_pattern[groups[goes_on]] = True
+    return bool((before - left)[with_pattern].sum() > _VOUCHED * before[with_pattern].sum())
+
+
+def pattern_goes_on(steps: Steps) -> Bools:
+    """Return which stretches are of seams along which colours go up and down alike on both sides."""
+    back = (steps.ends[:, 0] > steps.ends[:, 1])[:, None, None]
+    sides = np.where(back, steps.colours[:, ::-1], steps.colours)
+    runs, (_, seam) = _runs(steps, _RUN), np.unique(steps.seams, return_inverse=True)
+    lengths = np.bincount(runs)
+    # Slopes of the colours, and of gains, make sides of a long seam go alike, or not, whatever is on them.
+    apart = sides.reshape(len(seam), -1)
+    apart = apart - (np.stack([np.bincount(runs, each) for each in apart.T]) / lengths)[:, runs].T
+    first, second = apart.reshape(sides.shape).transpose(1, 0, 2)
+    free = np.bincount(seam, 1 - 1 / lengths[runs])
+    both, *own = (
+        np.bincount(seam, np.mean(each, axis=1)) / np.maximum(free, 1)
+        for each in (first * second, np.square(first), np.square(second))
+    )
+    found = (both >= _COVARIANCE) & (both >= _CORRELATION * np.sqrt(own[0] * own[1]))
+    return np.asarray((found & (free > _FEWEST_FREE))[seam])
 
 
 def _energy(steps: Steps, sides: Float64s, groups: Int64s, counts: Float64s) -> Float64s:

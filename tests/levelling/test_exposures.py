@@ -14,7 +14,7 @@ from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts, f
 from beltrami_cli.levelling.fit import Exposures, fit_exposures, known_steps
 from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median, with_noise
-from beltrami_cli.levelling.verdict import STRONG, Verdict, bridges, judge
+from beltrami_cli.levelling.verdict import STRONG, Verdict, bridges, judge, pattern_goes_on
 from benchmarks.exposure_scene import ExposureScene, error, fall
 from cli.commands import SAMPLES
 
@@ -292,12 +292,48 @@ def test_painted_seams_and_gains_beyond_those_of_cameras_are_no_exposures(seams)
     assert found.facts.after == found.facts.before
 
 
+def painted_charts(pattern):
+    """Return seams of 8 x 8 charts of one colour each, which differ as exposures do, and of a line painted at some.
+
+    A pattern is painted over all of it.
+    """
+    steps, random = grid(np.ones(64)), np.random.default_rng(12)
+    own = random.uniform(-10, 10, 64) / 255
+    line = random.choice([-10, 0, 10], 112, p=[0.05, 0.9, 0.05]) / 255
+    colours = 0.4 + pattern * random.uniform(-1, 1, (len(steps.seams), 1))
+    sides = colours + own[steps.ends] + np.column_stack([0 * steps.seams, line[steps.seams]])
+    return replace(steps, colours=(sides + random.normal(0, 0.3 / 255, sides.shape))[:, :, None])
+
+
+@pytest.mark.slow
+def test_charts_of_one_colour_each_are_painted_unless_a_pattern_goes_on_over_their_seams():
+    plain, patterned = (find_exposures(painted_charts(pattern), 1.0) for pattern in (0.0, 0.05))
+    assert plain.verdict.share > 0.5  # as each chart has one colour at all of its seams
+    assert plain.exposures is None
+    assert patterned.exposures is not None
+
+
+def test_a_pattern_goes_on_over_a_seam_whatever_gain_and_slope_a_side_has():
+    random = np.random.default_rng(13)
+    first = random.uniform(0.4, 0.6, (4, 100))
+    first[3] = 0.5
+    second = first.copy()
+    second[0] = 1.1 * first[0] + 0.05
+    second[1] += np.linspace(0, 0.3, 100)
+    second[2] = first[2, ::-1]
+    sides = np.stack([first, second], axis=2).reshape(400, 2, 1)
+    seams = np.repeat(np.arange(4), 100)
+    steps = steps_of(np.column_stack([seams, seams + 1]), sides, seams, 1 / 255)
+    assert pattern_goes_on(steps).reshape(4, 100).all(axis=1).tolist() == [True, True, False, False]
+    assert not pattern_goes_on(steps)[200:].any()
+
+
 @pytest.mark.parametrize(
     ("share", "errors", "seams", "is_sure"),
     [(0.5, 1.5, 9, True), (0.5, 1.5, 120, False), (0.1, 3, 300, False), (0.1, 4.5, 300, True)],
 )
 def test_a_share_that_few_of_many_seams_foretell_is_not_enough(share, errors, seams, is_sure):
-    assert Verdict(STRONG, share, errors, 5 / 255, seams, np.zeros(0)).is_sure == is_sure
+    assert Verdict(STRONG, share, errors, 5 / 255, seams, True, np.zeros(0)).is_sure == is_sure
 
 
 def test_bridges_are_the_seams_without_which_a_part_is_alone():
