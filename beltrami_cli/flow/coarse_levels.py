@@ -68,12 +68,12 @@ def _impute_cut_off(manifold: Manifold) -> None:
         for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
             # What is beyond an edge is not near the limit, and does not count.
             near[:] = clipped.near_limit(own, variance)[0]
-            level[:], mark[:] = own[0] * near, clipped.marks(own)[0] * near
+            level[:], mark[:] = own[0] * near, clipped.marks(own, manifold.threads)[0] * near
         planes = manifold.spread(planes)
         for own, variance, means in in_blocks(0, channel, relative, planes):
             means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
-            clipped.restore(means[1:2], means[2:], variance[0])
-            clipped.impute(own, means[1:2], variance[0])
+            clipped.restore(means[1:2], means[2:], variance[0], manifold.threads)
+            clipped.impute(own, means[1:2], variance[0], manifold.threads)
     manifold.refresh(manifold.colours)
 
 

@@ -106,7 +106,7 @@ def blend_with_patches(
     disturbed = kernel(disturbed)
     if clipped is not None:
         for own, pilot, relative in in_blocks(axis, noisy, before, manifold.relative):
-            clipped.impute(own, pilot, relative[0])
+            clipped.impute(own, pilot, relative[0], manifold.threads)
     mixing = mixing_of(manifold, before, manifold.noise_covariance)
     second = with_pilot(mixing, manifold)
 
@@ -142,6 +142,8 @@ def _mix(
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
+    from beltrami_cli._native import blend
+
     axis, (colours, signs, size) = manifold.axis, noisy
     sums = manifold.planes(2)
     stacks = in_blocks(axis, colours, signs, *results, *responses, manifold.relative)
@@ -150,8 +152,8 @@ def _mix(
     weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
     stacks = in_blocks(axis, *results, *responses)
     for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
-        p += own[0] * (q - p)
-        near_p += own[0] * (near_q - near_p)
+        blend(p, q, own, manifold.threads)
+        blend(near_p, near_q, own, manifold.threads)
     return share, gain
 
 

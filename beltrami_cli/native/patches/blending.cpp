@@ -144,4 +144,13 @@ void blend_share_within(const Values& estimate, const BlendNoise& noise, std::si
   });
 }
 
+void blend(const Layout<float>& first, const Values& second, const Values& weight, std::size_t channels, std::size_t count,
+           unsigned threads) {
+  each_run(count, threads, [&](std::size_t begin, std::size_t size) {
+    for (std::size_t k = 0; k < channels; ++k)
+      for (std::size_t i = begin; i < begin + size; ++i)
+        first.at(k, i) += weight.at(0, i) * (second.at(k, i) - first.at(k, i));
+  });
+}
+
 }  // namespace beltrami::patches
