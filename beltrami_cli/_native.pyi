@@ -80,6 +80,7 @@ def impute_cut_off(
     threads: int,
 ) -> None: ...
 def convolve(planes: NDArray[np.float32], taps: NDArray[np.float32], threads: int) -> NDArray[np.float32]: ...
+def copy_planes(planes: NDArray[np.float32], copies: NDArray[np.float32], threads: int) -> None: ...
 def convolve_to(
     planes: NDArray[np.float32],
     taps: NDArray[np.float32],
@@ -246,6 +247,9 @@ def blend_share_within(
     noise: tuple[NDArray[np.float32], float, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     share: NDArray[np.float32],
     threads: int,
+) -> None: ...
+def add_multiple(
+    values: NDArray[np.float32], others: NDArray[np.float32] | NDArray[np.int8], factor: float, threads: int
 ) -> None: ...
 def blend(
     first: NDArray[np.float32], second: NDArray[np.float32], weight: NDArray[np.float32], threads: int

@@ -114,14 +114,21 @@ class GridKernels(Manifold):
             after, held = part._apply_kernel(before, _share(progress, block.start * columns, share))
             # The next block depends on what this one replaces, and on nothing above.
             if finished is not None:
-                _put(stacks, *finished)
+                self._put(stacks, *finished)
             finished, samples = (block, after[:, own]), samples + held
         if finished is not None:
-            _put(stacks, *finished)
+            self._put(stacks, *finished)
         large_arrays.leave_memory()
         for stack in stacks:
             refresh_halo(stack, self.atlas, self.threads)
         return Averaged(stacks, samples)
+
+    def _put(self, stacks: Sequence[Float32s], rows: slice, planes: Float32s) -> None:
+        """Replace rows of stacks by those of planes, in place."""
+        from beltrami_cli._native import copy_planes
+
+        for stack, own in zip(stacks, _split(planes, stacks), strict=True):
+            copy_planes(own, stack[:, rows], self.threads)
 
     def _apply_kernel(
         self, stacks: Sequence[Float32s], progress: Callable[[int], None] | None
@@ -228,12 +235,6 @@ def scheme_of(parameters: KernelParameters) -> str:
     if parameters.scheme == "metric":
         return "metric"
     return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
-
-
-def _put(stacks: Sequence[Float32s], rows: slice, planes: Float32s) -> None:
-    """Replace rows of stacks by those of planes, in place."""
-    for stack, own in zip(stacks, _split(planes, stacks), strict=True):
-        stack[:, rows] = own
 
 
 def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:

@@ -196,7 +196,7 @@ class GridManifold(GridKernels):
 
     def take(self, stack: Float32s, samples: Int64s) -> Float32s:
         """Return the channels of some cells, by their flat indices, with a row a cell."""
-        return stack.reshape(len(stack), -1)[:, samples].T
+        return colours_at(stack, samples, self.threads)
 
     def values(self) -> Float32s:
         """Return the colours of the owned cells as they are now, shape (T, N)."""

@@ -102,7 +102,7 @@ def blend_with_patches(
     signs = manifold.perturbation()
     size = np.float32(_PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
-    _add(axis, disturbed, signs, size)
+    _add(axis, disturbed, signs, size, manifold.threads)
     disturbed = kernel(disturbed)
     if clipped is not None:
         for own, pilot, relative in in_blocks(axis, noisy, before, manifold.relative):
@@ -118,7 +118,7 @@ def blend_with_patches(
         return manifold.collaborate(colours, first, second, stage(_SECOND))
 
     after = estimate(noisy, before)
-    with _added(axis, noisy, signs, size):
+    with _added(axis, noisy, signs, size, manifold.threads):
         response = estimate(noisy, disturbed)
     # What is smoother counts less or more, as in the choice of parameters.
     counted = np.sqrt(SMOOTHNESS[manifold.parameters.strength])
@@ -181,7 +181,7 @@ def _means(
     """Take means of noisy colours, and compare them with the first of both results; the second is lost."""
     axis, (colours, signs, size), (before, memory) = manifold.axis, noisy, results
     means = level.means(colours)
-    with _added(axis, colours, signs, size):
+    with _added(axis, colours, signs, size, manifold.threads):
         probe = level.means(colours) - means
     for z, p, own, relative in in_blocks(axis, colours, before, memory, manifold.relative):
         model.write_residual(z, p, relative, own)
@@ -207,7 +207,7 @@ def _improve_means(
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
     (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
     q = level.collaborate(noisy.colours, p, mixing)
-    with _added(axis, noisy.colours, noisy.probe, np.float32(1)):
+    with _added(axis, noisy.colours, noisy.probe, np.float32(1), model.threads):
         near_q = level.collaborate(noisy.colours, near_p, mixing)
     differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
     stacks = in_blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
@@ -231,7 +231,7 @@ class _Model:
     """What the noise of channels does to the sums."""
 
     def __init__(self, sigma: Float64s, clipped: ClippedChannels | None, threads: int) -> None:
-        self._threads = threads
+        self.threads = threads
         self._variances = np.square(sigma, dtype=np.float32)
         self.variance = float(np.mean(np.square(sigma)))
         own = np.zeros((len(sigma), 4), np.float32)
@@ -245,13 +245,13 @@ class _Model:
         """Write the share of noisy colours that are not cut off on average, by an estimate of them."""
         from beltrami_cli._native import blend_share_within
 
-        blend_share_within(estimate, (*self._noise, relative), to, self._threads)
+        blend_share_within(estimate, (*self._noise, relative), to, self.threads)
 
     def write_residual(self, noisy: Float32s, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
         """Write what was observed, less what noisy colours are on average by an estimate of them."""
         from beltrami_cli._native import blend_residual
 
-        blend_residual(noisy, estimate, (*self._noise, relative), to, self._threads)
+        blend_residual(noisy, estimate, (*self._noise, relative), to, self.threads)
 
     def write_terms(
         self,
@@ -267,7 +267,7 @@ class _Model:
         """
         from beltrami_cli._native import blend_terms
 
-        blend_terms(noisy, probe, estimates, (*self._noise, relative), to, self._threads)
+        blend_terms(noisy, probe, estimates, (*self._noise, relative), to, self.threads)
 
     def terms(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
@@ -334,17 +334,19 @@ def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
 
 
 @contextlib.contextmanager
-def _added(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
+def _added(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: int) -> Iterator[None]:
     """Have multiples of the signs in a stack within this context."""
-    _add(axis, stack, signs, size)
+    _add(axis, stack, signs, size, threads)
     yield
-    _add(axis, stack, signs, -size)
+    _add(axis, stack, signs, -size, threads)
 
 
-def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
+def _add(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: int) -> None:
     """Add multiples of the signs to a stack, in place."""
+    from beltrami_cli._native import add_multiple
+
     for own, sign in in_blocks(axis, stack, signs):
-        own += size * sign
+        add_multiple(own, sign, float(size), threads)
 
 
 def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:

@@ -113,6 +113,16 @@ std::vector<Value*> planes_in(const Stack& stack) {
   return planes;
 }
 
+// See copy_planes.
+void copy_bands(const Bands& planes, const OpenBands& copies, unsigned threads) {
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if (planes.shape(axis) != copies.shape(axis)) throw nb::value_error("both must have one shape");
+  const auto from = planes_in<const float>(planes);
+  const auto to = planes_in<float>(copies);
+  const nb::gil_scoped_release unlock;
+  copy_planes({from.data(), from.size()}, planes.shape(1) * planes.shape(2), to.data(), threads);
+}
+
 // See convolve; `result` gets the rows from `first` on.
 void convolve_to(const Bands& planes, const Vector<float>& taps, std::size_t first, const std::optional<Cells>& kind,
                  const OpenBands& result, unsigned threads) {
@@ -249,6 +259,7 @@ void bind_grid(nb::module_& module) {
   module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
   module.def("convolve_to", &convolve_to, "planes"_a, "taps"_a, "first"_a, "kind"_a.none(), "result"_a.noconvert(), "threads"_a);
+  module.def("copy_planes", &copy_bands, "planes"_a, "copies"_a.noconvert(), "threads"_a);
   module.attr("HAAR_TILE_SIDE") = tile_side;
   module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
   module.def("sort_squares", &sort_squares_of, "kind"_a, "side"_a);

@@ -185,6 +185,16 @@ void blend_stacks(const Channels<float>& first, const Channels<const float>& sec
   blend(to, other, own, channels, count, threads);
 }
 
+// See add_multiple.
+template <class Value>
+void add_multiple_to(const Channels<float>& values, const Channels<const Value>& others, float factor, unsigned threads) {
+  const std::size_t channels = values.shape(0), count = samples_of(values);
+  const Layout<float> to = layout_of(values, channels, count);
+  const Layout<const Value> from = layout_of(others, channels, count);
+  const nb::gil_scoped_release unlock;
+  add_multiple(to, from, factor, channels, count, threads);
+}
+
 }  // namespace
 
 void bind_patches(nb::module_& module) {
@@ -195,6 +205,9 @@ void bind_patches(nb::module_& module) {
   module.def("blend_residual", &write_blend_residual, "noisy"_a, "estimate"_a, "noise"_a, "residual"_a.noconvert(),
              "threads"_a);
   module.def("blend_share_within", &write_blend_share_within, "estimate"_a, "noise"_a, "share"_a.noconvert(), "threads"_a);
+  module.def("add_multiple", &add_multiple_to<float>, "values"_a.noconvert(), "others"_a.noconvert(), "factor"_a, "threads"_a);
+  module.def("add_multiple", &add_multiple_to<std::int8_t>, "values"_a.noconvert(), "others"_a.noconvert(), "factor"_a,
+             "threads"_a);
   module.def("blend", &blend_stacks, "first"_a.noconvert(), "second"_a, "weight"_a, "threads"_a);
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());

@@ -8,6 +8,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 namespace beltrami::grid {
 
@@ -41,6 +42,14 @@ struct Planes {
   std::size_t channels = 0;
   const float* operator[](std::size_t channel) const { return data[channel]; }
 };
+
+// The planes that lie one behind the other.
+template <class Value>
+std::vector<Value*> planes_of(Value* values, const Grid& grid, std::size_t channels) {
+  std::vector<Value*> planes;
+  for (std::size_t k = 0; k < channels; ++k) planes.push_back(values + k * grid.cells());
+  return planes;
+}
 
 struct Offset {
   int x, y;

@@ -44,7 +44,7 @@ std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours,
   const auto statistics =
       triangulated::smooth(stencils, {rows.data(), colours.channels}, shares.empty() ? nullptr : shares.data(), kernel,
                            result.data(), threads, cell_poll, selection);
-  copy_all(grid, colours, smoothed, threads);
+  copy_planes(colours, grid.cells(), planes_of(smoothed, grid, colours.channels).data(), threads);
   for (std::size_t i = 0; i < count; ++i)
     if (wanted[i])
       for (std::size_t channel = 0; channel < colours.channels; ++channel)

@@ -49,8 +49,8 @@ struct SweepParameters {
   float beta;       // lengths per unit of colour
 };
 
-// Copies planes one behind the other.
-void copy_all(const Grid& grid, Planes planes, float* copy, unsigned threads);
+// Copies planes of some cells to others.
+void copy_planes(const Planes& planes, std::size_t cells, float* const* copies, unsigned threads);
 
 // Distances come from `metric` colours, averages are taken over `colours`; both have grid.cells() values a plane.
 // Writes the owned cells of `smoothed` (planes as in colours, one behind the other) and copies the others. Returns the sum over owned cells of how

@@ -49,6 +49,11 @@ void blend_residual(const Values& noisy, const Values& estimate, const BlendNois
 void blend_share_within(const Values& estimate, const BlendNoise& noise, std::size_t count, const Layout<float>& share,
                         unsigned threads);
 
+// Adds a multiple of some values to others.
+template <class Value>
+void add_multiple(const Layout<float>& values, const Layout<const Value>& others, float factor, std::size_t channels,
+                  std::size_t count, unsigned threads);
+
 // Adds to the first of two estimates its weight of their difference; `weight`: one channel.
 void blend(const Layout<float>& first, const Values& second, const Values& weight, std::size_t channels, std::size_t count,
            unsigned threads);
