@@ -18,10 +18,10 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.domain import CoarseLevel
+from beltrami_cli.flow.domain import CoarseLevel, in_blocks
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
-from beltrami_cli.flow.patches import in_blocks, mixing_of, with_pilot
+from beltrami_cli.flow.patches import mixing_of, with_pilot
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
 # the share that they leave, and at the coarsest level all.

@@ -31,7 +31,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.domain import CoarseLevel, Domain
+from beltrami_cli.flow.domain import CoarseLevel, Domain, in_blocks
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise.by_level import OPPONENTS
 from beltrami_cli.flow.parameters import SMOOTHNESS
@@ -75,9 +75,6 @@ _LEAST_WITHIN, _ENOUGH_WITHIN = 0.64, 0.84
 # How many iterations of the kernel both steps of an estimate take as long as.
 _FIRST, _SECOND = 6, 20
 PASSES = _FIRST + _SECOND
-
-# Values that are worked on at a time.
-_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -347,11 +344,3 @@ def _add(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: in
 
     for own, sign in in_blocks(axis, stack, signs):
         add_multiple(own, sign, float(size), threads)
-
-
-def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
-    """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
-    whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
-    size = max(1, _AT_ONCE // max(1, whole[0][0, :1].size))
-    for rows in large_arrays.blocks(whole[0].shape[1], size):
-        yield tuple(stack[:, rows] for stack in whole)

@@ -112,7 +112,9 @@ def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, B
             yield index, inside, texels[inside] - begin
 
 
-def refresh_halo(planes: Float32s | Int8s, atlas: Atlas, threads: int = 1, *, interpolated: bool = False) -> None:
+def refresh_halo(
+    planes: Float32s | Int8s, atlas: Atlas, threads: int = 1, *, interpolated: bool = False
+) -> None:
     """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
     # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
     # and beside an edge it is a colour that neither side has, over which kernels find their way across.

@@ -149,7 +149,8 @@ class RiskEstimate:
         for weights, colours in zip(self._weights, state.perturbed, strict=True):
             divergence += weights * (self._trial.scored(colours) - smoothed)
         misfit = (np.square(smoothed - self._noisy) - self._variance) * self._counts
-        each = (misfit + divergence).mean(axis=1)
+        # A mean along so short an axis takes three times as long.
+        each = np.einsum("sn->s", misfit + divergence) / misfit.shape[1]
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
         return Risk(float(each.mean()), error, float(divergence.mean()))
