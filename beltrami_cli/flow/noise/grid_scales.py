@@ -194,7 +194,7 @@ def sums_of_tiles(values: Float32s | Bools, side: int) -> Float64s:
     rows, columns = (size // side for size in values.shape)
     whole = values[: rows * side, : columns * side].reshape(rows, side, columns, side)
     # Along both axes at once, the sum takes four times as long.
-    return np.einsum("rck->rc", whole.sum(axis=1, dtype=np.float64))
+    return np.asarray(np.einsum("rck->rc", whole.sum(axis=1, dtype=np.float64)), np.float64)
 
 
 def _some_rows(count: int, columns: int) -> slice | NDArray[np.intp]:
