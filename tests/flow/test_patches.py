@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
-from beltrami_cli import _native, smooth, smooth_image
+from beltrami_cli import SmoothSettings, _native, smooth, smooth_file, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
 from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
+from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from flow.split_surfaces import (
     FIXED,
@@ -37,6 +41,7 @@ LEVELS = [0.0, 0.02, 0.1, 0.5, 0.93, 1.0]
 ON = {**FIXED, "patches": "on"}
 RANDOM = np.random.default_rng(7)
 SMALL_MESH = wavy_surface(40)
+TORUS_TWO = Path(__file__).parents[2] / "sample_data" / "torus-two-clean.gltf"
 
 
 def cut_off_samples(level, count=200_000):
@@ -238,6 +243,21 @@ def test_plain_areas_are_averaged_over_many_samples(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_a_plain_texture_loses_little_by_the_patterned_one_beside_it(tmp_path):
+    clean, noisy = TORUS_TWO, tmp_path / "noisy.gltf"
+    noise_file(clean, noisy, NoiseSettings(sigma=10 / 255))
+    found = {}
+    for taken in ("off", "on"):
+        target = tmp_path / taken / "smooth.gltf"
+        target.parent.mkdir()
+        smooth_file(noisy, target, SmoothSettings(parameters_with({"patches": taken, "threads": 1})))
+        found[taken] = {part["name"]: part["psnr"] for part in compare_files(clean, target).parts}
+    gains = {name.split("-")[-1]: found["on"][name] - psnr for name, psnr in found["off"].items()}
+    assert gains["icing.png"] > -0.1
+    assert gains["dough.png"] > 1
+
+
 def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
     shares = []
     for clean in (photograph(64), flat_paint(64)):
