@@ -253,7 +253,8 @@ class GridManifold(GridKernels):
         """Sum planes over the owned cells."""
         kind, total = self.atlas.kind, np.zeros(len(planes))
         for rows in large_arrays.blocks(len(kind), _ROWS):
-            total += (planes[:, rows] * (kind[rows] == OWNED)).sum(axis=(1, 2), dtype=np.float64)
+            own = np.where(kind[rows] == OWNED, planes[:, rows], np.float32(0))
+            total += own.sum(axis=(1, 2), dtype=np.float64)
         return total
 
     def spread(self, planes: Float32s) -> Float32s:
