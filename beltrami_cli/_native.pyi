@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypedDict
 
 import numpy as np
@@ -51,9 +51,44 @@ def store_colours(
     channels: NDArray[np.int32],
     threads: int,
 ) -> tuple[int, int, int]: ...
+def copy_cells(
+    planes: NDArray[np.float32] | NDArray[np.int8], cells: Indices, sources: Indices, threads: int
+) -> None: ...
 def find_limits(colours: NDArray[np.float32]) -> list[tuple[float, float, int, int]]: ...
 def interpolate(places: NDArray[np.float32], at: NDArray[np.float64], table: NDArray[np.float64]) -> None: ...
+def mark_cut_off(
+    colours: NDArray[np.float32], cut_off: tuple[float, bool, bool], marks: NDArray[np.float32], threads: int
+) -> None: ...
+def restore_cut_off(
+    averages: NDArray[np.float32],
+    share: NDArray[np.float32],
+    cut_off: tuple[float, bool, bool],
+    trusted: float,
+    at: NDArray[np.float64],
+    alpha: NDArray[np.float64],
+    gap: NDArray[np.float64],
+    relative: NDArray[np.float32],
+    threads: int,
+) -> None: ...
+def impute_cut_off(
+    colours: NDArray[np.float32],
+    estimate: NDArray[np.float32],
+    cut_off: tuple[float, bool, bool],
+    at: NDArray[np.float64],
+    beyond: NDArray[np.float64],
+    relative: NDArray[np.float32],
+    threads: int,
+) -> None: ...
 def convolve(planes: NDArray[np.float32], taps: NDArray[np.float32], threads: int) -> NDArray[np.float32]: ...
+def copy_planes(planes: NDArray[np.float32], copies: NDArray[np.float32], threads: int) -> None: ...
+def convolve_to(
+    planes: NDArray[np.float32],
+    taps: NDArray[np.float32],
+    first: int,
+    kind: NDArray[np.uint8] | None,
+    result: NDArray[np.float32],
+    threads: int,
+) -> None: ...
 def sort_squares(kind: NDArray[np.uint8], side: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]: ...
 def means_of_squares(
     kind: NDArray[np.uint8], kinds: NDArray[np.uint8], planes: NDArray[np.float32], side: int, threads: int
@@ -165,11 +200,11 @@ def halo_repeats(
 ) -> NDArray[np.uint8]: ...
 def smooth_grid(
     kind: NDArray[np.uint8],
-    squared_lengths: NDArray[np.float32],
+    squared_lengths: Iterable[NDArray[np.float32]],
     scale: NDArray[np.float32] | None,
     repeats: NDArray[np.uint8] | None,
-    metric: NDArray[np.float32],
-    colours: NDArray[np.float32],
+    metric: Iterable[NDArray[np.float32]],
+    colours: Iterable[NDArray[np.float32]],
     beta: float,
     time_step: float,
     radius: float,
@@ -180,9 +215,9 @@ def smooth_grid(
 ) -> tuple[NDArray[np.float32], int]: ...
 def grid_distances(
     kind: NDArray[np.uint8],
-    squared_lengths: NDArray[np.float32],
+    squared_lengths: Iterable[NDArray[np.float32]],
     scale: NDArray[np.float32] | None,
-    metric: NDArray[np.float32],
+    metric: Iterable[NDArray[np.float32]],
     beta: float,
     radius: float,
     window_radius: int,
@@ -212,6 +247,12 @@ def blend_share_within(
     noise: tuple[NDArray[np.float32], float, NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     share: NDArray[np.float32],
     threads: int,
+) -> None: ...
+def add_multiple(
+    values: NDArray[np.float32], others: NDArray[np.float32] | NDArray[np.int8], factor: float, threads: int
+) -> None: ...
+def blend(
+    first: NDArray[np.float32], second: NDArray[np.float32], weight: NDArray[np.float32], threads: int
 ) -> None: ...
 def collaborate_on_grid(
     kind: NDArray[np.uint8],

@@ -43,7 +43,7 @@ def painted_by(
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
     for block in large_arrays.blocks(len(atlas.owned_cells), _BLOCK):
         scatter_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
-    refresh_halo(planes, atlas)
+    refresh_halo(planes, atlas, threads)
     return planes
 
 

@@ -90,7 +90,7 @@ class Squares(CoarseLevel):
                 part = plane[None, self._cells(around)].copy()
                 add_enlarged(kind, kinds, change[:, around], part, self._side, threads)
                 plane[cells] = part[0, cells.start - first : cells.stop - first]
-        refresh_halo(stack, atlas)
+        refresh_halo(stack, atlas, threads)
 
     def planes(self, count: int) -> Float32s:
         """Return planes of zeros."""

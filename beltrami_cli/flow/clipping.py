@@ -65,48 +65,40 @@ class ClippedChannels:
 
     def near_limit(self, channel: Float32s, relative: Float32s) -> Bools:
         """Mark samples of the only channel, shape (1, ...), that noise may have moved to the limit."""
-        reach = np.float32(_NEAR) * self._sigma_at(0, relative, channel.shape)
+        reach = np.float32(_NEAR) * (np.float32(self.sigma[0]) * np.sqrt(relative))
         return channel < reach if self.low[0] else channel > 1 - reach
 
-    def marks(self, channels: Float32s) -> Float32s:
+    def marks(self, channels: Float32s, threads: int = 1) -> Float32s:
         """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""
+        from beltrami_cli._native import mark_cut_off
+
         # Both limits share one plane, because no average holds many samples of either at once.
-        found = np.zeros((len(self.clipped), *channels.shape[1:]), np.float32)
-        for mark, k in zip(found, self.clipped, strict=True):
-            if self.high[k]:
-                mark[channels[k] >= 1] = 1
-            if self.low[k]:
-                mark[channels[k] <= 0] = -1
+        found = np.empty((len(self.clipped), *channels.shape[1:]), np.float32)
+        for mark, k in enumerate(self.clipped):
+            mark_cut_off(channels[k : k + 1], self._cut_off(k), found[mark : mark + 1], threads)
         return found
 
-    def restore(self, channels: Float32s, marks: Float32s, relative: Float32s) -> None:
+    def restore(self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1) -> None:
         """Turn averages of clipped colours, in place, into estimates of the noise-free colours."""
-        for share, k in zip(marks, self.clipped, strict=True):
-            sigma = self._sigma_at(k, relative, share.shape) * np.float32(_TRUSTED)
-            high, low = share > 0, share < 0
-            mean = channels[k][high]
-            raised = mean + _towards_limit(1 - mean, share[high], sigma[high])
-            channels[k][high] = np.minimum(raised, np.maximum(mean, 1))
-            mean = channels[k][low]
-            lowered = mean - _towards_limit(mean, -share[low], sigma[low])
-            channels[k][low] = np.maximum(lowered, np.minimum(mean, 0))
+        from beltrami_cli._native import restore_cut_off
 
-    def _sigma_at(self, k: int, relative: Float32s, shape: tuple[int, ...]) -> Float32s:
-        """Return the noise of a channel at each sample; `relative`: see `Manifold`."""
-        return np.broadcast_to(np.float32(self.sigma[k]) * np.sqrt(relative), shape)
+        table, relative = _censored_normal(), np.broadcast_to(relative, (1, *channels.shape[1:]))
+        tables = table.share, table.alpha, table.gap
+        for mark, k in enumerate(self.clipped):
+            own, share = channels[k : k + 1], marks[mark : mark + 1]
+            restore_cut_off(own, share, self._cut_off(k), _TRUSTED, *tables, relative, threads)
 
-    def impute(self, channels: Float32s, pilot: Float32s, relative: Float32s) -> None:
+    def impute(self, channels: Float32s, pilot: Float32s, relative: Float32s, threads: int = 1) -> None:
         """Replace samples at a limit, in place, by what noise beyond it would be on average around the pilot."""
-        tables = normal_tables()
+        from beltrami_cli._native import impute_cut_off
+
+        tables, relative = normal_tables(), np.broadcast_to(relative, (1, *channels.shape[1:]))
         for k in self.clipped:
-            own, around = channels[k], pilot[k]
-            sigma = self._sigma_at(k, relative, own.shape)
-            if self.high[k]:
-                at = own >= 1
-                own[at] = around[at] + sigma[at] * tables.mean_beyond((1 - around[at]) / sigma[at])
-            if self.low[k]:
-                at = own <= 0
-                own[at] = around[at] - sigma[at] * tables.mean_beyond(around[at] / sigma[at])
+            own, around = channels[k : k + 1], pilot[k : k + 1]
+            impute_cut_off(own, around, self._cut_off(k), tables.limits, tables.beyond, relative, threads)
+
+    def _cut_off(self, k: int) -> tuple[float, bool, bool]:
+        return float(self.sigma[k]), self.low[k], self.high[k]
 
 
 def find_clipped(colours: Float32s, sigma: Float64s) -> ClippedChannels | None:
@@ -160,18 +152,6 @@ def variance_of_clipped(share: Float64s) -> Float64s:
     return variance
 
 
-def _towards_limit(gap: Float32s, share: Float32s, sigma: Float32s) -> Float32s:
-    """Return how much closer to a limit the true value is than the average."""
-    table = _censored_normal()
-    # The share of a true colour within the limits is at most one half.
-    share = np.minimum(share, np.float32(0.5))
-    alpha = _interpolated(share, table.share, table.alpha)
-    gap_of_one = _interpolated(share, table.share, table.gap)
-    local = np.minimum(gap / gap_of_one, sigma)
-    closer: Float32s = local * (gap_of_one - alpha)
-    return np.maximum(closer, 0)
-
-
 @dataclass(frozen=True)
 class _CensoredNormal:
     """Statistics of a normal variable with sigma = 1, censored at a limit, by the share of samples at the limit."""
@@ -198,15 +178,6 @@ def _censored_normal() -> _CensoredNormal:
     return _CensoredNormal(share, alpha, gap, variance)
 
 
-def _interpolated(places: Float32s, at: Float64s, table: Float64s) -> Float32s:
-    """Interpolate a table linearly; `at`: ascending in even steps."""
-    from beltrami_cli._native import interpolate
-
-    values = np.ravel(places).astype(np.float32)
-    interpolate(values, at, table)
-    return values.reshape(places.shape)
-
-
 @dataclass(frozen=True)
 class NormalTables:
     """Of a normal variable z with sigma = 1: functions of a limit a, from `-furthest` to `furthest` in even steps."""
@@ -216,18 +187,22 @@ class NormalTables:
     share: Float32s  # P(z > a)
     beyond: Float64s  # E[z | z > a]
 
-    def mean_beyond(self, a: Float32s) -> Float32s:
-        """Interpolate E[z | z > a]."""
-        return self._at(a, self.beyond)
+    @property
+    def limits(self) -> Float64s:
+        """The limits that all tables go over."""
+        return np.linspace(-self.furthest, self.furthest, len(self.lost))
 
     def lost_to_limits(self, colours: Float32s, sigma: float) -> Float32s:
         """Return by how much colours are larger than the mean of what noise leaves of them between 0 and 1."""
-        low, high = (self._at(gap / np.float32(sigma), self.lost) for gap in (colours, 1 - colours))
+        low, high = (self._lost_at(gap / np.float32(sigma)) for gap in (colours, 1 - colours))
         return (high - low) * np.float32(sigma)
 
-    def _at(self, a: Float32s, table: Float32s | Float64s) -> Float32s:
-        places = np.linspace(-self.furthest, self.furthest, len(table))
-        return _interpolated(a, places, table.astype(np.float64))
+    def _lost_at(self, a: Float32s) -> Float32s:
+        from beltrami_cli._native import interpolate
+
+        values = np.ravel(a).astype(np.float32)
+        interpolate(values, self.limits, self.lost.astype(np.float64))
+        return values.reshape(a.shape)
 
 
 @cache

@@ -22,10 +22,10 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.domain import CoarseLevel
+from beltrami_cli.flow.domain import CoarseLevel, in_blocks
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
-from beltrami_cli.flow.patches import in_blocks, mixing_of, with_pilot
+from beltrami_cli.flow.patches import mixing_of, with_pilot
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
 # the share that they leave, and at the coarsest level all.
@@ -78,12 +78,12 @@ def _impute_cut_off(manifold: Manifold) -> None:
         for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
             # What is beyond an edge is not near the limit, and does not count.
             near[:] = clipped.near_limit(own, variance)[0]
-            level[:], mark[:] = own[0] * near, clipped.marks(own)[0] * near
+            level[:], mark[:] = own[0] * near, clipped.marks(own, manifold.threads)[0] * near
         planes = manifold.spread(planes)
         for own, variance, means in in_blocks(0, channel, relative, planes):
             means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
-            clipped.restore(means[1:2], means[2:], variance[0])
-            clipped.impute(own, means[1:2], variance[0])
+            clipped.restore(means[1:2], means[2:], variance[0], manifold.threads)
+            clipped.impute(own, means[1:2], variance[0], manifold.threads)
     manifold.refresh(manifold.colours)
 
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import ClassVar
 
-from beltrami_cli.arrays import Float32s, Float64s
+import numpy as np
+
+from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.records import Mixing
+from beltrami_cli.surface import large_arrays
 
 Stack = Float32s
+
+# Values that are worked on at a time.
+_AT_ONCE = 1 << 16
 
 
 class Domain(ABC):
@@ -61,3 +68,11 @@ class CoarseLevel(Domain):
     @abstractmethod
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of means to a stack, in place."""
+
+
+def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
+    """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
+    whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
+    size = max(1, _AT_ONCE // max(1, whole[0][0, :1].size))
+    for rows in large_arrays.blocks(whole[0].shape[1], size):
+        yield tuple(stack[:, rows] for stack in whole)

@@ -97,43 +97,48 @@ class GridKernels(Manifold):
         """Average the channels by eq. (9): in place, unless all is one block."""
         blocks = self.row_blocks
         if len(blocks) < 2:
-            channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks)
-            after, samples = self._apply_kernel(channels, progress)
-            refresh_halo(after, self.atlas)
+            after, samples = self._apply_kernel(stacks, progress)
+            refresh_halo(after, self.atlas, self.threads)
             return Averaged(_split(after, stacks), samples)
         rows, columns = self.atlas.kind.shape
-        samples, above = 0, np.zeros((sum(map(len, stacks)), 0, columns), np.float32)
+        samples, finished = 0, None
         for block in blocks:
             large_arrays.leave_memory()
-            top, bottom = block.start, block.stop
-            last = min(rows, bottom + self.margin)
-            # What lies above was overwritten by the block before.
-            first = top - above.shape[1]
-            before = np.empty((len(above), last - first, columns), np.float32)
-            before[:, : top - first] = above
-            for own, stack in zip(_split(before, stacks), stacks, strict=True):
-                own[:, top - first :] = stack[:, top:last]
-            inside = np.zeros((before.shape[1], 1), bool)
-            inside[top - first : bottom - first] = True
-            part = self.cut(slice(first, last), inside)
-            share = (bottom - top) / before.shape[1]
-            after, held = part._apply_kernel(before, _share(progress, top * columns, share))
-            above = before[:, max(0, bottom - self.margin - first) : bottom - first].copy()
-            del before, part
-            for stack, new in zip(stacks, _split(after, stacks), strict=True):
-                stack[:, block] = new[:, top - first : bottom - first]
-            samples += held
+            around = slice(max(0, block.start - self.margin), min(rows, block.stop + self.margin))
+            own = slice(block.start - around.start, block.stop - around.start)
+            inside = np.zeros((around.stop - around.start, 1), bool)
+            inside[own] = True
+            part = self.cut(around, inside)
+            share = (block.stop - block.start) / len(inside)
+            before = [stack[:, around] for stack in stacks]
+            after, held = part._apply_kernel(before, _share(progress, block.start * columns, share))
+            # The next block depends on what this one replaces, and on nothing above.
+            if finished is not None:
+                self._put(stacks, *finished)
+            finished, samples = (block, after[:, own]), samples + held
+        if finished is not None:
+            self._put(stacks, *finished)
         large_arrays.leave_memory()
         for stack in stacks:
-            refresh_halo(stack, self.atlas)
+            refresh_halo(stack, self.atlas, self.threads)
         return Averaged(stacks, samples)
 
-    def _apply_kernel(self, planes: Float32s, progress: Callable[[int], None] | None) -> tuple[Float32s, int]:
-        """Average planes at once; return them, and the samples held."""
+    def _put(self, stacks: Sequence[Float32s], rows: slice, planes: Float32s) -> None:
+        """Replace rows of stacks by those of planes, in place."""
+        from beltrami_cli._native import copy_planes
+
+        for stack, own in zip(stacks, _split(planes, stacks), strict=True):
+            copy_planes(own, stack[:, rows], self.threads)
+
+    def _apply_kernel(
+        self, stacks: Sequence[Float32s], progress: Callable[[int], None] | None
+    ) -> tuple[Float32s, int]:
+        """Average stacks, of which the first holds the colours, at once; return the samples held, too."""
         from beltrami_cli._native import smooth_grid
 
         own = at_step(self.parameters, self._step)
-        distances, beta = self.channels(planes[: self._count], self._step)
+        distances, beta = self.channels(stacks[0][: self._count], self._step)
+        planes = [plane for stack in stacks for plane in stack]
         return smooth_grid(
             self.atlas.kind, self.atlas.squared_lengths, self.scale, self.repeats, distances, planes, beta, own.t,
             own.radius, own.window // 2, scheme_of(own), self.threads, progress,
@@ -146,7 +151,7 @@ class GridKernels(Manifold):
         part.colours, part._in_one_block = self.colours[:0], True
         kind = self.pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
-        lengths = np.ascontiguousarray(self.pick(self.atlas.squared_lengths, samples))
+        lengths = self.pick(self.atlas.squared_lengths, samples)
         part.atlas = dataclasses.replace(self.atlas, kind=kind, squared_lengths=lengths)
         part.size = kind.size
         part.scale = None if self.scale is None else self.pick(self.scale, samples)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -150,7 +150,7 @@ class GridManifold(GridKernels):
 
     def refresh(self, stack: Stack) -> None:
         """Give the halo the colours of the cells that it shows."""
-        refresh_halo(stack, self.atlas)
+        refresh_halo(stack, self.atlas, self.threads)
 
     def partitions(
         self, count: int, widening: int, steps: Sequence[Step], channels: int
@@ -199,11 +199,11 @@ class GridManifold(GridKernels):
         for plane, channel in zip(planes, rows.T, strict=True):
             plane[self.atlas.owned_cells] = channel
         for stack in stacks:
-            refresh_halo(stack, self.atlas)
+            refresh_halo(stack, self.atlas, self.threads)
 
     def take(self, stack: Float32s, samples: Int64s) -> Float32s:
         """Return the channels of some cells, by their flat indices, with a row a cell."""
-        return stack.reshape(len(stack), -1)[:, samples].T
+        return colours_at(stack, samples, self.threads)
 
     def values(self) -> Float32s:
         """Return the colours of the owned cells as they are now, shape (T, N)."""
@@ -221,17 +221,21 @@ class GridManifold(GridKernels):
         """Return the marks of the cells at a limit, shape (M, R, C)."""
         kind = self.atlas.kind
         marks = large_arrays.empty((len(clipped.clipped), *kind.shape), np.float32)
-        for rows in large_arrays.blocks(len(kind), _ROWS):
-            marks[:, rows] = np.where(
-                kind[rows] == EMPTY, np.float32(0), clipped.marks(self.colours[:, rows])
-            )
-        refresh_halo(marks, self.atlas)
+        for rows in self._blocks():
+            marks[:, rows] = clipped.marks(self.colours[:, rows], self.threads)
+            np.copyto(marks[:, rows], 0, where=kind[rows] == EMPTY)
+        refresh_halo(marks, self.atlas, self.threads)
         return marks
 
     def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
-        for rows in large_arrays.blocks(len(self.atlas.kind), _ROWS):
-            clipped.restore(colours[:, rows], marks[:, rows], self.relative[0, rows])
+        for rows in self._blocks():
+            clipped.restore(colours[:, rows], marks[:, rows], self.relative[0, rows], self.threads)
+
+    def _blocks(self) -> Iterator[slice]:
+        """Go through the rows in blocks of `large_arrays.BLOCK` cells."""
+        rows, columns = self.atlas.kind.shape
+        return large_arrays.blocks(rows, max(_ROWS, large_arrays.BLOCK // max(1, columns)))
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
@@ -240,7 +244,7 @@ class GridManifold(GridKernels):
         estimates = collaborate_on_canvas(
             self.atlas.kind, noisy, pilot, mixing, self.threads, progress, relative=self.differing
         )
-        refresh_halo(estimates, self.atlas)
+        refresh_halo(estimates, self.atlas, self.threads)
         return estimates
 
     def perturbation(self) -> Array:
@@ -256,28 +260,27 @@ class GridManifold(GridKernels):
         """Sum planes over the owned cells."""
         kind, total = self.atlas.kind, np.zeros(len(planes))
         for rows in large_arrays.blocks(len(kind), _ROWS):
-            total += planes[:, rows].sum(axis=(1, 2), dtype=np.float64, where=kind[rows] == OWNED)
+            own = np.where(kind[rows] == OWNED, planes[:, rows], np.float32(0))
+            total += own.sum(axis=(1, 2), dtype=np.float64)
         return total
 
     def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface, in passes that reach as far as the halo."""
-        from beltrami_cli._native import convolve
+        from beltrami_cli._native import convolve_to
 
         taps = gaussian_taps(_SPREAD)
         reach, kind = len(taps) // 2, self.atlas.kind
-        at_once = max(_ROWS, large_arrays.BLOCK // max(1, kind.shape[1]))
         before, after = self.planes(len(planes)), self.planes(len(planes))
-        for rows in large_arrays.blocks(len(kind), at_once):
+        for rows in self._blocks():
             np.multiply(planes[:, rows], kind[rows] != EMPTY, out=before[:, rows])
         for _ in range(round((self.width / _SPREAD) ** 2)):
-            for rows in large_arrays.blocks(len(kind), at_once):
+            for rows in self._blocks():
                 first = max(0, rows.start - reach)
-                part = np.ascontiguousarray(before[:, first : rows.stop + reach])
-                means = convolve(part, taps, self.threads)[:, rows.start - first :][
-                    :, : rows.stop - rows.start
-                ]
-                np.multiply(means, kind[rows] != EMPTY, out=after[:, rows])
-            refresh_halo(after, self.atlas)
+                around = slice(first, rows.stop + reach)
+                convolve_to(
+                    before[:, around], taps, rows.start - first, kind[around], after[:, rows], self.threads
+                )
+            refresh_halo(after, self.atlas, self.threads)
             before, after = after, before
         return before
 
@@ -297,7 +300,7 @@ class GridManifold(GridKernels):
 
 def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
     """Return the colours of the owned cells, read from the canvas when they are taken, and those of the gutter."""
-    refresh_halo(planes, atlas, interpolated=True)
+    refresh_halo(planes, atlas, threads, interpolated=True)
     flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
     beyond = np.zeros((len(gutter), len(flat)), np.float32)
     for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):

@@ -145,11 +145,11 @@ class MeshManifold(MeshKernels):
 
     def marks(self, clipped: ClippedChannels) -> Float32s:
         """Return the marks of the samples at a limit, shape (S, M)."""
-        return np.ascontiguousarray(clipped.marks(self.colours.T).T)
+        return np.ascontiguousarray(clipped.marks(self.colours.T, self.threads).T)
 
     def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
         """Turn averages of clipped colours into estimates of the colours without noise."""
-        clipped.restore(colours.T, marks.T, self.relative[:, 0])
+        clipped.restore(colours.T, marks.T, self.relative[:, 0], self.threads)
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None

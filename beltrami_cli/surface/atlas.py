@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli._native import build_atlas as build_native_atlas
-from beltrami_cli._native import nearest_marked, store_colours
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli._native import copy_cells, nearest_marked, store_colours
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_places
@@ -112,18 +112,22 @@ def texels_by_texture(offsets: Int64s, texels: Indices) -> Iterator[tuple[int, B
             yield index, inside, texels[inside] - begin
 
 
-def refresh_halo(planes: Array, atlas: Atlas, *, interpolated: bool = False) -> None:
+def refresh_halo(
+    planes: Float32s | Int8s, atlas: Atlas, threads: int = 1, *, interpolated: bool = False
+) -> None:
     """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
     # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
     # and beside an edge it is a colour that neither side has, over which kernels find their way across.
     # Interpolated values are for show.
-    for plane in planes.reshape(len(planes), -1):
-        for block in large_arrays.blocks(len(atlas.halo_cells), large_arrays.SCATTERED):
-            cells = atlas.halo_cells[block]
-            if interpolated:
-                plane[cells] = np.einsum("ht,ht->h", plane[atlas.halo_taps[block]], atlas.halo_weights[block])
-            else:
-                plane[cells] = plane[atlas.halo_nearest[block]]
+    cells, nearest = atlas.halo_cells, atlas.halo_nearest
+    at_once = large_arrays.SCATTERED if interpolated or large_arrays.is_on_disk() else max(1, len(cells))
+    for block in large_arrays.blocks(len(cells), at_once):
+        if not interpolated:
+            copy_cells(planes, cells[block], nearest[block], threads)
+            continue
+        taps, weights = atlas.halo_taps[block], atlas.halo_weights[block]
+        for plane in planes.reshape(len(planes), -1):
+            plane[cells[block]] = np.einsum("ht,ht->h", plane[taps], weights)
 
 
 def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from beltrami_cli import _native, smooth, smooth_image
-from beltrami_cli.flow.clipping import find_clipped, sigma_of_clipped, variance_of_clipped
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped, sigma_of_clipped, variance_of_clipped
 from beltrami_cli.flow.noise.flat_patch_noise import chi_square_quantile
 
 SIGMA = 0.08
@@ -67,6 +67,43 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
         clipped.restore(mean, marks, np.float32(1))
         # The mean of 400,000 draws has a standard error of 0.002 sigma; near the limit it is up to tripled.
         assert abs(mean[0, 0] - level) < 0.01 * SIGMA
+
+
+@pytest.mark.parametrize("in_rows", [False, True])
+def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of_threads(in_rows):
+    random, found = (
+        np.random.default_rng(4),
+        ClippedChannels((True, False), (True, True), np.array([0.1, 0.05])),
+    )
+    shape = (20_000, 2) if in_rows else (2, 20_000)
+    noisy, means, estimate, share = random.uniform(-0.2, 1.2, (4, *shape)).astype(np.float32).clip(0, 1)
+    relative = random.uniform(0.3, 3, 20_000).astype(np.float32)
+    share *= np.sign(random.uniform(-1, 1, shape)).astype(np.float32) / 2
+    channels = [part.T if in_rows else part for part in (noisy, means, estimate, share)]
+    results = []
+    for threads in (1, 3):
+        own, restored = channels[0].copy(order="K"), channels[1].copy(order="K")
+        found.impute(own, channels[2], relative, threads)
+        found.restore(restored, channels[3], relative, threads)
+        results.append((found.marks(channels[0], threads), own, restored))
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, other)
+    for k, (marks, imputed, restored) in enumerate(zip(*results[0], strict=True)):
+        colour, mean, around, part = (own[k].astype(float) for own in channels)
+        sigma = found.sigma[k] * np.sqrt(relative)
+        high, low = colour >= 1, (colour <= 0) & found.low[k]
+        np.testing.assert_array_equal(marks, high * 1.0 - low)
+        side = np.where(high, 1, -1)
+        alpha = np.minimum(np.where(high, 1 - around, around) / sigma, 8)  # where the table ends
+        expected = around + side * sigma * stats.norm.pdf(alpha) / stats.norm.sf(alpha)
+        # The table is linear between limits 16 / 4096 apart.
+        np.testing.assert_allclose(imputed, np.where(high | low, expected, colour), atol=1e-5)
+        alpha = stats.norm.isf(np.abs(part).clip(1e-12))
+        gap = alpha * stats.norm.cdf(alpha) + stats.norm.pdf(alpha)
+        from_limit = np.where(part > 0, 1 - mean, mean)
+        moved = np.sign(part) * np.minimum(from_limit / gap, 1.2 * sigma) * (gap - alpha).clip(0)
+        within = np.abs(part) > 0.01  # below, the table is coarse
+        np.testing.assert_allclose(restored[within], (mean + moved).clip(0, 1)[within], atol=2e-4)
 
 
 def test_a_level_far_from_the_limits_is_not_moved():

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
-from beltrami_cli import _native, smooth, smooth_image
+from beltrami_cli import SmoothSettings, _native, smooth, smooth_file, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
 from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.parameters import PRESETS, KernelParameters
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
+from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
 from flow.split_surfaces import (
     FIXED,
@@ -37,6 +41,7 @@ LEVELS = [0.0, 0.02, 0.1, 0.5, 0.93, 1.0]
 ON = {**FIXED, "patches": "on"}
 RANDOM = np.random.default_rng(7)
 SMALL_MESH = wavy_surface(40)
+TORUS_TWO = Path(__file__).parents[2] / "sample_data" / "torus-two-clean.gltf"
 
 
 def cut_off_samples(level, count=200_000):
@@ -113,6 +118,28 @@ def clipped_mean_and_share(true, sigma, clipped):
                 mean[k] += sign * sigma[k] * (density(a) - a * beyond(a))
                 share[k] -= beyond(a)
     return mean, share
+
+
+@pytest.mark.parametrize("probe", [np.int8, np.float32])
+@pytest.mark.parametrize("layout", ["planes", "rows"])
+def test_stacks_are_added_and_blended_sample_by_sample_on_any_number_of_threads(layout, probe):
+    first, second = RANDOM.standard_normal((2, 3, 90, 100)).astype(np.float32)
+    weight, added = (
+        RANDOM.random((1, 90, 100)).astype(np.float32),
+        RANDOM.integers(-1, 2, first.shape).astype(probe),
+    )
+    if layout == "rows":
+        first, second, weight, added = (
+            np.moveaxis(part, 0, 2).copy() for part in (first, second, weight, added)
+        )
+        first, second, weight, added = (np.moveaxis(part, 2, 0) for part in (first, second, weight, added))
+    size = np.float32(0.3)
+    for threads in (1, 3):
+        moved, blended = first.copy(order="K"), first.copy(order="K")
+        _native.add_multiple(moved, added, float(size), threads)
+        _native.blend(blended, second, weight, threads)
+        np.testing.assert_array_equal(moved, first + size * added)
+        np.testing.assert_array_equal(blended, first + weight * (second - first))
 
 
 @pytest.mark.parametrize("in_rows", [False, True])
@@ -238,6 +265,21 @@ def test_plain_areas_are_averaged_over_many_samples(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_a_plain_texture_loses_little_by_the_patterned_one_beside_it(tmp_path):
+    clean, noisy = TORUS_TWO, tmp_path / "noisy.gltf"
+    noise_file(clean, noisy, NoiseSettings(sigma=10 / 255))
+    found = {}
+    for taken in ("off", "on"):
+        target = tmp_path / taken / "smooth.gltf"
+        target.parent.mkdir()
+        smooth_file(noisy, target, SmoothSettings(parameters_with({"patches": taken, "threads": 1})))
+        found[taken] = {part["name"]: part["psnr"] for part in compare_files(clean, target).parts}
+    gains = {name.split("-")[-1]: found["on"][name] - psnr for name, psnr in found["off"].items()}
+    assert gains["icing.png"] > -0.1
+    assert gains["dough.png"] > 1
+
+
 def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
     shares = []
     for clean in (photograph(64), flat_paint(64)):

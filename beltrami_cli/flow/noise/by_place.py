@@ -144,9 +144,13 @@ def _unevenness(tiles: Float32s) -> float:
 def _quiet_by_level(values: Float32s, levels: Float32s, known: Bools) -> Float64s:
     """Return the values of quiet blocks, at the level of each block; at least 1, as of the quiet ones of all levels."""
     order = np.argsort(levels[known], kind="stable")
-    groups = np.array_split(order, max(1, len(order) // _ALIKE))
-    quiet = [np.quantile(values[known][group], _QUIET) for group in groups]
-    found: Float64s = np.interp(levels, [levels[known][group].mean() for group in groups], quiet)
+    # Of groups of one size at a time: one by one, they would take as long as all else here.
+    size, longer = divmod(len(order), max(1, len(order) // _ALIKE))
+    first = longer * (size + 1)
+    groups = [order[:first].reshape(-1, size + 1), order[first:].reshape(-1, size)]
+    quiet = [np.quantile(values[known][group], _QUIET, axis=1) for group in groups if len(group)]
+    at = [levels[known][group].mean(axis=1) for group in groups if len(group)]
+    found: Float64s = np.interp(levels, np.concatenate(at), np.concatenate(quiet))
     return np.maximum(found, 1)
 
 

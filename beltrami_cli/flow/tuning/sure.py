@@ -106,10 +106,12 @@ class RiskEstimate:
         if stabiliser is not None:
             self._counts = np.square(stabiliser.slopes(self._noisy.T)).T
         self.noise = float(np.mean(np.broadcast_to(self._variance, self._noisy.shape) * self._counts))
-        self._signs = [trial.scored(signs) for signs in trial.signs]
+        signs = [trial.scored(drawn) for drawn in trial.signs]
         # 1 for signs; perturbations like the noise have its size, channel by channel, and so need no weights.
-        power = np.mean([np.mean(np.square(signs), axis=0) for signs in self._signs], axis=0)
-        self._response_weight = self._variance / np.maximum(power, _LEAST_POWER)
+        power = np.mean([np.mean(np.square(drawn), axis=0) for drawn in signs], axis=0)
+        weight = 2 * self._variance * self._counts / np.maximum(power, _LEAST_POWER)
+        # What turns responses into the divergence.
+        self._weights = [weight / (len(signs) * self._epsilon) * drawn for drawn in signs]
 
     @property
     def start(self) -> State:
@@ -143,13 +145,12 @@ class RiskEstimate:
     def of(self, state: State) -> Risk:
         """Estimate the error of a state."""
         smoothed = self._trial.scored(state.plain).astype(np.float64)
-        response = np.zeros_like(smoothed)
-        for signs, colours in zip(self._signs, state.perturbed, strict=True):
-            response += signs * (self._trial.scored(colours) - smoothed)
-        response /= len(self._signs) * self._epsilon
+        divergence = np.zeros_like(smoothed)
+        for weights, colours in zip(self._weights, state.perturbed, strict=True):
+            divergence += weights * (self._trial.scored(colours) - smoothed)
         misfit = (np.square(smoothed - self._noisy) - self._variance) * self._counts
-        divergence = 2 * self._response_weight * response * self._counts
-        each = (misfit + divergence).mean(axis=1)
+        # A mean along so short an axis takes three times as long.
+        each = np.einsum("sn->s", misfit + divergence) / misfit.shape[1]
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
         return Risk(float(each.mean()), error, float(divergence.mean()))

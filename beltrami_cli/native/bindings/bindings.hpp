@@ -5,11 +5,13 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
+#include <cstdint>
 #include <initializer_list>
 #include <memory>
 #include <optional>
 #include <vector>
 
+#include "layout.hpp"
 #include "parallel.hpp"
 
 namespace beltrami::bindings {
@@ -30,6 +32,27 @@ using Vector = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Stack = nb::ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 template <class T, class Shape>
 using Result = nb::ndarray<nb::numpy, T, Shape, nb::c_contig>;
+
+// Channels, along the first axis, of samples in the others, which follow each other in memory in even steps.
+template <class Value>
+using Channels = nb::ndarray<Value, nb::device::cpu>;
+
+template <class Value>
+std::size_t samples_of(const Channels<Value>& channels) {
+  std::size_t count = 1;
+  for (std::size_t axis = 1; axis < channels.ndim(); ++axis) count *= channels.shape(axis);
+  return count;
+}
+
+template <class Value>
+Layout<Value> layout_of(const Channels<Value>& channels, std::size_t least, std::size_t samples) {
+  if (channels.ndim() < 2 || channels.shape(0) < least || samples_of(channels) != samples)
+    throw nb::value_error("all stacks must have one shape");
+  for (std::size_t axis = 2; axis < channels.ndim(); ++axis)
+    if (channels.stride(axis - 1) != channels.stride(axis) * static_cast<std::int64_t>(channels.shape(axis)))
+      throw nb::value_error("samples must follow each other in even steps");
+  return {channels.data(), channels.stride(0), channels.stride(channels.ndim() - 1)};
+}
 
 // Hands memory to NumPy without a copy.
 template <class T, class Shape>

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "bindings/bindings.hpp"
+#include "colours/clipping.hpp"
 #include "colours/colours.hpp"
 
 namespace beltrami::bindings {
@@ -49,6 +50,21 @@ void gather_colours(const Stack& planes, const Vector<Index>& cells, const OpenM
   colours::gather<Index>(planes_of<const float>(planes), {cells.data(), cells.size()}, rows.data(), threads);
 }
 
+// No source may be a cell that is given another's values.
+template <class Value, class Index>
+void copy_cells(const nb::ndarray<Value, nb::ndim<3>, nb::c_contig, nb::device::cpu>& planes, const Vector<Index>& cells,
+                const Vector<Index>& sources, unsigned threads) {
+  const std::size_t size = planes.shape(1) * planes.shape(2);
+  if (sources.size() != cells.size()) throw nb::value_error("one source a cell is needed");
+  for (const auto* named : {&cells, &sources})
+    if (std::any_of(named->data(), named->data() + named->size(),
+                    [&](Index cell) { return cell < 0 || static_cast<std::size_t>(cell) >= size; }))
+      throw nb::index_error("a cell lies outside the canvas");
+  const nb::gil_scoped_release unlock;
+  colours::copy_cells<Value, Index>(planes_of<Value>(planes), {cells.data(), cells.size()},
+                                    {sources.data(), sources.size()}, threads);
+}
+
 template <class Sample, class Index>
 auto store_colours(const Pixels<Sample>& table, const Vector<Index>& pixels, const Matrix<float>& colours,
                    const Vector<std::int32_t>& channels, unsigned threads) {
@@ -84,12 +100,58 @@ auto find_limits(const Matrix<float>& colours) {
   return rows;
 }
 
+colours::Table table_of(const Vector<double>& at, const Vector<double>& values) {
+  if (at.size() < 2 || values.size() != at.size()) throw nb::value_error("a table needs two places, and a value at each");
+  return {{at.data(), at.size()}, {values.data(), values.size()}};
+}
+
 // See interpolate; works in place.
 void interpolate(nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu>& places, const Vector<double>& at,
                  const Vector<double>& table) {
-  if (at.size() < 2 || table.size() != at.size()) throw nb::value_error("a table needs two places, and a value at each");
+  const colours::Table found = table_of(at, table);
   const nb::gil_scoped_release unlock;
-  colours::interpolate({places.data(), places.size()}, {at.data(), at.size()}, {table.data(), table.size()}, places.data());
+  colours::interpolate({places.data(), places.size()}, found);
+}
+
+// How a channel was cut off: its noise, and whether at 0 and at 1.
+using CutOffParts = std::tuple<float, bool, bool>;
+
+colours::CutOff cut_off_of(const CutOffParts& parts) {
+  return {std::get<0>(parts), std::get<1>(parts), std::get<2>(parts)};
+}
+
+// See mark; all arrays hold one channel.
+void mark_cut_off(const Channels<const float>& colours, const CutOffParts& cut, const Channels<float>& marks,
+                  unsigned threads) {
+  const std::size_t count = samples_of(colours);
+  const auto own = layout_of(colours, 1, count);
+  const auto to = layout_of(marks, 1, count);
+  const nb::gil_scoped_release unlock;
+  colours::mark(own, cut_off_of(cut), count, to, threads);
+}
+
+// See restore; `at`: the places of both tables.
+void restore_cut_off(const Channels<float>& averages, const Channels<const float>& share, const CutOffParts& cut,
+                     float trusted, const Vector<double>& at, const Vector<double>& alpha, const Vector<double>& gap,
+                     const Channels<const float>& relative, unsigned threads) {
+  const std::size_t count = samples_of(averages);
+  const auto to = layout_of(averages, 1, count);
+  const auto own = layout_of(share, 1, count), variances = layout_of(relative, 1, count);
+  const colours::Table alphas = table_of(at, alpha), gaps = table_of(at, gap);
+  const nb::gil_scoped_release unlock;
+  colours::restore(to, own, cut_off_of(cut), trusted, alphas, gaps, {variances, count}, threads);
+}
+
+// See impute.
+void impute_cut_off(const Channels<float>& colours, const Channels<const float>& estimate, const CutOffParts& cut,
+                    const Vector<double>& at, const Vector<double>& beyond, const Channels<const float>& relative,
+                    unsigned threads) {
+  const std::size_t count = samples_of(colours);
+  const auto to = layout_of(colours, 1, count);
+  const auto own = layout_of(estimate, 1, count), variances = layout_of(relative, 1, count);
+  const colours::Table table = table_of(at, beyond);
+  const nb::gil_scoped_release unlock;
+  colours::impute(to, own, cut_off_of(cut), table, {variances, count}, threads);
 }
 
 template <class Index>
@@ -97,6 +159,13 @@ void bind_moves(nb::module_& module) {
   using namespace nb::literals;
   module.def("scatter_colours", &scatter_colours<Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "colours"_a, "threads"_a);
   module.def("gather_colours", &gather_colours<Index>, "planes"_a, "cells"_a.noconvert(), "colours"_a.noconvert(), "threads"_a);
+}
+
+template <class Value, class Index>
+void bind_copy(nb::module_& module) {
+  using namespace nb::literals;
+  module.def("copy_cells", &copy_cells<Value, Index>, "planes"_a.noconvert(), "cells"_a.noconvert(), "sources"_a.noconvert(),
+             "threads"_a);
 }
 
 template <class Sample, class Index>
@@ -112,11 +181,20 @@ void bind_colours(nb::module_& module) {
   using namespace nb::literals;
   bind_moves<std::int32_t>(module);
   bind_moves<std::int64_t>(module);
+  bind_copy<float, std::int32_t>(module);
+  bind_copy<float, std::int64_t>(module);
+  bind_copy<std::int8_t, std::int32_t>(module);
+  bind_copy<std::int8_t, std::int64_t>(module);
   bind_store<std::uint8_t, std::int32_t>(module);
   bind_store<std::uint8_t, std::int64_t>(module);
   bind_store<std::uint16_t, std::int32_t>(module);
   bind_store<std::uint16_t, std::int64_t>(module);
   module.def("find_limits", &find_limits, "colours"_a);
+  module.def("mark_cut_off", &mark_cut_off, "colours"_a, "cut_off"_a, "marks"_a.noconvert(), "threads"_a);
+  module.def("restore_cut_off", &restore_cut_off, "averages"_a.noconvert(), "share"_a, "cut_off"_a, "trusted"_a, "at"_a,
+             "alpha"_a, "gap"_a, "relative"_a, "threads"_a);
+  module.def("impute_cut_off", &impute_cut_off, "colours"_a.noconvert(), "estimate"_a, "cut_off"_a, "at"_a, "beyond"_a,
+             "relative"_a, "threads"_a);
   module.def("interpolate", &interpolate, "places"_a.noconvert(), "at"_a, "table"_a);
 }
 

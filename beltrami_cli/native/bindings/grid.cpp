@@ -23,36 +23,49 @@ using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::dev
 using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Filled = nb::ndarray<const bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-Planes planes_of(const Stack& stack, const Grid& grid) {
-  if (stack.shape(1) != grid.rows || stack.shape(2) != grid.columns)
-    throw nb::value_error("planes must have the grid's shape");
-  return {stack.data(), stack.shape(0)};
-}
+// The planes of a grid, each by itself: an array of them, or a list.
+class PlanesOfGrid {
+ public:
+  PlanesOfGrid(const nb::object& planes, const Cells& like) {
+    for (const nb::handle plane : planes) {
+      arrays_.push_back(nb::cast<Plane>(plane));
+      if (arrays_.back().shape(0) != like.shape(0) || arrays_.back().shape(1) != like.shape(1))
+        throw nb::value_error("planes must have the grid's shape");
+      pointers_.push_back(arrays_.back().data());
+    }
+  }
 
-Grid grid_of(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
+  Planes get() const { return {pointers_.data(), pointers_.size()}; }
+
+ private:
+  std::vector<Plane> arrays_;
+  std::vector<const float*> pointers_;
+};
+
+Grid grid_of(const Cells& kind, const Planes& squared_lengths, const std::optional<Plane>& scale,
              const std::optional<Cells>& repeats = {}) {
-  const Grid grid{kind.shape(0), kind.shape(1), kind.data(), squared_lengths.data(), scale ? scale->data() : nullptr,
-                  repeats ? repeats->data() : nullptr};
+  if (squared_lengths.channels != direction_count) throw nb::value_error("four planes of lengths are needed");
+  Grid grid{kind.shape(0), kind.shape(1), kind.data(), {}, scale ? scale->data() : nullptr, repeats ? repeats->data() : nullptr};
+  std::copy_n(squared_lengths.data, direction_count, grid.squared_lengths.begin());
   if (repeats && (repeats->shape(0) != grid.rows || repeats->shape(1) != grid.columns))
     throw nb::value_error("the repeats must have the grid's shape");
   if (scale && (scale->shape(0) != grid.rows || scale->shape(1) != grid.columns))
     throw nb::value_error("the scale must have the grid's shape");
-  if (planes_of(squared_lengths, grid).channels != direction_count)
-    throw nb::value_error("four planes of lengths are needed");
   return grid;
 }
 
 Scheme march_of(const std::string& scheme) { return scheme == "metric" ? Scheme::metric : Scheme::triangles; }
 
 // One kernel iteration on a grid. scheme: "sweep" (window of the given radius), "triangles" or "metric" (heap march).
-auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale,
-                 const std::optional<Cells>& repeats, const Stack& metric, const Stack& colours, float beta,
+auto smooth_grid(const Cells& kind, const nb::object& squared_lengths, const std::optional<Plane>& scale,
+                 const std::optional<Cells>& repeats, const nb::object& metric, const nb::object& colours, float beta,
                  float time_step, float radius, int window_radius, const std::string& scheme, unsigned threads,
                  const nb::object& progress) {
-  const Grid grid = grid_of(kind, squared_lengths, scale, repeats);
-  const Planes metric_planes = planes_of(metric, grid), colour_planes = planes_of(colours, grid);
+  const PlanesOfGrid lengths(squared_lengths, kind), of_metric(metric, kind), of_colours(colours, kind);
+  const Grid grid = grid_of(kind, lengths.get(), scale, repeats);
+  const Planes metric_planes = of_metric.get(), colour_planes = of_colours.get();
   const SweepParameters parameters{time_step, radius, beta};
-  std::unique_ptr<float[]> smoothed(new float[colours.size()]);
+  std::unique_ptr<float[]> smoothed(new float[colour_planes.channels * grid.cells()]);
   std::int64_t samples = 0;
   run_polled(progress, [&](const Poll& poll) {
     if (scheme == "sweep")
@@ -62,15 +75,15 @@ auto smooth_grid(const Cells& kind, const Stack& squared_lengths, const std::opt
       samples = smooth_by_marching(grid, metric_planes, colour_planes, parameters, window_radius, march_of(scheme),
                                    smoothed.get(), threads, poll);
   });
-  return std::make_tuple(give<float, nb::ndim<3>>(std::move(smoothed), {colours.shape(0), colours.shape(1), colours.shape(2)}),
-                         samples);
+  return std::make_tuple(give<float, nb::ndim<3>>(std::move(smoothed), {colour_planes.channels, grid.rows, grid.columns}), samples);
 }
 
 // The distances of one kernel over its window, with the arguments of smooth_grid; the cell is a flat index.
-auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::optional<Plane>& scale, const Stack& metric,
-                    float beta, float radius, int window_radius, const std::string& scheme, std::size_t cell) {
-  const Grid grid = grid_of(kind, squared_lengths, scale);
-  const Planes metric_planes = planes_of(metric, grid);
+auto grid_distances(const Cells& kind, const nb::object& squared_lengths, const std::optional<Plane>& scale,
+                    const nb::object& metric, float beta, float radius, int window_radius, const std::string& scheme, std::size_t cell) {
+  const PlanesOfGrid lengths(squared_lengths, kind), of_metric(metric, kind);
+  const Grid grid = grid_of(kind, lengths.get(), scale);
+  const Planes metric_planes = of_metric.get();
   if (cell >= grid.cells() || grid.kind[cell] != owned) throw nb::index_error("the cell holds no sample");
   if (window_radius < 1) throw nb::value_error("the window must have a radius");
   const SweepParameters parameters{1, radius, beta};
@@ -86,15 +99,52 @@ auto grid_distances(const Cells& kind, const Stack& squared_lengths, const std::
   return give<float, nb::ndim<2>>(std::move(distances), {side, side});
 }
 
-auto convolve_planes(const Stack& planes, const Vector<float>& taps, unsigned threads) {
+// Planes whose rows follow each other, as in some rows of a larger stack.
+using Bands = nb::ndarray<const float, nb::ndim<3>, nb::device::cpu>;
+using OpenBands = nb::ndarray<float, nb::ndim<3>, nb::device::cpu>;
+
+template <class Value, class Stack>
+std::vector<Value*> planes_in(const Stack& stack) {
+  const auto rows = static_cast<std::int64_t>(stack.shape(1)), columns = static_cast<std::int64_t>(stack.shape(2));
+  if ((columns > 1 && stack.stride(2) != 1) || (rows > 1 && stack.stride(1) != columns))
+    throw nb::value_error("rows must follow each other");
+  std::vector<Value*> planes;
+  for (std::size_t k = 0; k < stack.shape(0); ++k) planes.push_back(stack.data() + static_cast<std::int64_t>(k) * stack.stride(0));
+  return planes;
+}
+
+// See copy_planes.
+void copy_bands(const Bands& planes, const OpenBands& copies, unsigned threads) {
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if (planes.shape(axis) != copies.shape(axis)) throw nb::value_error("both must have one shape");
+  const auto from = planes_in<const float>(planes);
+  const auto to = planes_in<float>(copies);
+  const nb::gil_scoped_release unlock;
+  copy_planes({from.data(), from.size()}, planes.shape(1) * planes.shape(2), to.data(), threads);
+}
+
+// See convolve; `result` gets the rows from `first` on.
+void convolve_to(const Bands& planes, const Vector<float>& taps, std::size_t first, const std::optional<Cells>& kind,
+                 const OpenBands& result, unsigned threads) {
   if (taps.size() % 2 == 0) throw nb::value_error("an odd number of taps is needed");
-  std::unique_ptr<float[]> result(new float[planes.size()]);
-  {
-    const nb::gil_scoped_release unlock;
-    convolve(planes.data(), planes.shape(0), planes.shape(1), planes.shape(2), {taps.data(), taps.size()},
-                         result.get(), threads);
-  }
-  return give<float, nb::ndim<3>>(std::move(result), {planes.shape(0), planes.shape(1), planes.shape(2)});
+  const std::size_t rows = planes.shape(1), columns = planes.shape(2), wanted = result.shape(1);
+  if (result.shape(0) != planes.shape(0) || result.shape(2) != columns || first > rows || wanted > rows - first)
+    throw nb::value_error("the result must be rows of the planes");
+  if (kind && (kind->shape(0) != rows || kind->shape(1) != columns))
+    throw nb::value_error("planes must have the grid's shape");
+  const auto from = planes_in<const float>(planes);
+  const auto to = planes_in<float>(result);
+  const nb::gil_scoped_release unlock;
+  convolve({from.data(), from.size()}, rows, columns, {taps.data(), taps.size()}, {first, wanted},
+           kind ? kind->data() : nullptr, to.data(), threads);
+}
+
+// See convolve.
+auto convolve_planes(const Bands& planes, const Vector<float>& taps, unsigned threads) {
+  const std::size_t count = planes.shape(0), rows = planes.shape(1), columns = planes.shape(2);
+  std::unique_ptr<float[]> result(new float[count * rows * columns]);
+  convolve_to(planes, taps, 0, {}, OpenBands(result.get(), {count, rows, columns}), threads);
+  return give<float, nb::ndim<3>>(std::move(result), {count, rows, columns});
 }
 
 // See measure_tiles; returns counts, shape (bands, tiles), and measures, shape (measures, planes, bands, tiles).
@@ -208,6 +258,8 @@ void bind_grid(nb::module_& module) {
              "threads"_a);
   module.def("local_scale", &local_scale_of, "right"_a, "below"_a, "window_radius"_a);
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
+  module.def("convolve_to", &convolve_to, "planes"_a, "taps"_a, "first"_a, "kind"_a.none(), "result"_a.noconvert(), "threads"_a);
+  module.def("copy_planes", &copy_bands, "planes"_a, "copies"_a.noconvert(), "threads"_a);
   module.attr("HAAR_TILE_SIDE") = tile_side;
   module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
   module.def("sort_squares", &sort_squares_of, "kind"_a, "side"_a);

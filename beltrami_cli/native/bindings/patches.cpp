@@ -108,27 +108,6 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
   });
 }
 
-// Channels, along the first axis, of samples in the others, which follow each other in memory in even steps.
-template <class Value>
-using Channels = nb::ndarray<Value, nb::device::cpu>;
-
-template <class Value>
-std::size_t samples_of(const Channels<Value>& channels) {
-  std::size_t count = 1;
-  for (std::size_t axis = 1; axis < channels.ndim(); ++axis) count *= channels.shape(axis);
-  return count;
-}
-
-template <class Value>
-Layout<Value> layout_of(const Channels<Value>& channels, std::size_t least, std::size_t samples) {
-  if (channels.ndim() < 2 || channels.shape(0) < least || samples_of(channels) != samples)
-    throw nb::value_error("all stacks must have one shape");
-  for (std::size_t axis = 2; axis < channels.ndim(); ++axis)
-    if (channels.stride(axis - 1) != channels.stride(axis) * static_cast<std::int64_t>(channels.shape(axis)))
-      throw nb::value_error("samples must follow each other in even steps");
-  return {channels.data(), channels.stride(0), channels.stride(channels.ndim() - 1)};
-}
-
 // The noise as Python gives it: a row (variance, sigma, low, high) a channel, tables of a limit, and relative variances.
 class NoiseOfBlend {
  public:
@@ -196,6 +175,26 @@ void write_blend_share_within(const Channels<const float>& estimate, const nb::t
   blend_share_within(p, own.get(), count, to, threads);
 }
 
+// See blend.
+void blend_stacks(const Channels<float>& first, const Channels<const float>& second, const Channels<const float>& weight,
+                  unsigned threads) {
+  const std::size_t channels = first.shape(0), count = samples_of(first);
+  const Layout<float> to = layout_of(first, channels, count);
+  const Values other = layout_of(second, channels, count), own = layout_of(weight, 1, count);
+  const nb::gil_scoped_release unlock;
+  blend(to, other, own, channels, count, threads);
+}
+
+// See add_multiple.
+template <class Value>
+void add_multiple_to(const Channels<float>& values, const Channels<const Value>& others, float factor, unsigned threads) {
+  const std::size_t channels = values.shape(0), count = samples_of(values);
+  const Layout<float> to = layout_of(values, channels, count);
+  const Layout<const Value> from = layout_of(others, channels, count);
+  const nb::gil_scoped_release unlock;
+  add_multiple(to, from, factor, channels, count, threads);
+}
+
 }  // namespace
 
 void bind_patches(nb::module_& module) {
@@ -206,6 +205,10 @@ void bind_patches(nb::module_& module) {
   module.def("blend_residual", &write_blend_residual, "noisy"_a, "estimate"_a, "noise"_a, "residual"_a.noconvert(),
              "threads"_a);
   module.def("blend_share_within", &write_blend_share_within, "estimate"_a, "noise"_a, "share"_a.noconvert(), "threads"_a);
+  module.def("add_multiple", &add_multiple_to<float>, "values"_a.noconvert(), "others"_a.noconvert(), "factor"_a, "threads"_a);
+  module.def("add_multiple", &add_multiple_to<std::int8_t>, "values"_a.noconvert(), "others"_a.noconvert(), "factor"_a,
+             "threads"_a);
+  module.def("blend", &blend_stacks, "first"_a.noconvert(), "second"_a, "weight"_a, "threads"_a);
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")

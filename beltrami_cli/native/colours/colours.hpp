@@ -2,6 +2,7 @@
 // among the pixels of an image.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -19,9 +20,31 @@ struct Limits {
 // Looks at `count` rows of `channels` values each.
 std::vector<Limits> find_limits(const float* values, std::size_t count, std::size_t channels);
 
-// Interpolates a table linearly at `places`, none of which is NaN. at: ascending in nearly even steps, two or more; beyond
-// its ends values stay as they are there.
-void interpolate(std::span<const float> places, std::span<const double> at, std::span<const double> table, float* values);
+// Values at places that ascend in nearly even steps, two or more; linear in between, and beyond both ends as there.
+class Table {
+ public:
+  Table(std::span<const double> at, std::span<const double> values)
+      : at_(at), values_(values), steps_(static_cast<double>(at.size() - 1) / (at.back() - at.front())) {}
+
+  // The place is a number.
+  float operator()(float where) const {
+    const std::size_t last = at_.size() - 1;
+    const double place = std::clamp(static_cast<double>(where), at_[0], at_[last]);
+    std::size_t k = std::min(last - 1, static_cast<std::size_t>((place - at_[0]) * steps_));
+    // Rounding may lead to an interval beside the one that holds the place.
+    k -= k > 0 && place < at_[k] ? 1 : 0;
+    k += k + 2 <= last && place >= at_[k + 1] ? 1 : 0;
+    const double slope = (values_[k + 1] - values_[k]) / (at_[k + 1] - at_[k]);
+    return static_cast<float>(slope * (place - at_[k]) + values_[k]);
+  }
+
+ private:
+  std::span<const double> at_, values_;
+  double steps_;
+};
+
+// Replaces places, none of which is NaN, by the values there.
+void interpolate(std::span<float> places, const Table& table);
 
 // Planes of `size` cells each, one a channel.
 template <class Value>
@@ -35,6 +58,10 @@ template <class Index>
 void scatter(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads);
 template <class Index>
 void gather(const Planes<const float>& planes, std::span<const Index> cells, float* rows, unsigned threads);
+
+// Gives some cells of all planes the values of others, which are not among them.
+template <class Value, class Index>
+void copy_cells(const Planes<Value>& planes, std::span<const Index> cells, std::span<const Index> sources, unsigned threads);
 
 // How far stored numbers moved: sums that are exact, so the same in any order.
 struct Moved {

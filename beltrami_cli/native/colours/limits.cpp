@@ -63,18 +63,8 @@ std::vector<Limits> find_limits(const float* values, std::size_t count, std::siz
   return all;
 }
 
-void interpolate(std::span<const float> places, std::span<const double> at, std::span<const double> table, float* values) {
-  const std::size_t last = at.size() - 1;
-  const double steps = static_cast<double>(last) / (at[last] - at[0]);
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    const double place = std::clamp(static_cast<double>(places[i]), at[0], at[last]);
-    std::size_t k = std::min(last - 1, static_cast<std::size_t>((place - at[0]) * steps));
-    // Rounding may lead to an interval beside the one that holds the place.
-    k -= k > 0 && place < at[k] ? 1 : 0;
-    k += k + 2 <= last && place >= at[k + 1] ? 1 : 0;
-    const double slope = (table[k + 1] - table[k]) / (at[k + 1] - at[k]);
-    values[i] = static_cast<float>(slope * (place - at[k]) + table[k]);
-  }
+void interpolate(std::span<float> places, const Table& table) {
+  for (float& place : places) place = table(place);
 }
 
 }  // namespace beltrami::colours

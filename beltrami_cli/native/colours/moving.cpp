@@ -62,9 +62,23 @@ void gather(const Planes<const float>& planes, std::span<const Index> cells, flo
   move_all(planes, cells, rows, threads, [](float on_plane, float& in_row) { in_row = on_plane; });
 }
 
+template <class Value, class Index>
+void copy_cells(const Planes<Value>& planes, std::span<const Index> cells, std::span<const Index> sources, unsigned threads) {
+  parallel_chunks(cells.size(), rows_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    for (std::size_t channel = 0; channel < planes.channels; ++channel) {
+      Value* const plane = planes.values + channel * planes.size;
+      for (std::size_t i = begin; i < end; ++i) plane[cells[i]] = plane[sources[i]];
+    }
+  });
+}
+
 template void scatter(const Planes<float>&, std::span<const std::int32_t>, const float*, unsigned);
 template void scatter(const Planes<float>&, std::span<const std::int64_t>, const float*, unsigned);
 template void gather(const Planes<const float>&, std::span<const std::int32_t>, float*, unsigned);
 template void gather(const Planes<const float>&, std::span<const std::int64_t>, float*, unsigned);
+template void copy_cells(const Planes<float>&, std::span<const std::int32_t>, std::span<const std::int32_t>, unsigned);
+template void copy_cells(const Planes<float>&, std::span<const std::int64_t>, std::span<const std::int64_t>, unsigned);
+template void copy_cells(const Planes<std::int8_t>&, std::span<const std::int32_t>, std::span<const std::int32_t>, unsigned);
+template void copy_cells(const Planes<std::int8_t>&, std::span<const std::int64_t>, std::span<const std::int64_t>, unsigned);
 
 }  // namespace beltrami::colours

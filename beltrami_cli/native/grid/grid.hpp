@@ -8,6 +8,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 namespace beltrami::grid {
 
@@ -26,7 +27,7 @@ enum Kind : std::uint8_t { empty = 0, owned = 1, halo = 2 };
 struct Grid {
   std::size_t rows = 0, columns = 0;
   const std::uint8_t* kind = nullptr;      // rows * columns, see Kind
-  const float* squared_lengths = nullptr;  // direction_count planes of rows * columns, in space; not finite where
+  std::array<const float*, direction_count> squared_lengths{};  // planes of rows * columns, in space; not finite where
                                            // there is no edge, as there is none at an empty cell
   const float* scale = nullptr;            // rows * columns: what a cell's squared lengths are multiplied by, to make
                                            // local units of them; nullptr: 1
@@ -35,11 +36,20 @@ struct Grid {
   std::size_t cells() const { return rows * columns; }
 };
 
-// N planes of rows * columns values.
+// Planes of rows * columns values, each by itself.
 struct Planes {
-  const float* data = nullptr;
+  const float* const* data = nullptr;
   std::size_t channels = 0;
+  const float* operator[](std::size_t channel) const { return data[channel]; }
 };
+
+// The planes that lie one behind the other.
+template <class Value>
+std::vector<Value*> planes_of(Value* values, const Grid& grid, std::size_t channels) {
+  std::vector<Value*> planes;
+  for (std::size_t k = 0; k < channels; ++k) planes.push_back(values + k * grid.cells());
+  return planes;
+}
 
 struct Offset {
   int x, y;

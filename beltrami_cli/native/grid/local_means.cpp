@@ -33,22 +33,27 @@ void take_logarithms(const float* right, const float* below, std::size_t count, 
 
 }  // namespace
 
-void convolve(const float* planes, std::size_t count, std::size_t rows, std::size_t columns, std::span<const float> taps,
-              float* result, unsigned threads) {
+void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::span<const float> taps, const Band& band,
+              const std::uint8_t* kind, float* const* result, unsigned threads) {
   const std::size_t reach = taps.size() / 2;
   // A chunk is some rows of a plane; a line of means down columns has zeros on both sides.
   const std::size_t height = std::max<std::size_t>(1, (std::size_t{1} << 16) / std::max<std::size_t>(1, columns));
-  parallel_chunks(count * rows, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+  parallel_chunks(planes.channels * band.count, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     std::vector<float> line(columns + 2 * reach, 0.0F);
     for (std::size_t i = begin; i < end; ++i) {
-      const std::size_t row = i % rows;
+      const std::size_t row = band.first + i % band.count;
+      const float* const plane = planes[i / band.count];
       std::fill(line.begin(), line.end(), 0.0F);
       for (std::size_t tap = 0; tap < taps.size(); ++tap)
         if (row + tap >= reach && row + tap < rows + reach)
-          accumulate(planes + (i + tap - reach) * columns, taps[tap], columns, line.data() + reach);
-      float* means = result + i * columns;
+          accumulate(plane + (row + tap - reach) * columns, taps[tap], columns, line.data() + reach);
+      float* means = result[i / band.count] + i % band.count * columns;
       std::fill(means, means + columns, 0.0F);
       for (std::size_t tap = 0; tap < taps.size(); ++tap) accumulate(line.data() + tap, taps[tap], columns, means);
+      if (kind == nullptr) continue;
+      const std::uint8_t* const kinds = kind + row * columns;
+      for (std::size_t column = 0; column < columns; ++column)
+        means[column] = kinds[column] == empty ? 0.0F : means[column];
     }
   });
 }

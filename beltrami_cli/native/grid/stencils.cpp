@@ -42,7 +42,7 @@ class ImageGrid {
     if (!other) return no_edge;
     const auto [plane, owner] = edge_place({0, 0}, step);
     const std::size_t keeper = owner == Offset{0, 0} ? cell : *other;
-    const float length = grid_.squared_lengths[plane * grid_.cells() + keeper];
+    const float length = grid_.squared_lengths[plane][keeper];
     const float local = grid_.scale != nullptr ? length * grid_.scale[keeper] : length;
     return local < no_edge ? local : no_edge;
   }
@@ -54,7 +54,7 @@ class ImageGrid {
     const std::size_t other = *at(cell, step);
     float sum = 0;
     for (std::size_t channel = 0; channel < metric_.channels; ++channel) {
-      const float* values = metric_.data + channel * grid_.cells();
+      const float* values = metric_[channel];
       sum += (values[other] - values[cell]) * (values[other] - values[cell]);
     }
     return std::min(no_edge, space + beta_ * beta_ * sum);
@@ -65,7 +65,7 @@ class ImageGrid {
     const Offset back{-step.x, -step.y};
     const bool has_next = squared_in_space(cell, step) < no_edge, has_last = squared_in_space(cell, back) < no_edge;
     const std::size_t next = has_next ? *at(cell, step) : cell, last = has_last ? *at(cell, back) : cell;
-    const float* values = metric_.data + channel * grid_.cells();
+    const float* values = metric_[channel];
     const double difference = static_cast<double>(values[next]) - static_cast<double>(values[last]);
     return static_cast<double>(beta_) * difference / (has_next && has_last ? 2 : 1);
   }

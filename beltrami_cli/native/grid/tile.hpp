@@ -57,7 +57,7 @@ inline void copy_plane(const Grid& grid, const float* plane, const Tile& tile, c
 
 inline void copy_planes(const Grid& grid, Planes planes, const Tile& tile, const Layout& layout, float* out) {
   for (std::size_t channel = 0; channel < planes.channels; ++channel)
-    copy_plane(grid, planes.data + channel * grid.cells(), tile, layout, 0, out + channel * layout.size);
+    copy_plane(grid, planes[channel], tile, layout, 0, out + channel * layout.size);
 }
 
 // |dX|^2 + beta^2 |dI|^2 of every edge in the tile and its border; no_edge where there is none.
@@ -70,7 +70,7 @@ inline void measure_edges(const TileJob& job, const Tile& tile, const Layout& la
   const std::array<std::size_t, direction_count> steps{1, layout.columns, layout.columns + 1, layout.columns - 1};
   for (std::size_t direction = 0; direction < direction_count; ++direction) {
     float* __restrict total = squared + direction * layout.size;
-    copy_plane(grid, grid.squared_lengths + direction * grid.cells(), tile, layout, no_edge, total);
+    copy_plane(grid, grid.squared_lengths[direction], tile, layout, no_edge, total);
     if (scale != nullptr)
       for (std::size_t i = 0; i < layout.size; ++i) total[i] *= scale[i];
     const std::size_t last = layout.size - steps[direction];

@@ -36,7 +36,7 @@ std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours,
     wanted[i] = grid.kind[cell] == owned;
     if (!shares.empty()) shares[i] = 1 / static_cast<float>(grid.repeats[cell]);
     for (std::size_t channel = 0; channel < colours.channels; ++channel)
-      rows[i * colours.channels + channel] = colours.data[channel * grid.cells() + cell];
+      rows[i * colours.channels + channel] = colours[channel][cell];
   }
   const Poll cell_poll = poll ? Poll([&](std::size_t done) { return poll(done * grid.cells() / count); }) : Poll();
   const triangulated::Selection selection{wanted.data(), window_radius > 0 ? places.data() : nullptr, window_radius};
@@ -44,7 +44,7 @@ std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours,
   const auto statistics =
       triangulated::smooth(stencils, {rows.data(), colours.channels}, shares.empty() ? nullptr : shares.data(), kernel,
                            result.data(), threads, cell_poll, selection);
-  std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
+  copy_planes(colours, grid.cells(), planes_of(smoothed, grid, colours.channels).data(), threads);
   for (std::size_t i = 0; i < count; ++i)
     if (wanted[i])
       for (std::size_t channel = 0; channel < colours.channels; ++channel)

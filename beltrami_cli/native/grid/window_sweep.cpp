@@ -73,6 +73,14 @@ Target make_target(const Window& window, Offset offset, Usable usable) {
 
 }  // namespace
 
+void copy_planes(const Planes& planes, std::size_t cells, float* const* copies, unsigned threads) {
+  constexpr std::size_t chunk = 1 << 15;
+  parallel_chunks(cells, chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+    for (std::size_t channel = 0; channel < planes.channels; ++channel)
+      std::copy(planes[channel] + begin, planes[channel] + end, copies[channel] + begin);
+  });
+}
+
 WindowProgram make_window_program(int radius) {
   const Window window(radius);
   WindowProgram program{radius, {}};
@@ -85,7 +93,7 @@ WindowProgram make_window_program(int radius) {
 
 std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
                               const WindowProgram& program, float* smoothed, unsigned threads, const Poll& poll) {
-  std::copy(colours.data, colours.data + colours.channels * grid.cells(), smoothed);
+  copy_planes(colours, grid.cells(), planes_of(smoothed, grid, colours.channels).data(), threads);
   const auto tiles = cut_into_tiles(grid);
   const SweepTile sweep = choose_sweep();
   const TileJob job{&grid, metric, colours, &parameters, &program, smoothed};

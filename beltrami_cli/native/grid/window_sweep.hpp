@@ -49,8 +49,11 @@ struct SweepParameters {
   float beta;       // lengths per unit of colour
 };
 
+// Copies planes of some cells to others.
+void copy_planes(const Planes& planes, std::size_t cells, float* const* copies, unsigned threads);
+
 // Distances come from `metric` colours, averages are taken over `colours`; both have grid.cells() values a plane.
-// Writes the owned cells of `smoothed` (planes as in colours) and copies the others. Returns the sum over owned cells of how
+// Writes the owned cells of `smoothed` (planes as in colours, one behind the other) and copies the others. Returns the sum over owned cells of how
 // many samples each kernel held. Bit-identical for any number of threads and any instruction set. The poll counts cells of
 // the grid; throws Cancelled if it asks to stop.
 std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 
 #include "parallel.hpp"
 
@@ -143,5 +144,26 @@ void blend_share_within(const Values& estimate, const BlendNoise& noise, std::si
     }
   });
 }
+
+void blend(const Layout<float>& first, const Values& second, const Values& weight, std::size_t channels, std::size_t count,
+           unsigned threads) {
+  each_run(count, threads, [&](std::size_t begin, std::size_t size) {
+    for (std::size_t k = 0; k < channels; ++k)
+      for (std::size_t i = begin; i < begin + size; ++i)
+        first.at(k, i) += weight.at(0, i) * (second.at(k, i) - first.at(k, i));
+  });
+}
+
+template <class Value>
+void add_multiple(const Layout<float>& values, const Layout<const Value>& others, float factor, std::size_t channels,
+                  std::size_t count, unsigned threads) {
+  each_run(count, threads, [&](std::size_t begin, std::size_t size) {
+    for (std::size_t k = 0; k < channels; ++k)
+      for (std::size_t i = begin; i < begin + size; ++i) values.at(k, i) += factor * static_cast<float>(others.at(k, i));
+  });
+}
+
+template void add_multiple(const Layout<float>&, const Layout<const float>&, float, std::size_t, std::size_t, unsigned);
+template void add_multiple(const Layout<float>&, const Layout<const std::int8_t>&, float, std::size_t, std::size_t, unsigned);
 
 }  // namespace beltrami::patches

@@ -5,18 +5,10 @@
 #include <cstddef>
 #include <span>
 
+#include "layout.hpp"
+
 namespace beltrami::patches {
 
-// Channels of samples, in planes or in rows.
-template <class Value>
-struct Layout {
-  Value* values;
-  std::ptrdiff_t channel_step, sample_step;
-
-  Value& at(std::size_t channel, std::size_t sample) const {
-    return values[static_cast<std::ptrdiff_t>(channel) * channel_step + static_cast<std::ptrdiff_t>(sample) * sample_step];
-  }
-};
 using Values = Layout<const float>;
 
 // Of a normal variable z with a deviation of 1, for limits a from `-furthest` to `furthest` in even steps: E max(z - a, 0) and
@@ -56,5 +48,14 @@ void blend_residual(const Values& noisy, const Values& estimate, const BlendNois
 // Writes the share of noisy colours that are not cut off, by an estimate of the colours without noise.
 void blend_share_within(const Values& estimate, const BlendNoise& noise, std::size_t count, const Layout<float>& share,
                         unsigned threads);
+
+// Adds a multiple of some values to others.
+template <class Value>
+void add_multiple(const Layout<float>& values, const Layout<const Value>& others, float factor, std::size_t channels,
+                  std::size_t count, unsigned threads);
+
+// Adds to the first of two estimates its weight of their difference; `weight`: one channel.
+void blend(const Layout<float>& first, const Values& second, const Values& weight, std::size_t channels, std::size_t count,
+           unsigned threads);
 
 }  // namespace beltrami::patches

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "atlas/nearest_texel.hpp"
+#include "colours/clipping.hpp"
 #include "colours/colours.hpp"
 #include "tests/check.hpp"
 
@@ -81,6 +82,68 @@ void rows_come_back_from_planes(std::mt19937& random) {
   }
 }
 
+// Every second cell shows the one behind it.
+template <class Value, class Index>
+void cells_show_their_sources_and_others_stay(std::mt19937& random) {
+  for (int trial = 0; trial < 60; ++trial) {
+    const std::size_t size = 2 + random() % 20000, channels = 1 + random() % 4;
+    std::vector<Index> cells = some_of<Index>(size / 2, trial % 2 == 0, random), sources;
+    for (Index& cell : cells) cell = static_cast<Index>(2 * cell);
+    for (const Index cell : cells) sources.push_back(cell + 1);
+    std::vector<Value> planes(size * channels);
+    for (Value& value : planes) value = static_cast<Value>(random() % 100);
+    std::vector<Value> expected = planes;
+    for (std::size_t channel = 0; channel < channels; ++channel)
+      for (const Index cell : cells) {
+        const std::size_t at = channel * size + static_cast<std::size_t>(cell);
+        expected[at] = planes[at + 1];
+      }
+    colours::copy_cells<Value, Index>({planes.data(), size, channels}, cells, sources, 1 + trial % 3);
+    CHECK(planes == expected);
+  }
+}
+
+// In rows of several channels, of which only the second is touched.
+void colours_at_limits_alone_are_marked_imputed_and_restored(std::mt19937& random) {
+  const std::vector<double> limits{-8, -4, 0, 4, 8}, beyond{0, 0.2, 0.8, 4.3, 8.1};
+  const std::vector<double> shares{0, 0.25, 0.5, 0.75, 1}, alpha{4, 0.7, 0, -0.7, -4}, gap{4, 0.9, 0.4, 0.2, 0.01};
+  for (int trial = 0; trial < 60; ++trial) {
+    const std::size_t count = 1 + random() % 20000, channels = 2;
+    const colours::CutOff cut{0.1F, trial % 3 != 0, trial % 3 != 1};
+    std::vector<float> rows(count * channels), relative(count), marks(count), estimate(count);
+    for (float& value : rows) value = std::clamp(static_cast<float>(random() % 700) / 500.0F - 0.2F, 0.0F, 1.0F);
+    for (std::size_t i = 0; i < count; ++i) {
+      relative[i] = 0.1F + static_cast<float>(random() % 20) / 10.0F;
+      estimate[i] = static_cast<float>(random() % 100) / 100.0F;
+    }
+    const auto before = rows;
+    const Layout<float> second{rows.data() + 1, 1, channels};
+    const Layout<const float> seen{rows.data() + 1, 1, channels}, around{estimate.data(), 1, 1};
+    const colours::Samples samples{{relative.data(), 1, 1}, count};
+    const unsigned threads = 1 + trial % 3;
+    colours::mark(seen, cut, count, {marks.data(), 1, 1}, threads);
+    colours::impute(second, around, cut, {limits, beyond}, samples, threads);
+    for (std::size_t i = 0; i < count; ++i) {
+      const float colour = before[2 * i + 1];
+      const bool high = cut.high && colour == 1, low = cut.low && colour == 0;
+      CHECK(rows[2 * i] == before[2 * i]);
+      CHECK(marks[i] == (high ? 1.0F : low ? -1.0F : 0.0F));
+      if (high) CHECK(rows[2 * i + 1] >= estimate[i]);
+      if (low) CHECK(rows[2 * i + 1] <= estimate[i]);
+      if (!high && !low) CHECK(rows[2 * i + 1] == colour);
+    }
+    rows = before;
+    for (float& mark : marks) mark *= 0.4F;
+    colours::restore(second, {marks.data(), 1, 1}, cut, 1.2F, {shares, alpha}, {shares, gap}, samples, threads);
+    for (std::size_t i = 0; i < count; ++i) {
+      CHECK(rows[2 * i] == before[2 * i]);
+      const float step = rows[2 * i + 1] - before[2 * i + 1];
+      CHECK(marks[i] > 0 ? step >= 0 : marks[i] < 0 ? step <= 0 : step == 0);
+      CHECK(rows[2 * i + 1] >= 0 && rows[2 * i + 1] <= 1);
+    }
+  }
+}
+
 void limits_are_those_of_a_plain_loop(std::mt19937& random) {
   for (int trial = 0; trial < 100; ++trial) {
     const std::size_t channels = 1 + random() % 5, count = random() % 200;
@@ -131,6 +194,10 @@ int main() {
   stored_numbers_are_those_of_a_plain_loop<std::uint16_t, std::int64_t>(random);
   rows_come_back_from_planes<std::int32_t>(random);
   rows_come_back_from_planes<std::int64_t>(random);
+  cells_show_their_sources_and_others_stay<float, std::int32_t>(random);
+  cells_show_their_sources_and_others_stay<float, std::int64_t>(random);
+  cells_show_their_sources_and_others_stay<std::int8_t, std::int64_t>(random);
+  colours_at_limits_alone_are_marked_imputed_and_restored(random);
   limits_are_those_of_a_plain_loop(random);
   marks_are_the_nearest(random);
   std::puts("colours tests passed");

@@ -113,8 +113,12 @@ void fuzz_grid(Bytes& bytes) {
   for (float& colour : colours) colour = bytes.colour();
   for (std::size_t i = 0; i < direction_count * cells; ++i)
     if (kind[i % cells] == empty) lengths[i] = std::numeric_limits<float>::infinity();
-  const Grid grid{rows, columns, kind.data(), lengths.data(), scaled ? scale.data() : nullptr};
-  const Planes planes{colours.data(), channels};
+  std::array<const float*, direction_count> of_lengths;
+  for (std::size_t k = 0; k < direction_count; ++k) of_lengths[k] = lengths.data() + k * kind.size();
+  const Grid grid{rows, columns, kind.data(), of_lengths, scaled ? scale.data() : nullptr};
+  std::vector<const float*> pointers;
+  for (std::size_t k = 0; k < channels; ++k) pointers.push_back(colours.data() + k * kind.size());
+  const Planes planes{pointers.data(), channels};
   std::vector<float> result(colours.size());
   smooth_by_sweeps(grid, planes, planes, parameters, make_window_program(radius), result.data(), 1);
   require_range(colours, result.data());

@@ -1,5 +1,6 @@
 // Tests of the kernel on grids without Python, meant to be run under the sanitizers: of every shape, with holes.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <limits>
@@ -27,10 +28,16 @@ struct Canvas {
     for (float& colour : colours) colour = static_cast<float>(random() % 256) / 255.0F;
     local_scale(rows, columns, lengths.data(), lengths.data() + cells, 3, scale.data());
     for (std::size_t i = 0; i < cells; ++i) CHECK(scale[i] > 0 && std::isfinite(scale[i]));
-    grid = {rows, columns, kind.data(), lengths.data(), random() % 2 ? scale.data() : nullptr};
+    std::array<const float*, direction_count> of_lengths;
+    for (std::size_t k = 0; k < direction_count; ++k) of_lengths[k] = lengths.data() + k * cells;
+    grid = {rows, columns, kind.data(), of_lengths, random() % 2 ? scale.data() : nullptr};
+    pointers = {colours.data(), colours.data() + cells};
   }
+  Planes planes() const { return {pointers.data(), pointers.size()}; }
+
   std::vector<std::uint8_t> kind;
   std::vector<float> lengths, colours, scale;
+  std::array<const float*, 2> pointers;
   Grid grid;
 };
 
@@ -38,7 +45,7 @@ void sweeps_and_marches_keep_the_range_and_every_cell_that_is_not_owned() {
   std::mt19937 random(11);
   for (int trial = 0; trial < 150; ++trial) {
     const Canvas canvas(1 + random() % 45, 1 + random() % 130, random);
-    const Planes planes{canvas.colours.data(), 2};
+    const Planes planes = canvas.planes();
     const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F};
     const auto program = make_window_program(1 + trial % 7);
     std::vector<float> swept(canvas.colours.size()), again(swept.size()), marched(swept.size());
@@ -75,7 +82,7 @@ void distances_of_one_kernel_are_those_that_the_kernel_averages_by() {
   std::mt19937 random(12);
   for (int trial = 0; trial < 40; ++trial) {
     const Canvas canvas(1 + random() % 45, 1 + random() % 130, random);
-    const Planes planes{canvas.colours.data(), 2};
+    const Planes planes = canvas.planes();
     const int radius = 1 + trial % 7;
     const SweepParameters parameters{1.5F, 5.0F, trial % 3 == 0 ? 0.0F : 4.0F};
     const auto program = make_window_program(radius);
