@@ -202,6 +202,20 @@ def test_white_noise_that_jpeg_left_in_the_mean_of_channels_is_found(quality, bl
     assert mean == pytest.approx(details.std(), rel=1 / 3)
 
 
+@pytest.mark.parametrize(
+    ("hue", "quality", "subsampling", "sigma"),
+    [((1, 0.7, 0.1), 92, "4:2:0", 6), ((0.2, 0.4, 1), 92, "4:2:0", 6), ((0.1, 0.8, 0.3), 85, "4:4:4", 10)],
+)
+def test_the_noise_that_jpeg_left_in_rich_colours_is_found(hue, quality, subsampling, sigma, tmp_path):
+    """Within 15 %: beside the hue, JPEG leaves up to half of the finest noise of what lies along it."""
+    y, x = np.mgrid[:192, :192] / 192
+    disc = (x - 0.45) ** 2 + (y - 0.5) ** 2 < 0.08
+    clean = gaussian_filter(np.where(disc, 0.9, 0.45 + 0.2 * x), 1)[:, :, None] * np.array(hue)
+    image = jpeg(stored(clean, sigma), quality, subsampling, tmp_path)
+    read = sigma_of_covariances(found(image)[0])
+    assert np.sqrt(np.mean(read**2)) == pytest.approx(np.sqrt(np.mean((image - clean) ** 2)), rel=0.15)
+
+
 @pytest.mark.parametrize("side", [72, 80, 128, 144])
 def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
     """Within 30 %, also where the coarsest scale has too few tiles to show any."""

@@ -65,13 +65,12 @@ _BEGINS = 1.5
 _COLOURLESS = 1.3
 
 # JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
-# second scale and less than the second to the third, or less than the third from single cells on, as no texture does.
-# Differences of channels have less of it, at the second scale by more than the last factor, and least in the finest.
-_MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE, _TAKEN = 2.2, 1.35, 1.25, 1.5
+# second scale and less than the second from there to the third, as no texture does, and falls by less than the third.
+_MOST_FROM_FINEST, _EVEN_MEAN, _FALLS = 2.2, 1.35, 1.6
 
-# It leaves less than this share of the finest in the differences, and coarse noise: that of the mean is no larger than
-# this factor of it, or is texture.
-_LEFT, _MOST_ABOVE = 0.2, 3.0
+# It leaves less than the first of these shares of the finest in the differences of channels, or the second where noise
+# is weak, as texture of paint is. It leaves coarse noise: that of the mean is no larger than the last factor of it.
+_LEFT, _LEFT_OF_WEAK, _WEAK, _MOST_ABOVE = 0.5, 0.2, 7 / 255, 3.0
 
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
 _MOST_APART = 1.2
@@ -237,16 +236,13 @@ def _level_of_mean(sigma: Float64s) -> float | None:
         return None
     fine, middle, coarse = sigma[:3, 0]
     differences = sigma[:3, 1:].max(axis=1)
-    if middle < max(_LEAST_MIDDLE, _TAKEN * differences[1]) or differences[0] > _LEFT * fine:
+    if middle < _LEAST_MIDDLE or differences[0] > (_LEFT if middle > _WEAK else _LEFT_OF_WEAK) * fine:
         return None
     if differences[2] < _GROWS_TWICE * differences[0] and differences[0] > _LEAST_DIFFERENCES:
         return None
-    if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
-        level = max(fine, middle, coarse)
-    elif middle < _AS_FINE * fine:
-        level = max(fine, middle)
-    else:
+    if middle > _MOST_FROM_FINEST * fine or not middle < _FALLS * coarse < _FALLS * _EVEN_MEAN * middle:
         return None
+    level = max(fine, middle, coarse)
     return float(level) if level < _MOST_ABOVE * np.nanmax(sigma[2:4, 1:].min(axis=1)) else None
 
 
