@@ -65,8 +65,8 @@ _BEGINS = 1.5
 _COLOURLESS = 1.3
 
 # JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
-# second scale and less than the second from there to the third, as no texture does, and falls by less than the third.
-_MOST_FROM_FINEST, _EVEN_MEAN, _FALLS = 2.2, 1.35, 1.6
+# second scale, as no texture does, and from there to the third it grows or falls by less than the second.
+_MOST_FROM_FINEST, _EVEN_MEAN = 2.2, 1.6
 
 # It leaves less than the first of these shares of the finest in the differences of channels, or the second where noise
 # is weak, as texture of paint is. It leaves coarse noise: that of the mean is no larger than the last factor of it.
@@ -240,7 +240,7 @@ def _level_of_mean(sigma: Float64s) -> float | None:
         return None
     if differences[2] < _GROWS_TWICE * differences[0] and differences[0] > _LEAST_DIFFERENCES:
         return None
-    if middle > _MOST_FROM_FINEST * fine or not middle < _FALLS * coarse < _FALLS * _EVEN_MEAN * middle:
+    if middle > _MOST_FROM_FINEST * fine or max(coarse / middle, middle / coarse) > _EVEN_MEAN:
         return None
     level = max(fine, middle, coarse)
     return float(level) if level < _MOST_ABOVE * np.nanmax(sigma[2:4, 1:].min(axis=1)) else None
