@@ -65,8 +65,9 @@ _BEGINS = 1.5
 _COLOURLESS = 1.3
 
 # JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
-# second scale, as no texture does, and from there to the third it grows or falls by less than the second.
-_MOST_FROM_FINEST, _EVEN_MEAN = 2.2, 1.6
+# second scale, as no texture does, and from there to the third it grows or falls by less than the second. Beneath
+# texture of the third scale, it grows by less than the last from single cells on.
+_MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE = 2.2, 1.6, 1.25
 
 # It leaves less than the first of these shares of the finest in the differences of channels, or the second where noise
 # is weak, as texture of paint is. It leaves coarse noise: that of the mean is no larger than the last factor of it.
@@ -240,9 +241,14 @@ def _level_of_mean(sigma: Float64s) -> float | None:
         return None
     if differences[2] < _GROWS_TWICE * differences[0] and differences[0] > _LEAST_DIFFERENCES:
         return None
-    if middle > _MOST_FROM_FINEST * fine or max(coarse / middle, middle / coarse) > _EVEN_MEAN:
+    if middle > _EVEN_MEAN * coarse:
         return None
-    level = max(fine, middle, coarse)
+    if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
+        level = max(fine, middle, coarse)
+    elif middle < _AS_FINE * fine:
+        level = max(fine, middle)
+    else:
+        return None
     return float(level) if level < _MOST_ABOVE * np.nanmax(sigma[2:4, 1:].min(axis=1)) else None
 
 
