@@ -93,9 +93,10 @@ def replace_outliers(manifold: Manifold, level: CoarseLevel, sigma: Float64s) ->
         np.moveaxis(each, manifold.axis, 0) for each in (manifold.colours, manifold.relative)
     )
     found = np.zeros(colours.shape[1:], bool)
+    shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_LEAST_SHARE))
     for _ in range(_ROUNDS):
         for channel, size in zip(colours, sigma, strict=True):
-            planes = _around(manifold, level, channel)
+            planes = _around(manifold, level, channel, shares)
             for own, variance, (mean, spread), far in in_blocks(
                 0, channel[None], relative, planes, found[None]
             ):
@@ -106,15 +107,18 @@ def replace_outliers(manifold: Manifold, level: CoarseLevel, sigma: Float64s) ->
     manifold.refresh(manifold.colours)
 
 
-def _around(manifold: Manifold, level: CoarseLevel, channel: Float32s) -> Float32s:
-    """Return the mean and the variance of a channel around each sample, along the first axis; by means of a level."""
+def _around(manifold: Manifold, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
+    """Return the mean and the variance of a channel around each sample, along the first axis; by means of a level.
+
+    `shares`: what the level makes of ones.
+    """
     axis = manifold.axis
     both = manifold.planes(2)
     for own, (value, square) in in_blocks(0, channel[None], both):
         value[:], square[:] = own[0], np.square(own[0])
     means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))
     means = level.spread(means)
-    means /= np.maximum(level.spread(np.ones_like(means[:1])), _LEAST_SHARE)
+    means /= shares
     means[1] -= np.square(means[0])
     both[:] = 0
     enlarged = np.ascontiguousarray(np.moveaxis(both, 0, axis))

@@ -66,7 +66,7 @@ class _Prior:
 
 
 # Regions of which sums say little are plain, and there means of many samples are at home. Their weights differ between
-# regions by a variance of 0.02 to 0.45, as measured on seven textures with noise of 10, 20 and 40 of 255: a prior
+# regions by a variance of 0.02 to 0.45, as measured on eight textures with noise of 10, 20 and 40 of 255: a prior
 # narrower than the least of these would spread over plain textures what patches do for others.
 _OF_SAMPLES, _OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.02)
 

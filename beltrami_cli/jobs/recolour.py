@@ -44,9 +44,7 @@ class Painter(ABC):
 
     changes = True  # whether it changes any colour; if not, the output is the input
     colours_only = True  # whether channels of images that are no colours stay, unless they are named
-    works_on_disk = (
-        False  # whether textures that do not fit into memory can be painted, all together in files
-    )
+    works_on_disk = False  # whether textures too large for memory can be painted, all together in files
     works_in_groups = False  # or by some at a time
 
     def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:  # noqa: B027
