@@ -13,7 +13,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole, canvas_colours
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
@@ -147,7 +147,7 @@ class TexelSamples(samples.Samples):
 
     def levelled(self) -> NewColours:
         self._is_dithered = True
-        return canvas_colours(self.atlas, self._on_canvas(), self.settings.kernel.thread_count)
+        return self.manifold().new_colours()
 
     def require_writable(self) -> None:
         for picture in self.pictures:
