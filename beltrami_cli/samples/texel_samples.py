@@ -146,8 +146,9 @@ class TexelSamples(samples.Samples):
         return level_report(self.label, found, change, charts.facts(self.pictures))
 
     def levelled(self) -> NewColours:
-        self._is_dithered = True
-        return self.manifold().new_colours()
+        self._is_dithered, still = True, self.settings.kernel.with_values(iterations=0)
+        known = self.colours.metric_channels
+        return GridManifold(self.atlas, self._on_canvas(), still, metric_channels=known).new_colours()
 
     def require_writable(self) -> None:
         for picture in self.pictures:
