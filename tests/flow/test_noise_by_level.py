@@ -10,7 +10,7 @@ import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares, sort_squares
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise import by_level
-from beltrami_cli.flow.noise.by_level import Neighbourhoods, fit_by_level, stabiliser_of
+from beltrami_cli.flow.noise.by_level import OPPONENTS, Neighbourhoods, fit_by_level, stabiliser_of
 from beltrami_cli.flow.noise.given import given_noise
 from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
@@ -84,6 +84,16 @@ def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     assert found(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
 
 
+def test_the_level_of_noise_is_that_of_its_channel():
+    """Red of a blue sky is darker than its blue; the mean of channels differs less than channels do."""
+    sky = np.linspace(0, 1, 256)[:, None, None] * [0.15, 0.15, 0.2] + [0.15, 0.25, 0.5]
+    clean = np.broadcast_to(sky, (256, 256, 3)).astype(np.float32)
+    truth = given_noise(f"shot:{SHOT},read:{READ}").stabiliser()
+    seen = found(shot(clean)).stabiliser
+    ratio, true = (each.sigma_at(0.2, 1) / each.sigma_at(0.65, 1) for each in (seen, truth))
+    assert ratio == pytest.approx(true, rel=0.1)
+
+
 def test_texture_of_dark_places_is_no_noise_by_level():
     """Dark tiles hold texture, most of all in the mean of channels and at coarse scales; noise is 1 everywhere."""
     level = np.repeat(np.linspace(0.3, 0.9, 8), 200)
@@ -92,8 +102,8 @@ def test_texture_of_dark_places_is_no_noise_by_level():
     for texture in ([0.6, 0.05, 0], [3, 0.3, 0.2], [20, 3, 0.4]):
         energy = 1 + np.outer(texture, dark)
         noise = 1 + 0.05 * np.random.default_rng(3).standard_normal(energy.shape)
-        scales.append(Neighbourhoods(energy * noise, dark, level, 48))
-    found_at = fit_by_level(scales)
+        scales.append(Neighbourhoods(energy * noise, dark, np.stack([level] * 3), 48))
+    found_at = fit_by_level(scales, OPPONENTS)
     assert stabiliser_of(found_at) is None
     assert found_at.sigma[0, 1:] == pytest.approx(1, abs=0.05)
 
@@ -144,8 +154,8 @@ def test_a_texture_that_all_levels_but_the_darkest_have_is_no_noise_by_level():
     level = np.concatenate([np.linspace(*ends, n) for ends, n in zip(ranges, counts, strict=True)])
     energies = np.square(np.repeat(STONE, counts, axis=2))
     values = 48, 48, 12, 12
-    scales = [Neighbourhoods(e, e[0], level, n) for e, n in zip(energies, values, strict=True)]
-    found_at = fit_by_level(scales)
+    scales = [Neighbourhoods(e, e[0], np.stack([level] * 3), n) for e, n in zip(energies, values, strict=True)]
+    found_at = fit_by_level(scales, OPPONENTS)
     assert len(found_at.levels) == 6
     assert stabiliser_of(found_at) is None
     assert found_at.sigma[:, 0] == pytest.approx(20, rel=0.2)

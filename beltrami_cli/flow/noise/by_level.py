@@ -4,10 +4,11 @@ Noise is measured in the details of each scale, for the mean of channels and the
 neighbourhoods of similar level: the mean energy of those with the most even means around. What they hold besides noise
 makes them larger, never smaller. So
 
-    log energy (scale, component, level) = a (scale, component) + s (level) + texture,    texture >= 0
+    log energy (scale, component, group) = a (scale, component) + s (group, component) + texture,    texture >= 0
 
-is fitted with weights that fall where residuals are above 0: textures differ from level to level and from component to
-component, and where one is free of them, it shows the noise of the others [1]_.
+with the mean s over the levels of the channels that a component mixes, by their shares in it, is fitted with weights
+that fall where residuals are above 0: textures differ from level to level and from component to component, and where
+one is free of them, it shows the noise of the others [1]_.
 
 References
 ----------
@@ -17,7 +18,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +69,7 @@ class Neighbourhoods:
 
     energy: Float64s  # mean square of details by component, shape (K, M)
     unevenness: Float64s  # of means around, shape (M,)
-    level: Float64s  # mean level, shape (M,)
+    levels: Float64s  # mean level of each channel, shape (K, M)
     values: int  # details in each
     cut_off: float = 0.0  # share of colours at a limit, in these and in others that were left out
     most: Float64s | float = np.inf  # standard deviation of noise at most, by component, shape (K,)
@@ -85,43 +86,46 @@ class NoiseByLevel:
     seen: Float64s  # how many neighbourhoods of the finest scale have each level, shape (G,)
 
 
-def fit_by_level(scales: Sequence[Neighbourhoods]) -> NoiseByLevel | None:
-    """Fit noise to the neighbourhoods of each scale; None without enough of them at the finest."""
-    if not scales or len(scales[0].level) < _FEWEST:
+def fit_by_level(scales: Sequence[Neighbourhoods], mixing: Float64s) -> NoiseByLevel | None:
+    """Fit noise to the neighbourhoods of each scale; None without enough of them at the finest.
+
+    `mixing`: of channels into components, shape (K, K).
+    """
+    if not scales or scales[0].levels.shape[1] < _FEWEST:
         return None
-    edges = _edges(scales[0].level)
-    groups = len(edges) - 1
-    components = len(scales[0].energy)
-    numbers: list[tuple[int, int, int]] = []
-    logs: list[float] = []
-    weights: list[float] = []
-    total, seen = np.zeros(groups), np.zeros(groups)
+    levels, seen = _levels(scales[0].levels.reshape(-1))
+    rows, shape = list(_measured(scales, mixing, levels)), (len(scales), len(mixing))
+    if not rows:
+        return None
+    numbers, shares, logs, weights = (np.array(each) for each in zip(*rows, strict=True))
+    if _is_even(numbers, logs, shape):
+        levels, seen = levels.mean(keepdims=True), seen.sum(keepdims=True)
+        shares = np.ones((len(logs), 1))
+    fitted, known = _fit(numbers, shares, logs, weights, levels, shape)
+    sizes, relative = np.split(fitted, [known.size])
+    middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
+    sigma = np.where(known, np.exp((sizes.reshape(shape) + middle) / 2), np.nan)
+    return NoiseByLevel(sigma, levels, np.exp((relative - middle) / 2), seen)
+
+
+def _measured(
+    scales: Sequence[Neighbourhoods], mixing: Float64s, levels: Float64s
+) -> Iterator[tuple[tuple[int, int], Float64s, float, float]]:
+    """Yield energies by scale, component and group: these numbers, the shares of levels, the logarithm, the weight."""
+    edges = _edges(scales[0].levels.mean(axis=0))
     for scale, own in enumerate(scales):
-        group = np.clip(np.searchsorted(edges, own.level, "right") - 1, 0, groups - 1)
-        for number in range(groups):
+        group = _groups(own.levels.mean(axis=0), edges)
+        for number in range(len(edges) - 1):
             members = np.flatnonzero(group == number)
-            if scale == 0:
-                seen[number], total[number] = len(members), own.level[members].sum()
             if len(members) < _LEAST:
                 continue
             even = members[most_even(own.unevenness[members])]
             even = even[: _free_of_texture(own.energy[:, even])]
+            # A component holds noise of each channel, at the level of this channel.
+            shares = np.square(mixing) @ _shares(own.levels[:, even].mean(axis=1), levels)
+            weight = min(1.0, len(even) * own.values / _ENOUGH_VALUES)
             for component, energy in enumerate(own.energy[:, even].mean(axis=1)):
-                numbers.append((scale, component, number))
-                logs.append(float(np.log(energy)))
-                weights.append(min(1.0, len(even) * own.values / _ENOUGH_VALUES))
-    if not numbers:
-        return None
-    levels = np.where(seen > 0, total / np.maximum(seen, 1), (edges[1:] + edges[:-1]) / 2)
-    shape = len(scales), components
-    at, measured = np.array(numbers), np.array(logs)
-    if _is_even(at, measured, shape):
-        at[:, 2], levels, seen = 0, levels.mean(keepdims=True), seen.sum(keepdims=True)
-    fitted, known = _fit(at, measured, np.array(weights), levels, shape)
-    relative = fitted[shape[0] * shape[1] :]
-    middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
-    sigma = np.exp((fitted[: shape[0] * shape[1]].reshape(shape) + middle) / 2)
-    return NoiseByLevel(np.where(known, sigma, np.nan), levels, np.exp((relative - middle) / 2), seen)
+                yield (scale, component), shares[component], float(np.log(energy)), weight
 
 
 def most_even(unevenness: Float64s) -> Int64s:
@@ -151,7 +155,7 @@ def _is_even(numbers: Int64s, logs: Float64s, shape: tuple[int, int]) -> bool:
     means = np.full((2, shape[1]), np.inf)
     for component in range(1, shape[1]):
         for scale in (0, 1):
-            own = logs[(numbers[:, 0] == scale) & (numbers[:, 1] == component)]
+            own = logs[(numbers == (scale, component)).all(axis=1)]
             if not len(own) or (scale == 0 and np.ptp(own) > 2 * np.log(_FLAT)):
                 return False
             means[scale, component] = np.median(own)
@@ -210,16 +214,40 @@ def _edges(levels: Float64s) -> Float64s:
     return np.array(edges if len(edges) > 1 else [edges[0], edges[0] + _LEAST_APART])
 
 
+def _groups(levels: Float64s, edges: Float64s) -> Int64s:
+    """Return the groups of levels, by their limits."""
+    return np.clip(np.searchsorted(edges, levels, "right") - 1, 0, len(edges) - 2).astype(np.int64)
+
+
+def _levels(levels: Float64s) -> tuple[Float64s, Float64s]:
+    """Return the mean levels of groups, and how many each has, shape (G,)."""
+    edges = _edges(levels)
+    group, middles = _groups(levels, edges), (edges[1:] + edges[:-1]) / 2
+    seen = np.bincount(group, minlength=len(middles)).astype(float)
+    means = np.bincount(group, levels, len(middles)) / np.maximum(seen, 1)
+    return np.where(seen > 0, means, middles), seen
+
+
+def _shares(levels: Float64s, among: Float64s) -> Float64s:
+    """Return by which shares levels, shape (K,), lie at the two nearest of ascending ones, shape (K, G)."""
+    return np.stack([np.interp(levels, among, own) for own in np.eye(len(among))], axis=1)
+
+
 def _fit(
-    numbers: Int64s, logs: Float64s, weights: Float64s, levels: Float64s, shape: tuple[int, int]
+    numbers: Int64s,
+    shares: Float64s,
+    logs: Float64s,
+    weights: Float64s,
+    levels: Float64s,
+    shape: tuple[int, int],
 ) -> tuple[Float64s, Bools]:
     """Return a and s side by side, and which of a were measured, shape (L, K)."""
+    own = numbers[:, 0] * shape[1] + numbers[:, 1]
     first = shape[0] * shape[1]
     count = first + len(levels)
-    own = numbers[:, 0] * shape[1] + numbers[:, 1]
     design = np.zeros((len(logs), count))
     design[np.arange(len(logs)), own] = 1
-    design[np.arange(len(logs)), first + numbers[:, 2]] = 1
+    design[:, first:] = shares
     prior = _LITTLE * np.eye(count)
     for k, apart in enumerate(np.diff(levels)):
         at = first + k

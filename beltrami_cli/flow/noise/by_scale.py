@@ -127,7 +127,7 @@ def noise_of_scales(
 
     `mixing` is that of the first channels into components.
     """
-    found = fit_by_level(scales)
+    found = fit_by_level(scales, mixing)
     if found is None:
         return FoundNoise()
     at_most = np.array([np.broadcast_to(own.most, len(mixing)) for own in scales[: len(found.sigma)]])

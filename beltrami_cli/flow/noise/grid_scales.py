@@ -123,7 +123,7 @@ def measure_by_scale(
             Neighbourhoods(
                 (4**scale * energy / remaining)[:, ~plain],
                 (np.sum(square - level**2, axis=0) / remaining)[~plain],
-                np.einsum("k,km->m", mixing.mean(axis=1), level)[~plain],
+                by_channel(level[:, ~plain], mixing),
                 3 * side**2,
                 float(share[whole].mean()),
                 most,
@@ -158,7 +158,7 @@ def find_grid_noise(
     scales, mixing = measure_by_scale(planes, filled, relative)
     if scales is None:
         return FoundNoise(doubt=np.inf)
-    if not scales or len(scales[0].level) < _MIN_TILES:
+    if not scales or scales[0].levels.shape[1] < _MIN_TILES:
         return FoundNoise()
     by_level &= cells >= _MIN_BY_LEVEL
     bands = large_arrays.blocks(planes.shape[1], _BAND)

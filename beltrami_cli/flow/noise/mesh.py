@@ -255,7 +255,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     mixing = _mixing_of(own, clusters)
     mixed = np.einsum("ki,si->sk", mixing, own)
     cut = ((own <= 0) | (own >= 1)).mean(axis=1)
-    columns = np.column_stack([mixed, own.mean(axis=1), cut, variances]).astype(np.float32)
+    columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
     found = FoundNoise()
     if are_enough:
         scales = []
@@ -268,7 +268,9 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
             return found
         found = dataclasses.replace(found, most=_SLACK * found.most)
     # Independent noise shows better in what differs from neighbours, where slopes do not.
-    fitted = fit_by_level([_residuals(columns, edges, inside)]) if by_level else None
+    fitted = None
+    if by_level:
+        fitted = fit_by_level([_residuals(columns, mixing, edges, inside)], mixing)
     return dataclasses.replace(found, stabiliser=None if fitted is None else stabiliser_of(fitted))
 
 
@@ -281,13 +283,13 @@ def _mixing_of(colours: Float32s, clusters: list[Level]) -> Float64s:
     return mixing_by((details * np.sqrt(fine.counts)[:, None]).T)
 
 
-def _residuals(columns: Float32s, edges: Int32s, inside: Bools) -> Neighbourhoods:
+def _residuals(columns: Float32s, mixing: Float64s, edges: Int32s, inside: Bools) -> Neighbourhoods:
     """Measure how samples differ from their neighbours; for columns see `_details`."""
     mixed, cut, variances = columns[:, :-2], columns[:, -2:-1], columns[:, -1]
     energy, uneven, level, cut_around = _neighbourhoods(mixed, cut, variances, edges, inside)
-    energy, uneven = energy[:-1], uneven[:-1]
     used = (cut_around[0] < _MOST_CUT_OFF) & (energy.min(axis=0) > _PLAIN)
-    return Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], level[-1, used], round(_FREEDOM_AROUND))
+    levels = by_channel(level[:, used], mixing)
+    return Neighbourhoods(energy[:, used], uneven.sum(axis=0)[used], levels, round(_FREEDOM_AROUND))
 
 
 def _details(
@@ -295,16 +297,15 @@ def _details(
 ) -> Neighbourhoods:
     """Measure how means differ from those of their clusters, like Haar details, in clusters of these.
 
-    Columns are components of colours; the last three: their level, the share of channels that were cut off, and the
-    variance of noise.
+    Columns are components of colours; the last two: the share of channels that were cut off, and the variance of noise.
     """
-    (means, around), within = (level.means(columns[:, :-3]) for level in (fine, parents)), tiles.graph.size
+    (means, around), within = (level.means(columns[:, :-2]) for level in (fine, parents)), tiles.graph.size
     parent, tile = parents.members[fine.centres], tiles.members[fine.centres]
     differences = (means - around[parent]) * np.sqrt(fine.counts)[:, None]
     details = np.hstack([np.square(differences), np.square(by_channel(differences.T, mixing)).T])
     free = np.bincount(tile, 1 - fine.counts / parents.counts[parent], within)
     level, tile_of_parent = tiles.means(columns).astype(np.float64), tiles.members[parents.centres]
-    apart = np.square(around - level[tile_of_parent, :-3]).sum(axis=1) * parents.counts
+    apart = np.square(around - level[tile_of_parent, :-2]).sum(axis=1) * parents.counts
     cut = level[:, -2]
     used = (free >= _FEWEST_DETAILS) & (cut < _MOST_CUT_OFF_OF_TILES)
     variances = (level[:, -1] * variance_of_clipped(cut))[used]
@@ -315,7 +316,7 @@ def _details(
     return Neighbourhoods(
         energy[:, seen],
         uneven[seen],
-        level[used][seen, -3],
+        by_channel(level[used][seen, :-2].T, mixing),
         _DETAILS,
         float(cut.mean()),
         by_channel=channels[:, seen],
