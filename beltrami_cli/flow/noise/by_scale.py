@@ -87,7 +87,7 @@ SCALE_OF_CHANNELS, _MOST_OF_CHANNEL = 1, 2.0
 # Where more than the first share of all neighbourhoods, fully from the second, hold nothing but noise in the mean of
 # channels, with up to so many times its energy, noise is taken to be stronger by the last factor. In plain pictures
 # what is left costs more than what is lost.
-_PLAIN, _PLAIN_THROUGHOUT, _NOTHING_ELSE, _STRONGER = 0.4, 0.6, 2.0, 1.1
+_PLAIN, _PLAIN_THROUGHOUT, _NOTHING_ELSE, _STRONGER = 0.4, 0.6, 2.0, 1.05
 
 # Growth of noise in differences of channels from single cells to the second scale, beyond which JPEG has taken it.
 _MOST_AT_SECOND = 2.5
