@@ -248,11 +248,12 @@ CLEAN = {
 @pytest.mark.parametrize("sigma", [5, 10, 40])
 @pytest.mark.parametrize("name", CLEAN)
 def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, monkeypatch):
+    """To 0.2 dB, or to a thousandth of the noise: less does not show in an estimate from 50,000 colours."""
     clean = CLEAN[name](128)
     free = ("iterations", "t", "beta", "beta_growth", "metric_steps")
     flow = pixel_flow(with_noise(clean, sigma / 255), free=free)
-    kernel, alone, blend = (-10 * np.log10(error) for error in Seen(monkeypatch).errors(flow, clean))
-    assert blend > max(kernel, alone) - 0.2
+    kernel, alone, blend = Seen(monkeypatch).errors(flow, clean)
+    assert blend < 10**0.02 * min(kernel, alone) + 1e-3 * (sigma / 255) ** 2
 
 
 def test_plain_areas_are_averaged_over_many_samples(monkeypatch):
