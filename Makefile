@@ -147,7 +147,7 @@ KEEP_WHEEL  = auditwheel repair --wheel-dir dist $$wheel
 endif
 
 sanitize: $(VENV)/.installed-test
-	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
 	$(BIN)/cmake --build build/sanitize --parallel 2
 	build/sanitize/core_tests
@@ -180,7 +180,7 @@ fuzz-readers: $(VENV)/.installed-fuzz
 
 fuzz-core: $(VENV)/.installed-test
 	@command -v $(CLANG) > /dev/null || { echo "the core is fuzzed with clang++; name it with CLANG=..."; exit 1; }
-	$(BIN)/cmake -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+	$(BIN)/cmake -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_CXX_FLAGS="-O1 -g1" \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_FUZZ=ON
 	$(BIN)/cmake --build build/fuzz-core --parallel 2 --target fuzz_core
 	@mkdir -p build/fuzz/core

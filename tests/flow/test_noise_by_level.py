@@ -154,7 +154,9 @@ def test_a_texture_that_all_levels_but_the_darkest_have_is_no_noise_by_level():
     level = np.concatenate([np.linspace(*ends, n) for ends, n in zip(ranges, counts, strict=True)])
     energies = np.square(np.repeat(STONE, counts, axis=2))
     values = 48, 48, 12, 12
-    scales = [Neighbourhoods(e, e[0], np.stack([level] * 3), n) for e, n in zip(energies, values, strict=True)]
+    scales = [
+        Neighbourhoods(e, e[0], np.stack([level] * 3), n) for e, n in zip(energies, values, strict=True)
+    ]
     found_at = fit_by_level(scales, OPPONENTS)
     assert len(found_at.levels) == 6
     assert stabiliser_of(found_at) is None
