@@ -28,7 +28,7 @@ _EVEN, _LEAST_SIGMA = 1.6, 1.25 / 255
 # ... and then by less than this, unlike texture; for one channel alone, where there is more texture, by less than ...
 _MOST_GROWTH, _MOST_ALONE = 2.7, 1.6
 # ... and if it is larger than what clean photographs hold at these scales.
-_LEAST_MIDDLE, _LEAST_COARSE = 3.5 / 255, 4 / 255
+_LEAST_MIDDLE, _LEAST_COARSE = 3.75 / 255, 4 / 255
 
 # Noise of the finest details, relative to that of the diagonal ones among them at most.
 _MOST_OF_DIAGONAL = 3.0
