@@ -180,7 +180,7 @@ fuzz-readers: $(VENV)/.installed-fuzz
 
 fuzz-core: $(VENV)/.installed-test
 	@command -v $(CLANG) > /dev/null || { echo "the core is fuzzed with clang++; name it with CLANG=..."; exit 1; }
-	$(BIN)/cmake -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_CXX_FLAGS="-O1 -g1" \
+	$(BIN)/cmake -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_BUILD_TYPE=RelWithDebInfo \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_FUZZ=ON
 	$(BIN)/cmake --build build/fuzz-core --parallel 2 --target fuzz_core
 	@mkdir -p build/fuzz/core

@@ -261,6 +261,13 @@ def test_noise_is_a_number_where_the_coarsest_scale_shows_none():
     assert np.isfinite(by_scale._bounded(sigma, 10 / 255)).all()
 
 
+def test_the_fabric_of_an_armchair_is_no_shared_noise():
+    """Standard deviations of 255 by scale on its clean texture, for the mean of channels and two differences."""
+    assert not by_scale.is_shared(
+        np.array([[3.68, 1.36, 1.28], [11.95, 4.31, 3.68], [21.08, 6.45, 8.51]]) / 255
+    )
+
+
 @pytest.mark.parametrize("factor", [1.3, 2.0])
 def test_the_noise_of_an_enlarged_picture_is_found(factor):
     """Within a third, though its finest detail has next to none."""

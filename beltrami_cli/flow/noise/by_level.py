@@ -6,8 +6,8 @@ makes them larger, never smaller. So
 
     log energy (scale, component, group) = a (scale, component) + s (group, component) + texture,    texture >= 0
 
-with the mean s over the levels of the channels that a component mixes, by their shares in it, is fitted with weights
-that fall where residuals are above 0: textures differ from level to level and from component to component, and where
+is fitted, where s is the mean of s (level) over the channels that a component mixes, by their shares in it. Weights
+fall where residuals are above 0: textures differ from level to level and from component to component, and where
 one is free of them, it shows the noise of the others [1]_.
 
 References
@@ -83,7 +83,7 @@ class NoiseByLevel:
     sigma: Float64s  # shape (L, K); NaN where there was nothing to measure
     levels: Float64s  # ascending, shape (G,)
     relative: Float64s  # shape (G,); its logarithm has the mean 0
-    seen: Float64s  # how many neighbourhoods of the finest scale have each level, shape (G,)
+    seen: Float64s  # how many channels of neighbourhoods of the finest scale have each level, shape (G,)
 
 
 def fit_by_level(scales: Sequence[Neighbourhoods], mixing: Float64s) -> NoiseByLevel | None:

@@ -268,9 +268,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
             return found
         found = dataclasses.replace(found, most=_SLACK * found.most)
     # Independent noise shows better in what differs from neighbours, where slopes do not.
-    fitted = None
-    if by_level:
-        fitted = fit_by_level([_residuals(columns, mixing, edges, inside)], mixing)
+    fitted = fit_by_level([_residuals(columns, mixing, edges, inside)], mixing) if by_level else None
     return dataclasses.replace(found, stabiliser=None if fitted is None else stabiliser_of(fitted))
 
 
