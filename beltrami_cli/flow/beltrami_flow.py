@@ -136,7 +136,10 @@ class BeltramiFlow(Generic[AnyManifold]):
         return Step(self._beta * own.growth(iteration), own.t, own.is_regularised(iteration))
 
     def reckon_with(self, sigma: Float64s) -> None:
-        """Tell noise as it was by channel before some was taken from the colours, and the gain over that."""
+        """Tell noise as it was by channel before some was taken from the colours, and the gain over that.
+
+        `sigma`: root mean square differences from the truth.
+        """
         more = float(np.sqrt(np.mean(np.square(sigma)) / np.mean(np.square(self.noise))))
         self.noise = sigma
         self.noise_model = {

@@ -152,6 +152,13 @@ def variance_of_clipped(share: Float64s) -> Float64s:
     return variance
 
 
+def variance_at(gap: Float64s) -> Float64s:
+    """Return the variance of unit noise after clipping [1]_, by the gap from mean to limit."""
+    table = _censored_normal()
+    variance: Float64s = np.interp(gap, table.gap[::-1], table.variance[::-1])
+    return variance
+
+
 @dataclass(frozen=True)
 class _CensoredNormal:
     """Statistics of a normal variable with sigma = 1, censored at a limit, by the share of samples at the limit."""

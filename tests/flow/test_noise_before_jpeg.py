@@ -76,6 +76,33 @@ def test_noise_is_read_where_most_of_a_picture_is_near_a_limit(quality, tmp_path
         assert 255 * found == pytest.approx(10, rel=0.12)
 
 
+@pytest.mark.parametrize("quality", [75, 92])
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("limit", [0.0, 1.0])
+def test_noise_is_read_where_it_was_cut_off(limit, channels, quality, tmp_path):
+    # At the limit itself a third of the variance is left, and a half at 0.4 standard deviations from it.
+    image = np.broadcast_to(abs(limit - np.linspace(0, 0.02, 256)[:, None, None]), (256, 256, channels))
+    found = noise_before_jpeg([picture(stored(image, 12), quality, "4:2:0", tmp_path)])
+    assert found is not None
+    assert 255 * found == pytest.approx(12, rel=0.12)
+
+
+@pytest.mark.parametrize("quality", [75, 85])
+def test_noise_is_read_where_all_that_is_not_white_is_texture(quality, tmp_path):
+    image = np.ones_like(CLEAN)
+    image[:, 192:] = np.random.default_rng(5).uniform(0.2, 0.8, (256, 64, 1))
+    found = noise_before_jpeg([picture(stored(image, 10), quality, "4:2:0", tmp_path)])
+    assert found is not None
+    assert 255 * found == pytest.approx(10, rel=0.12)
+
+
+def test_texture_beside_much_clean_white_is_not_taken_for_noise(tmp_path):
+    image = np.ones_like(CLEAN)
+    texture = np.random.default_rng(5).standard_normal((96, 96, 3))
+    image[:96, :96] = 0.5 + 12 / 255 * texture
+    assert noise_before_jpeg([picture(stored(image, 0), 85, "4:2:0", tmp_path)]) is None
+
+
 def test_noise_is_read_where_few_places_are_without_texture(tmp_path):
     texture = gaussian_filter(np.random.default_rng(5).standard_normal(CLEAN.shape[:2]), 1.5)
     textured = np.arange(256)[:, None] < 208

@@ -32,27 +32,33 @@ _SEED = 80
 def noise_after(
     pictures: Sequence[CodedPicture], pilots: Sequence[Float32s], sigma: float
 ) -> tuple[FoundNoise, Float64s]:
-    """Find what `decode` leaves of noise, and sigma by channel before it: on the pilots, noise added and coded."""
+    """Find what `decode` leaves of noise, and the root mean square of what stored pixels differ by, per channel.
+
+    Both on the pilots, noise added and coded.
+    """
     random = np.random.default_rng(_SEED)
     channels = pictures[0].pixels.shape[2]
-    before, after, lost = (_Covariances(channels) for _ in range(3))
+    after, lost = (_Covariances(channels) for _ in range(2))
+    squares, used = np.zeros(channels), 0
     for number, (picture, some) in enumerate(zip(pictures, some_bands(pictures), strict=True)):
         for rows in some:
             truth = 255 * pilots[number][rows]
             noisy = truth + np.float32(255 * sigma) * random.standard_normal(truth.shape, np.float32)
             stored = coded(picture, np.rint(np.clip(noisy, 0, 255)))
             lost.add(coded(picture, truth) - truth, picture.used[rows])
-            before.add(stored - truth, picture.used[rows])
+            error = (np.clip(stored, 0, 255) - truth)[picture.used[rows]] / 255
+            squares += np.square(error).sum(axis=0, dtype=np.float64)
+            used += len(error)
             decoded = expected(picture, stored, picture.decoded_planes(stored), truth, sigma)
             after.add(decoded - truth, picture.used[rows])
-    covariances, read = PILOT_ERROR**2 * after.mean(), sigma_of_covariances(before.mean())
+    covariances, stored_error = PILOT_ERROR**2 * after.mean(), np.sqrt(squares / max(1, used))
     # What JPEG takes of a picture that went through it already, it took of the picture before.
     doubt = _LOST * float(np.mean(np.square(sigma_of_covariances(lost.mean()))))
     own = sigma_of_covariances(covariances)
     fine, coarse = (np.linalg.eigvalsh(covariances[scale]) for scale in (0, 2))
     if np.all(coarse < _GROWS**2 * np.maximum(fine, 1e-12)):
-        return FoundNoise(doubt=doubt, sigma=own), read
-    return FoundNoise(None, covariances, doubt, own), read
+        return FoundNoise(doubt=doubt, sigma=own), stored_error
+    return FoundNoise(None, covariances, doubt, own), stored_error
 
 
 class _Covariances:

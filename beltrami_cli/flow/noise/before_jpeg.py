@@ -6,11 +6,12 @@ In even blocks the share of DCT coefficients that are not 0 tells how strong it 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.flow.clipping import variance_at
 from beltrami_cli.flow.noise.coded_picture import (
     SIDE,
     CodedPicture,
@@ -28,13 +29,17 @@ _ORDERS = np.add.outer(np.arange(SIDE), np.arange(SIDE)).reshape(-1)
 # the more even half while the scatter, see below, exceeds that of noise by this factor.
 _FIRST, _EVEN, _FEWEST, _EVEN_SCATTER = 2, 0.25, 40, 1.3
 
-# Noise of channels is cut off in blocks of which a quarter has a mean within this many standard deviations of a limit,
-# and those in which more than this share of a plane's noise is lost so are left out. That no pixel is cut off does not
-# do: of a bright block, JPEG leaves none at the limit if it took all noise, so that those would count alone.
-_NEAR_LIMIT, _MOST_LOST = 1.25, 0.3
+# Blocks in which limits leave less than this share of the variance of noise are left out; a third is left at a limit
+# itself. How much is left is known from the means of quarters, and not from pixels at a limit: JPEG leaves none there
+# in a bright block of which it took all noise. Shares are rounded to so many parts.
+_LEAST_LEFT, _PARTS = 0.15, 16
 
-# Standard deviation of noise, full scale 255, for which blocks are chosen at first, and how often they are chosen anew.
-_FIRST_SIGMA, _ROUNDS = 20.0, 4
+# Noise by which more than two thirds of the blocks would lie beyond limits is texture of the others.
+_LEAST_WITHIN = 1 / 3
+
+# Standard deviation of noise, full scale 255, for which blocks are chosen at first, and how often they are chosen anew,
+# unless it changes by less than this share.
+_FIRST_SIGMA, _ROUNDS, _CHANGE = 20.0, 8, 0.01
 
 # Orders of coefficients that are counted together: of luma, where texture hides the lower ones, and the low ones, which
 # are all that coarse steps, and decoders that interpolate it, show of chroma.
@@ -72,7 +77,7 @@ def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
     counted = _counted(pictures)
     luma = counted.luma
     telling = [own for own in luma if own.observed >= _TELLING]
-    if not telling or not _Counts.joined(telling).is_noise:
+    if not telling or not _Counts.joined(telling).is_noise or counted.within < _LEAST_WITHIN:
         return None
     sigmas = [own.sigma for own in telling]
     least, most = min(sigmas), max(sigmas)
@@ -93,7 +98,7 @@ def noise_before_jpeg(pictures: Sequence[CodedPicture]) -> float | None:
 
 
 def _counted(pictures: Sequence[CodedPicture]) -> _Counted:
-    """Count coefficients of blocks in which the noise that they show is not cut off."""
+    """Count coefficients of blocks, by the noise that limits leave in them."""
     chosen = [
         (picture, [_band_of(picture, rows) for rows in some])
         for picture, some in zip(pictures, some_bands(pictures), strict=True)
@@ -103,8 +108,10 @@ def _counted(pictures: Sequence[CodedPicture]) -> _Counted:
         counted = _Counted()
         for picture, bands in chosen:
             counted.add(picture, bands, sigma)
-        joined = _Counts.joined(counted.luma)
+        joined, last = _Counts.joined(counted.luma), sigma
         sigma = joined.sigma if joined.observed >= _TELLING else sigma / 2
+        if abs(sigma - last) < _CHANGE * last:
+            break
     return counted
 
 
@@ -113,6 +120,50 @@ def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
     return any(
         max(each.span) > 1 or np.median(each.steps[0]) > _COARSE * each.sigma_of_planes(255 * sigma)[0]
         for each in pictures
+    )
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Blocks of a plane; the index of some makes them."""
+
+    coefficients: Float32s  # shape (B, 64)
+    left: Float64s  # the share of the variance of noise that limits leave in each, shape (B,)
+    steps: Float64s  # of coefficients, shape (64,)
+    unit: float  # their standard deviation for that of pixels
+
+    def __getitem__(self, some: Array | slice) -> _Blocks:
+        return replace(self, coefficients=self.coefficients[some], left=self.left[some])
+
+    @property
+    def multiples(self) -> Float64s:
+        """The coefficients in units of their steps."""
+        return np.rint(self.coefficients / self.steps)
+
+    def most_even(self) -> _Blocks:
+        """Return those in which the first orders have the least energy beside that of noise, from the least on."""
+        first = self.coefficients[:, (_ORDERS > 0) & (_ORDERS <= _FIRST)]
+        count = max(_FEWEST, int(_EVEN * len(first)))
+        return self[np.argsort(np.square(first).sum(axis=1) / self.left, kind="stable")[:count]]
+
+    def free_of_texture(self) -> _Blocks:
+        """Return the first ones, which differ by no more than noise does."""
+        blocks = self
+        while len(blocks.left) > _FEWEST:
+            counts = _Counts()
+            counts.add(blocks, _OF_LUMA[0])
+            if counts.scatter <= _EVEN_SCATTER:
+                break
+            blocks = blocks[: max(_FEWEST, len(blocks.left) // 2)]
+        return blocks
+
+
+def _blocks_of(picture: CodedPicture, bands: Sequence[_Band], plane: int, sigma: float) -> _Blocks:
+    return _Blocks(
+        np.concatenate([band.planes[plane] for band in bands]),
+        np.concatenate([band.left(plane, sigma) for band in bands]),
+        picture.tables[plane].reshape(-1),
+        picture.sigma_of_planes(1.0)[plane],
     )
 
 
@@ -137,17 +188,19 @@ class _Counts:
         )
         return whole
 
-    def add(self, multiples: Float64s, steps: Float64s, orders: range) -> None:
-        """Add coefficients of some orders, in units of their steps, shape (B, 64); `steps`: in units of noise."""
+    def add(self, blocks: _Blocks, orders: range) -> None:
+        """Add coefficients of some orders."""
         of_order = np.isin(_ORDERS, orders)
-        found, steps = multiples[:, of_order] != 0, steps[of_order]
+        found, steps = blocks.multiples[:, of_order] != 0, blocks.steps[of_order] / blocks.unit
         self.observed += int(np.count_nonzero(found))
-        if len(found):
-            shares = found.mean(axis=0)
-            self._variance += len(found) * float(found.sum(axis=1).var())
-            self._even += len(found) * float((shares * (1 - shares)).sum())
-        self._steps.append(steps)
-        self._blocks.append(len(multiples))
+        parts = np.rint(_PARTS * blocks.left)
+        for part in np.unique(parts):
+            own = found[parts == part]
+            shares = own.mean(axis=0)
+            self._variance += len(own) * float(own.sum(axis=1).var())
+            self._even += len(own) * float((shares * (1 - shares)).sum())
+            self._steps.append(steps / np.sqrt(part / _PARTS))
+            self._blocks.append(len(own))
 
     def expected(self, sigma: float) -> float:
         """Return how many are not 0 for white noise."""
@@ -182,34 +235,41 @@ class _Counted:
     def __init__(self) -> None:
         self.luma = [_Counts() for _ in range(2 * len(_OF_LUMA))]  # by orders, in darker and brighter blocks
         self.low, self.chroma = _Counts(), _Counts()  # low orders of luma and of chroma
+        self._whole, self._telling = 0, 0  # blocks of luma, and those in which limits leave enough noise
         self.places: list[list[_Counts]] = []  # by orders of luma, in each part of the pictures
 
     def add(self, picture: CodedPicture, bands: Sequence[_Band], sigma: float) -> None:
         """Add bands of rows of a picture; `sigma`: of noise of pixels, which may be cut off."""
-        for plane, (table, unit) in enumerate(zip(picture.tables, picture.sigma_of_planes(1.0), strict=True)):
-            whole = np.concatenate([band.within(plane, sigma) for band in bands])
-            blocks = np.concatenate([band.planes[plane] for band in bands])[whole]
-            steps = table.reshape(-1)
-            if len(blocks) < _FEWEST:
+        for plane in range(len(picture.tables)):
+            blocks = _blocks_of(picture, bands, plane, sigma)
+            telling = blocks.left >= _LEAST_LEFT
+            if not plane:
+                self._whole += len(telling)
+                self._telling += int(np.count_nonzero(telling))
+            blocks = blocks[telling]
+            if len(blocks.left) < _FEWEST:
                 continue
-            even = _most_even(blocks)
-            multiples = np.rint(even / steps)
+            even = blocks.most_even()
             if plane:
-                self.chroma.add(multiples, steps / unit, _LOW)
+                self.chroma.add(even, _LOW)
                 continue
-            count = _free_of_texture(multiples)
-            even, multiples = even[:count], multiples[:count]
-            self.low.add(multiples, steps / unit, _LOW)
-            bright = even[:, 0] > np.median(even[:, 0])
+            even = even.free_of_texture()
+            self.low.add(even, _LOW)
+            bright = even.coefficients[:, 0] > np.median(even.coefficients[:, 0])
             for number, orders in enumerate(_OF_LUMA):
                 for level in (0, 1):
-                    self.luma[2 * number + level].add(multiples[bright == level], steps / unit, orders)
-            places = np.concatenate([band.places for band in bands])[whole]
+                    self.luma[2 * number + level].add(even[bright == level], orders)
+            places = np.concatenate([band.places for band in bands])[telling]
             for place in np.unique(places):
-                own, there = [_Counts() for _ in _OF_LUMA], _most_even(blocks[places == place])
+                own, there = [_Counts() for _ in _OF_LUMA], blocks[places == place].most_even()
                 for counts, orders in zip(own, _OF_LUMA, strict=True):
-                    counts.add(np.rint(there / steps), steps / unit, orders)
+                    counts.add(there, orders)
                 self.places.append(own)
+
+    @property
+    def within(self) -> float:
+        """The share of blocks that are counted."""
+        return self._telling / max(1, self._whole)
 
     def differs(self, sigma: float) -> bool:
         """Whether noise is stronger than elsewhere in many places."""
@@ -222,25 +282,6 @@ def _is_louder(first: _Counts, last: _Counts, sigma: float) -> bool:
     if first.observed < _TELLING or not first.is_noise or first.sigma <= sigma:
         return False
     return last.sigma > sigma or last.expected(sigma) < 2 * _TELLING
-
-
-def _most_even(blocks: Float32s) -> Float32s:
-    """Return the coefficients of the blocks, shape (B, 64), in which the first orders have the least energy."""
-    energy = np.square(blocks[:, (_ORDERS > 0) & (_ORDERS <= _FIRST)]).sum(axis=1)
-    count = max(_FEWEST, int(_EVEN * len(blocks)))
-    return blocks[np.argsort(energy, kind="stable")[:count]]
-
-
-def _free_of_texture(multiples: Float64s) -> int:
-    """Return how many blocks differ by no more than noise does; the most even ones come first."""
-    count = len(multiples)
-    while count > _FEWEST:
-        own = _Counts()
-        own.add(multiples[:count], np.ones(SIDE**2), _OF_LUMA[0])
-        if own.scatter <= _EVEN_SCATTER:
-            break
-        count = max(_FEWEST, count // 2)
-    return count
 
 
 def some_bands(pictures: Sequence[CodedPicture]) -> list[list[slice]]:
@@ -258,29 +299,30 @@ class _Band:
     """Blocks of some rows of a picture that do not reach beyond borders."""
 
     planes: list[Float32s]  # coefficients of each plane, shape (B, 64)
-    gaps: list[
-        Float32s
-    ]  # the same of channels: the least from the mean of a quarter to a limit, shape (B, channels)
+    gaps: list[Float64s]  # of each plane: from means of quarters to a limit, shape (4, B, channels)
     places: Int64s  # in which blocks of luma are, shape (B,)
 
-    def within(self, plane: int, sigma: float) -> Bools:
-        """Return which blocks of a plane keep most of their noise."""
+    def left(self, plane: int, sigma: float) -> Float64s:
+        """Return which share of the variance of a plane's noise limits leave in each block."""
         gaps = self.gaps[plane]
-        shares = shares_of_channels(gaps.shape[1])[plane].astype(np.float32)
-        return np.asarray(((gaps < _NEAR_LIMIT * sigma) * shares).sum(axis=1) <= _MOST_LOST)
+        of_channels = shares_of_channels(gaps.shape[2])[plane]
+        left: Float64s = variance_at(gaps / sigma).mean(axis=0) @ of_channels
+        return left
 
 
 def _band_of(picture: CodedPicture, rows: slice) -> _Band:
     pixels, used = picture.pixels[rows], picture.used[rows].astype(np.float32)
-    planes, gaps, places = [], [], np.zeros(0, np.int64)
+    planes: list[Float32s] = []
+    gaps: list[Float64s] = []
+    places = np.zeros(0, np.int64)
     for number, plane in enumerate(picture.stored_planes(rows)):
         span = picture.span if number else (1, 1)
         whole = in_blocks(means_over(used, span) == 1).all(axis=(2, 3))
         planes.append(coefficients_of(plane)[whole].reshape(-1, SIDE**2))
         quarter = span[0] * SIDE // 2, span[1] * SIDE // 2
         means = np.stack([means_over(channel, quarter) for channel in np.moveaxis(pixels, 2, 0)])
-        least = corners_of(np.minimum(means, 255 - means)).min(axis=0)
-        gaps.append(least[:, whole].T)
+        nearest = corners_of(np.minimum(means, 255 - means))[:, :, whole]
+        gaps.append(nearest.swapaxes(1, 2).astype(np.float64))
         if not number:
             down = rows.start // (SIDE * _BLOCKS_OF_PLACE)
             places = down * picture.used.shape[1] + np.nonzero(whole)[1] // _BLOCKS_OF_PLACE
