@@ -149,15 +149,8 @@ endif
 sanitize: $(VENV)/.installed-test
 	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
-	$(BIN)/cmake --build build/sanitize --parallel 2
-	build/sanitize/core_tests
-	build/sanitize/segment_tests
-	build/sanitize/atlas_tests
-	build/sanitize/colours_tests
-	build/sanitize/grid_tests
-	build/sanitize/patches_tests
-	build/sanitize/surface_patches_tests
-	build/sanitize/points_tests
+	MAKEFLAGS= $(BIN)/cmake --build build/sanitize --parallel 2
+	$(BIN)/ctest --test-dir build/sanitize --parallel 2 --output-on-failure --no-tests=error
 
 # The viewer of the pages is three.js, bundled once and kept in the package.
 THREE := three@0.187.0 esbuild@0.28
