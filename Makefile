@@ -157,7 +157,7 @@ sanitize: $(CMAKE)
 	$(CMAKE) -S beltrami_cli/native -B build/sanitize -DCMAKE_CXX_FLAGS="-O1 -g1" \
 	  -DBELTRAMI_PYTHON=OFF -DBELTRAMI_TESTS=ON -DBELTRAMI_SANITIZE=ON -DBELTRAMI_WARNINGS_FAIL=ON
 	MAKEFLAGS= $(CMAKE) --build build/sanitize --parallel 2
-	build/cmake/bin/ctest --test-dir build/sanitize --parallel 2 --output-on-failure --no-tests=error
+	$(dir $(CMAKE))ctest --test-dir build/sanitize --parallel 2 --output-on-failure --no-tests=error
 
 # The viewer of the pages is three.js, bundled once and kept in the package.
 THREE := three@0.187.0 esbuild@0.28

@@ -125,12 +125,12 @@ def is_changed(pictures: Sequence[CodedPicture], sigma: float) -> bool:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of a plane; the index of some makes them."""
+    """Blocks of a plane, which can be indexed."""
 
     coefficients: Float32s  # shape (B, 64)
     left: Float64s  # the share of the variance of noise that limits leave in each, shape (B,)
     steps: Float64s  # of coefficients, shape (64,)
-    unit: float  # their standard deviation for that of pixels
+    unit: float  # the standard deviation of noise in them, relative to that of pixels
 
     def __getitem__(self, some: Array | slice) -> _Blocks:
         return replace(self, coefficients=self.coefficients[some], left=self.left[some])
@@ -147,7 +147,7 @@ class _Blocks:
         return self[np.argsort(np.square(first).sum(axis=1) / self.left, kind="stable")[:count]]
 
     def free_of_texture(self) -> _Blocks:
-        """Return the first ones, which differ by no more than noise does."""
+        """Return as many of the first ones as differ by no more than noise does."""
         blocks = self
         while len(blocks.left) > _FEWEST:
             counts = _Counts()
@@ -268,7 +268,7 @@ class _Counted:
 
     @property
     def within(self) -> float:
-        """The share of blocks that are counted."""
+        """The share of blocks that limits leave enough noise in."""
         return self._telling / max(1, self._whole)
 
     def differs(self, sigma: float) -> bool:
