@@ -6,6 +6,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from beltrami_cli import smooth
 from beltrami_cli.flow.mesh_manifold import MeshManifold
@@ -15,7 +16,7 @@ from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.vertex_graph import levels_of
 from beltrami_cli.jobs.noise import add_grain
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains
+from beltrami_cli.samples.samples import Grains, as_jpeg
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr
@@ -57,6 +58,25 @@ def test_noise_that_vertices_share_is_found(sphere, size):
     assert manifold.grain > 1.5
     alone = mesh.estimate_sigma(manifold.colours, manifold.edges)
     assert (alone < 0.6 * SIGMA).all()
+
+
+@pytest.mark.parametrize(
+    ("sigma", "quality", "count", "seed"),
+    [(10, 98, 8_000, 3), (10, 85, 8_000, 3), (20, 92, 8_000, 2), (20, 75, 12_000, 2), (20, 85, 32_000, 3)],
+)
+def test_the_noise_that_jpeg_left_on_vertices_is_found(sigma, quality, count, seed):
+    """To a fifth, on fewer and on more vertices than keep colours of neighbouring pixels apart."""
+    side, random = 256, np.random.default_rng(seed)
+    y, x = np.mgrid[:side, :side] / side
+    clean = painted(np.stack([x, y, x * y], axis=2).reshape(-1, 3)).reshape(side, side, 3)
+    picture = as_jpeg(clean + sigma / 255 * random.standard_normal(clean.shape), quality)
+    places = random.uniform(0, side, (count, 2))
+    column, row = places.astype(int).T
+    colours = picture[row, column]
+    positions = np.column_stack([places, np.zeros(count)])
+    manifold = manifold_of(positions, Delaunay(places).simplices, colours)
+    true = np.sqrt(np.mean((colours - clean[row, column]) ** 2))
+    assert np.sqrt(np.mean(manifold.noise**2)) == pytest.approx(true, rel=0.2)
 
 
 def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere):

@@ -66,12 +66,14 @@ _COLOURLESS = 1.3
 
 # JPEG leaves white noise in the mean of channels. It grows by less than the first of these from single cells to the
 # second scale, as no texture does, and from there to the third it grows or falls by less than the second. Beneath
-# texture of the third scale, it grows by less than the last from single cells on.
-_MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE = 2.2, 1.6, 1.25
+# texture of the third scale, it grows by less than the last from single cells on: on vertices more than on grids.
+_MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE = 2.2, 1.6, 1.4
 
-# It leaves less than the first of these shares of the finest in the differences of channels, or the second where noise
-# is weak, as texture of paint is. It leaves coarse noise: that of the mean is no larger than the last factor of it.
-_LEFT, _LEFT_OF_WEAK, _WEAK, _MOST_ABOVE = 0.5, 0.2, 7 / 255, 3.0
+# It leaves less than the first of these shares of the finest in a difference of channels, or the second where noise is
+# weak, as texture of paint is; with less than the third, this need not grow as much to the third scale. It leaves
+# coarse noise: what is larger than the last factor of it in the mean of channels is texture, and an even mean is at
+# most that.
+_LEFT, _LEFT_OF_WEAK, _LITTLE, _WEAK, _MOST_ABOVE = 0.5, 0.2, 0.3, 7 / 255, 3.0
 
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
 _MOST_APART = 1.2
@@ -236,20 +238,20 @@ def _level_of_mean(sigma: Float64s) -> float | None:
     if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
         return None
     fine, middle, coarse = sigma[:3, 0]
-    differences = sigma[:3, 1:].max(axis=1)
-    if middle < _LEAST_MIDDLE or differences[0] > (_LEFT if middle > _WEAK else _LEFT_OF_WEAK) * fine:
+    finest, differences = sigma[0, 1:], sigma[2, 1:]
+    taken = finest < (_LEFT if middle > _WEAK else _LEFT_OF_WEAK) * fine
+    growth = np.where(finest < _LITTLE * fine, _GROWS, _GROWS_TWICE)
+    taken &= (differences > growth * finest) | (finest < _LEAST_DIFFERENCES)
+    if middle < _LEAST_MIDDLE or middle > _EVEN_MEAN * coarse or not taken.any():
         return None
-    if differences[2] < _GROWS_TWICE * differences[0] and differences[0] > _LEAST_DIFFERENCES:
-        return None
-    if middle > _EVEN_MEAN * coarse:
-        return None
+    is_even, most = middle < _AS_FINE * fine, _MOST_ABOVE * np.nanmax(sigma[1:, 1:].min(axis=1))
     if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
         level = max(fine, middle, coarse)
-    elif middle < _AS_FINE * fine:
+    elif is_even:
         level = max(fine, middle)
     else:
         return None
-    return float(level) if level < _MOST_ABOVE * np.nanmax(sigma[2:4, 1:].min(axis=1)) else None
+    return float(min(level, most)) if most > _LEAST_MIDDLE and (is_even or level < most) else None
 
 
 def _levels_off(sigma: Float64s) -> bool:
