@@ -53,6 +53,9 @@ _LESS = 0.6
 # Residuals, in logarithms of variance, above which there is texture; and iterations of the weights.
 _SCATTER, _ROUNDS = 0.1, 30
 
+# If this share of the neighbourhoods is plain, the others show paint, or what JPEG left of noise: nobody can tell.
+MOST_PLAIN = 0.5
+
 # Values that make a full weight.
 _ENOUGH_VALUES = 200
 
@@ -74,6 +77,7 @@ class Neighbourhoods:
     cut_off: float = 0.0  # share of colours at a limit, in these and in others that were left out
     most: Float64s | float = np.inf  # standard deviation of noise at most, by component, shape (K,)
     by_channel: Float64s | None = None  # the energy by channel, shape (K, M), where that is measured
+    plain: float = 0.0  # share of neighbourhoods that held nothing, and were left out
 
 
 @dataclass(frozen=True)

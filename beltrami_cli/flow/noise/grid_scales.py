@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.noise.by_level import Neighbourhoods, by_channel, mixing_by
+from beltrami_cli.flow.noise.by_level import MOST_PLAIN, Neighbourhoods, by_channel, mixing_by
 from beltrami_cli.flow.noise.by_scale import SCALE_OF_CHANNELS, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import (
     FEWEST_SAMPLES,
@@ -45,9 +45,6 @@ _MOST_CUT_OFF, _DARK, _ENOUGH_LIT, _PLAIN = 0.3, 0.6, 0.1, 1e-9
 # Where fewer than this share of the coarsest tiles are left, as around what lies on white, nearly all of them hold
 # edges.
 _ENOUGH_LEFT = 1 / 3
-
-# If this share of the tiles is plain, the others show paint, or what JPEG left of noise: nobody can tell.
-_MOST_PLAIN = 0.5
 
 # With fewer cells, in all or per side, or fewer tiles, coarse scales are no estimate; with fewer cells, no level is.
 _MIN_CELLS, _MIN_SIDE, _MIN_TILES, _MIN_BY_LEVEL = 5_000, 64, 81, 10_000
@@ -113,7 +110,7 @@ def measure_by_scale(
         if louder is not None:
             remaining = remaining * sums_of_tiles(louder, side)[tiles] / side**2
         plain = energy.min(axis=0, initial=np.inf) <= _PLAIN
-        if scale == 0 and (np.count_nonzero(plain) > _MOST_PLAIN * len(plain) or _is_paint(details, tiles)):
+        if scale == 0 and (np.count_nonzero(plain) > MOST_PLAIN * len(plain) or _is_paint(details, tiles)):
             return None, mixing
         of_channels = None
         if scale == SCALE_OF_CHANNELS:

@@ -17,6 +17,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import (
+    MOST_PLAIN,
     Neighbourhoods,
     by_channel,
     fit_by_level,
@@ -260,8 +261,12 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     if are_enough:
         scales = []
         for fine, parents, tiles in zip(clusters, clusters[1:], clusters[2:], strict=False):
-            if tiles.graph.size >= _FEWEST_TILES:
-                scales.append(_details(columns, mixing, fine, parents, tiles))
+            if tiles.graph.size < _FEWEST_TILES:
+                break
+            measured = _details(columns, mixing, fine, parents, tiles)
+            if not scales and measured.plain > MOST_PLAIN:
+                break
+            scales.append(measured)
         alone = partial(estimate_sigma, colours, samples.edges, relative)
         found = noise_of_scales(scales, mixing, colours.shape[1], alone, by_level=by_level)
         if found.covariances is not None:
@@ -318,4 +323,5 @@ def _details(
         _DETAILS,
         float(cut.mean()),
         by_channel=channels[:, seen],
+        plain=float(np.mean(~seen)) if len(seen) else 0.0,
     )
