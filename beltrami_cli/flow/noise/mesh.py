@@ -259,7 +259,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
     found = FoundNoise()
     if are_enough:
-        scales = []
+        scales: list[Neighbourhoods] = []
         for fine, parents, tiles in zip(clusters, clusters[1:], clusters[2:], strict=False):
             if tiles.graph.size < _FEWEST_TILES:
                 break
