@@ -10,6 +10,7 @@ from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow.clipping import (
     ClippedChannels,
     find_clipped,
+    freedom_of_clipped,
     sigma_of_clipped,
     variance_at,
     variance_of_clipped,
@@ -166,6 +167,9 @@ def test_tables_are_those_of_the_normal_and_the_chi_square_distribution():
     np.testing.assert_allclose(
         variance_of_clipped(shares), variances, rtol=2e-3
     )  # the tails of a million samples
+    # A sum of squares varies by 2 / freedom of its square, and by the kurtosis less 1 per square.
+    freedoms = [2 / (stats.kurtosis(sample, fisher=False) - 1) for sample in clipped]
+    np.testing.assert_allclose(freedom_of_clipped(shares), freedoms, rtol=5e-3)
     gaps = alpha - [sample.mean() for sample in clipped]
     np.testing.assert_allclose(sigma_of_clipped(0.1 * gaps, shares), 0.1, rtol=2e-3)
     for freedom in (10, 13, 26, 60):

@@ -53,6 +53,10 @@ _LESS = 0.6
 # Residuals, in logarithms of variance, above which there is texture; and iterations of the weights.
 _SCATTER, _ROUNDS = 0.1, 30
 
+# Neighbourhoods with a larger share of samples at 0 or full scale are left out; more are taken where fewer than the
+# last share of them would be left.
+_MOST_CUT_OFF, _DARK, _ENOUGH_LIT = 0.3, 0.6, 0.1
+
 # If this share of the neighbourhoods is plain, the others show paint, or what JPEG left of noise: nobody can tell.
 MOST_PLAIN = 0.5
 
@@ -130,6 +134,12 @@ def _measured(
             weight = min(1.0, len(even) * own.values / _ENOUGH_VALUES)
             for component, energy in enumerate(own.energy[:, even].mean(axis=1)):
                 yield (scale, component), shares[component], float(np.log(energy)), weight
+
+
+def most_cut_off(shares: Float64s) -> float:
+    """Return the share of samples at a limit below which neighbourhoods count, by the shares of all."""
+    is_lit = np.count_nonzero(shares < _MOST_CUT_OFF) >= _ENOUGH_LIT * np.count_nonzero(shares < 1)
+    return _MOST_CUT_OFF if is_lit else _DARK
 
 
 def most_even(unevenness: Float64s) -> Int64s:

@@ -27,7 +27,7 @@ from statistics import NormalDist
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float64s
-from beltrami_cli.flow.clipping import sigma_of_clipped, variance_of_clipped
+from beltrami_cli.flow.clipping import freedom_of_clipped, sigma_of_clipped, variance_of_clipped
 
 # Patches with at most this share of their samples at a limit lose little of their noise there, and how much is known.
 # If there are this many of them (as a share, and in number), no others are used.
@@ -107,14 +107,18 @@ def flat_patch_sigma(patches: Patches, white: WhiteNoise) -> Float64s:
             chosen, energies = _usable(patches, channel)
             if chosen.any():
                 usable[channel], estimates[channel] = chosen, energies
-    bound = {k: _variance(usable[k], estimates[k], white.freedom, _FIRST_QUANTILE) for k in usable}
+    freedom = {
+        k: white.freedom * float(freedom_of_clipped((patches.low + patches.high)[k, usable[k]]).mean())
+        for k in usable
+    }
+    bound = {k: _variance(usable[k], estimates[k], freedom[k], _FIRST_QUANTILE) for k in usable}
     variance = bound.copy()
     for _ in range(_ROUNDS):
         texture, channels = _texture(patches, usable, variance, white)
         for channel, chosen in usable.items():
             flat = chosen.copy()
             flat[chosen] = _flattest(texture[chosen], channels[chosen], white)
-            level = _variance(flat, estimates[channel], white.freedom, _QUANTILE)
+            level = _variance(flat, estimates[channel], freedom[channel], _QUANTILE)
             variance[channel] = min(level, bound[channel])
     sigma = np.zeros(len(patches.energy))
     sigma[list(variance)] = np.sqrt(list(variance.values()))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.noise.by_level import MOST_PLAIN, Neighbourhoods, by_channel, mixing_by
+from beltrami_cli.flow.noise.by_level import MOST_PLAIN, Neighbourhoods, by_channel, mixing_by, most_cut_off
 from beltrami_cli.flow.noise.by_scale import SCALE_OF_CHANNELS, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import (
     FEWEST_SAMPLES,
@@ -38,9 +38,8 @@ from beltrami_cli.surface import large_arrays
 # Squares per side of a tile, scale by scale: there are few of the coarse ones.
 _TILES = (4, 4, 2, 2)
 
-# Tiles with a larger share of cells at 0 or full scale are left out, and those without any detail; more are taken where
-# fewer than this share of the tiles would be left.
-_MOST_CUT_OFF, _DARK, _ENOUGH_LIT, _PLAIN = 0.3, 0.6, 0.1, 1e-9
+# Tiles without any detail are left out.
+_PLAIN = 1e-9
 
 # Where fewer than this share of the coarsest tiles are left, as around what lies on white, nearly all of them hold
 # edges.
@@ -98,8 +97,7 @@ def measure_by_scale(
         loud = 1 if louder is None else louder
         most = most_noise(4**scale * details / loud, _uncut(filled, cut, side))
         share = np.where(whole, sums_of_tiles(cut, side) / side**2, 1)
-        lit = np.count_nonzero(share < _MOST_CUT_OFF) >= _ENOUGH_LIT * np.count_nonzero(share < 1)
-        tiles = share < (_MOST_CUT_OFF if lit else _DARK)
+        tiles = share < most_cut_off(share)
         if scale == len(_TILES) - 1 and np.count_nonzero(tiles) < _ENOUGH_LEFT * np.count_nonzero(whole):
             break
         energy, square, level = (

@@ -23,6 +23,7 @@ from beltrami_cli.flow.noise.by_level import (
     fit_by_level,
     mixing_by,
     mixing_for,
+    most_cut_off,
     stabiliser_of,
 )
 from beltrami_cli.flow.noise.by_place import MOST_CUT_OFF, by_mean, louder_blocks, over_samples
@@ -55,14 +56,16 @@ _AROUND_SHARE, _AROUND_LEAST = 0.05, 300
 # Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
 
+# Rings over which the shares at a limit are averaged.
+_RINGS_OF_SHARES = 2
+
 # Noise by level needs this many samples. Neighbourhoods with a larger share of samples at a limit, or without any
 # noise, are left out.
 _FEWEST_BY_LEVEL, _MOST_CUT_OFF, _PLAIN = 2_000, 0.1, 1e-9
 
 # Noise that neighbours share needs more samples, and coarse scales need tiles: clusters of some four clusters of four,
-# which hold so many independent details, and at least a few. Tiles with a larger share at a limit are left out.
+# which hold so many independent details, and at least a few.
 _FEWEST_SHARED, _FEWEST_TILES, _DETAILS, _FEWEST_DETAILS = 6_000, 30, 13, 3
-_MOST_CUT_OFF_OF_TILES = 0.3
 
 # Samples of a tile and tiles of a block, for noise by place; and passes over neighbours that even out those of tiles.
 _TILE, _TILES, _SPREAD = 64, 16, 8
@@ -83,13 +86,21 @@ def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None =
     inside = _inside(colours, edges)
     if len(colours) < FEWEST_SAMPLES or not inside.any():
         return np.zeros(colours.shape[1])
-    others = np.hstack([colours <= 0, colours >= 1, colours])
-    energy, uneven, _, others = _neighbourhoods(colours, others, variances, edges, inside)
+    shares = _around(np.hstack([colours <= 0, colours >= 1, colours]), edges)
+    energy, uneven, _, others = _neighbourhoods(colours, shares, variances, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
     low, high, mean = others.reshape(3, *energy.shape)
     patches = Patches(energy, uneven, low, high, mean, (energy == 0).astype(np.float64))
     sigma = flat_patch_sigma(patches, white)
     return noise_or_paint(sigma, np.ptp(colours, axis=0))
+
+
+def _around(columns: Array, edges: Int32s) -> Float32s:
+    """Return means over some rings: where noise cuts off a half, some neighbourhoods lose little by chance."""
+    size, means = np.bincount(edges.ravel(), minlength=len(columns)) + 1, columns.astype(np.float32)
+    for _ in range(_RINGS_OF_SHARES):
+        means = _means_around(means, edges, size)
+    return means
 
 
 def _inside(colours: Float32s, edges: Int32s) -> Bools:
@@ -255,7 +266,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     clusters = list(islice(levels_of(part), SCALES + 2)) if are_enough else []
     mixing = _mixing_of(own, clusters)
     mixed = np.einsum("ki,si->sk", mixing, own)
-    cut = ((own <= 0) | (own >= 1)).mean(axis=1)
+    cut = _around(((own <= 0) | (own >= 1)).mean(axis=1, keepdims=True), edges)
     columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
     found = FoundNoise()
     if are_enough:
@@ -310,7 +321,7 @@ def _details(
     level, tile_of_parent = tiles.means(columns).astype(np.float64), tiles.members[parents.centres]
     apart = np.square(around - level[tile_of_parent, :-2]).sum(axis=1) * parents.counts
     cut = level[:, -2]
-    used = (free >= _FEWEST_DETAILS) & (cut < _MOST_CUT_OFF_OF_TILES)
+    used = (free >= _FEWEST_DETAILS) & (cut < most_cut_off(cut))
     variances = (level[:, -1] * variance_of_clipped(cut))[used]
     energy = np.stack([np.bincount(tile, own, within)[used] for own in details.T]) / (free[used] * variances)
     uneven = np.bincount(tile_of_parent, apart, within)[used] / (tiles.counts[used] * variances)
