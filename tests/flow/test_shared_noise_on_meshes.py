@@ -62,7 +62,14 @@ def test_noise_that_vertices_share_is_found(sphere, size):
 
 @pytest.mark.parametrize(
     ("sigma", "quality", "count", "seed"),
-    [(10, 98, 8_000, 3), (10, 85, 8_000, 3), (20, 92, 8_000, 2), (20, 75, 12_000, 2), (20, 85, 32_000, 3)],
+    [
+        (5, 92, 12_000, 3),
+        (10, 98, 8_000, 3),
+        (10, 85, 8_000, 3),
+        (20, 92, 8_000, 2),
+        (20, 75, 12_000, 2),
+        (20, 85, 32_000, 3),
+    ],
 )
 def test_the_noise_that_jpeg_left_on_vertices_is_found(sigma, quality, count, seed):
     """To a fifth, on fewer and on more vertices than keep colours of neighbouring pixels apart."""

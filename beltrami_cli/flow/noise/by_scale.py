@@ -70,9 +70,9 @@ _COLOURLESS = 1.3
 _MOST_FROM_FINEST, _EVEN_MEAN, _AS_FINE = 2.2, 1.6, 1.4
 
 # It leaves less than the first of these shares of the finest in a difference of channels, or the second where noise is
-# weak, as texture of paint is; with less than the third, this need not grow as much to the third scale. It leaves
-# coarse noise: what is larger than the last factor of it in the mean of channels is texture, and an even mean is at
-# most that.
+# weak, as texture of paint is, and the third if its mean is even; with less than that, differences need not grow as
+# much to the third scale. It leaves coarse noise: what is larger than the last factor of it in the mean of channels is
+# texture, and an even mean is at most that.
 _LEFT, _LEFT_OF_WEAK, _LITTLE, _WEAK, _MOST_ABOVE = 0.5, 0.2, 0.3, 7 / 255, 3.0
 
 # Noise of the mean of channels and of their differences, relative to the smaller one of these at most.
@@ -238,19 +238,23 @@ def _level_of_mean(sigma: Float64s) -> float | None:
     if sigma.shape[1] != len(OPPONENTS) or len(sigma) < 3 or np.isnan(sigma[:3]).any():
         return None
     fine, middle, coarse = sigma[:3, 0]
-    finest, differences = sigma[0, 1:], sigma[2, 1:]
-    taken = finest < (_LEFT if middle > _WEAK else _LEFT_OF_WEAK) * fine
-    growth = np.where(finest < _LITTLE * fine, _GROWS, _GROWS_TWICE)
-    taken &= (differences > growth * finest) | (finest < _LEAST_DIFFERENCES)
-    if middle < _LEAST_MIDDLE or middle > _EVEN_MEAN * coarse or not taken.any():
+    if middle < _LEAST_MIDDLE or middle > _EVEN_MEAN * coarse:
         return None
-    is_even, most = middle < _AS_FINE * fine, _MOST_ABOVE * np.nanmax(sigma[1:, 1:].min(axis=1))
-    if middle < _MOST_FROM_FINEST * fine and coarse < _EVEN_MEAN * middle:
+    is_even, ends_even = middle < _AS_FINE * fine, coarse < _EVEN_MEAN * middle
+    share = _LEFT if middle > _WEAK else _LITTLE if is_even and ends_even else _LEFT_OF_WEAK
+    finest, differences = sigma[0, 1:], sigma[2, 1:]
+    growth = np.where(finest < _LITTLE * fine, _GROWS, _GROWS_TWICE)
+    taken = finest < share * fine
+    taken &= (differences > growth * finest) | (finest < _LEAST_DIFFERENCES)
+    if not taken.any():
+        return None
+    if middle < _MOST_FROM_FINEST * fine and ends_even:
         level = max(fine, middle, coarse)
     elif is_even:
         level = max(fine, middle)
     else:
         return None
+    most = _MOST_ABOVE * np.nanmax(sigma[1:, 1:].min(axis=1))
     return float(min(level, most)) if most > _LEAST_MIDDLE and (is_even or level < most) else None
 
 
