@@ -55,7 +55,7 @@ def main():
             verdict = "" if held[-1] else "  MISSED"
             print(f"{case}: {true:.1f} dB, said {least:.1f}{end}{verdict}", flush=True)
     print(f"{100 * np.mean(held):.0f} % of {len(held)} intervals hold the truth")
-    print(f"noise of {np.sum(read_well)} of {len(read_well)} is read within 30 %")
+    print(f"noise of {np.sum(read_well)} of {len(read_well)} is read within {100 * NEAR:.0f} %")
 
 
 @dataclass(frozen=True)

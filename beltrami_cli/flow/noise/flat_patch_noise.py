@@ -6,9 +6,10 @@ because the two are different parts of the signal. So patches that are chosen by
 than that, in the other [1]_.
 
 A low quantile of the energies of flat patches is compared with that of the chi-square distribution, exact to a per cent
-for ten degrees of freedom and more [2]_. Patches with many samples at a limit are left out, because noise was cut off
-there. Where nearly all are such, the noise of each is that of a normal variable censored at the limit with the patch's
-mean and share, see `clipping`; texture makes that larger than it makes the residuals, so the smaller of both is used.
+for ten degrees of freedom and more [2]_; noise that was cut off has fewer of them, as its squares scatter more. Patches
+with many samples at a limit are left out, because noise was cut off there. Where nearly all are such, the noise of each
+is that of a normal variable censored at the limit with the patch's mean and share, see `clipping`; texture makes that
+larger than it makes the residuals, so the smaller of both is used.
 
 References
 ----------

@@ -56,7 +56,8 @@ _AROUND_SHARE, _AROUND_LEAST = 0.05, 300
 # Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
 
-# Rings over which the shares at a limit are averaged.
+# Rings over which the shares at a limit are averaged: where noise cuts off a half, some neighbourhoods lose little by
+# chance.
 _RINGS_OF_SHARES = 2
 
 # Noise by level needs this many samples. Neighbourhoods with a larger share of samples at a limit, or without any
@@ -86,21 +87,15 @@ def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None =
     inside = _inside(colours, edges)
     if len(colours) < FEWEST_SAMPLES or not inside.any():
         return np.zeros(colours.shape[1])
-    shares = _around(np.hstack([colours <= 0, colours >= 1, colours]), edges)
-    energy, uneven, _, others = _neighbourhoods(colours, shares, variances, edges, inside)
+    size = np.bincount(edges.ravel(), minlength=len(colours)) + 1
+    around = np.hstack([colours <= 0, colours >= 1, colours]).astype(np.float32)
+    around = _means_around(around, edges, size, _RINGS_OF_SHARES)
+    energy, uneven, _, others = _neighbourhoods(colours, around, variances, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
     low, high, mean = others.reshape(3, *energy.shape)
     patches = Patches(energy, uneven, low, high, mean, (energy == 0).astype(np.float64))
     sigma = flat_patch_sigma(patches, white)
     return noise_or_paint(sigma, np.ptp(colours, axis=0))
-
-
-def _around(columns: Array, edges: Int32s) -> Float32s:
-    """Return means over some rings: where noise cuts off a half, some neighbourhoods lose little by chance."""
-    size, means = np.bincount(edges.ravel(), minlength=len(columns)) + 1, columns.astype(np.float32)
-    for _ in range(_RINGS_OF_SHARES):
-        means = _means_around(means, edges, size)
-    return means
 
 
 def _inside(colours: Float32s, edges: Int32s) -> Bools:
@@ -122,14 +117,11 @@ def _neighbourhoods(
         own[inside] = residual**2
     middle = colours.mean(axis=0, dtype=np.float64)
     means = (colours - middle).astype(np.float32)  # small numbers, whose squares lose no digits
-    for _ in range(2):
-        means = _means_around(means, edges, size)
+    means = _means_around(means, edges, size, 2)
     sums = np.hstack(
         [np.stack([inside, np.ones(len(inside)), relative], axis=1), squares, means**2, means, others]
     )
-    sums = sums.astype(np.float32)
-    for _ in range(2):
-        sums = _means_around(sums, edges, np.ones(len(inside)))
+    sums = _means_around(sums.astype(np.float32), edges, np.ones(len(inside)), 2)
     counted, around, louder = sums[inside, :3].T.astype(np.float64)
     parts = np.split(sums[inside, 3:].T / around, np.arange(1, 4) * colours.shape[1])
     energy, even, level = parts[:3]
@@ -215,8 +207,7 @@ def find_relative(colours: Float32s, edges: Int32s) -> Float32s | None:
     if found is None:
         return None
     variances = over_samples(found[0], tiles[0].min(axis=0) / found[1])[tile][:, None]
-    for _ in range(_SPREAD):
-        variances = _means_around(variances, edges, size)
+    variances = _means_around(variances, edges, size, _SPREAD)
     return by_mean(variances, float(variances.mean(dtype=np.float64)))[0]
 
 
@@ -237,11 +228,14 @@ def _energies_by_scale(mixed: Float64s, edges: Int32s, size: Array, tile: Array)
     return np.array(energies, np.float32)[:, :-1]
 
 
-def _means_around(columns: Float32s, edges: Int32s, size: Array) -> Float32s:
-    """Return means over each sample and its neighbours, shape (S, K)."""
+def _means_around(columns: Float32s, edges: Int32s, size: Array, times: int = 1) -> Float32s:
+    """Return means over each sample and its neighbours, shape (S, K), of means, and so on."""
     from beltrami_cli._native import neighbour_means
 
-    return neighbour_means(columns, edges, np.ones(len(edges), np.float32), size.astype(np.float32))
+    alike, size = np.ones(len(edges), np.float32), size.astype(np.float32)
+    for _ in range(times):
+        columns = neighbour_means(columns, edges, alike, size)
+    return columns
 
 
 def _means(values: Array, tile: Array, count: int | None = None) -> Float64s:
@@ -266,7 +260,9 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
     clusters = list(islice(levels_of(part), SCALES + 2)) if are_enough else []
     mixing = _mixing_of(own, clusters)
     mixed = np.einsum("ki,si->sk", mixing, own)
-    cut = _around(((own <= 0) | (own >= 1)).mean(axis=1, keepdims=True), edges)
+    cut = ((own <= 0) | (own >= 1)).mean(axis=1, keepdims=True, dtype=np.float32)
+    size = np.bincount(edges.ravel(), minlength=len(own)) + 1
+    cut = _means_around(cut, edges, size, _RINGS_OF_SHARES)
     columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
     found = FoundNoise()
     if are_enough:
