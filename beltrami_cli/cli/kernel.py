@@ -16,20 +16,19 @@ Examples:
   beltrami kernel scan.ply kernel.ply --at 1234               of a vertex, as a mesh to look at
   beltrami kernel scan.ply kernel.ply --at 0.1,0.2,0.3        of the vertex nearest to a position
   beltrami kernel model.glb kernel.png --at 0.31,0.62         of a texel, by its texture coordinates
-  beltrami kernel model.obj kernel.png --at skin*:512px,300px in one of several textures, by its pixel
+  beltrami kernel model.obj kernel.png --at skin*:0.31,0.62   in one of several textures
   beltrami kernel photo.jpg kernel.png --at 640,360           of a pixel of an image, by column and row
-  beltrami kernel face.png kernel.png --at 90,170 --height depth.exr          on the surface of an image
   beltrami kernel scan.ply gauss.ply --at 1234 --beta 0       the linear kernel, for comparison
   beltrami kernel scan.ply - --at 1234 --preset paper         the paper's kernel, as a table
   beltrami kernel scan.ply later.ply --at 1234 --iteration 5  of the fifth iteration
 
 \b
 OUTPUT by its extension:
-  .ply                a mesh: bright is near, dark is where the kernel ends, grey beyond; its vertices
+  .ply                the mesh: bright is near, dark is where the kernel ends, grey beyond; its vertices
                       have the properties distance (NaN beyond) and weight
-  .png and the like   three squares: the painting, the distances, the weights
-  .csv .json .npz     the samples of the kernel: which, distance, weight, colour. The sum of weight times
-                      colour over the sum of the weights is what the iteration makes of the sample
+  .png and the like   three squares: the colours, the distances, the weights
+  .csv                the samples of the kernel: which, distance, weight, colour. The sum of weight times
+                      colour over the sum of the weights is the colour that the iteration gives the sample
                       (before `smooth` restores what was clipped).
 """
 
@@ -46,20 +45,17 @@ _OF_WRITING = (
 @click.argument("target", metavar="OUTPUT")
 @click.option(
     "--at", required=True, metavar="INDEX|X,Y,Z|[GLOB:]U,V|X,Y",
-    help="Which sample: a vertex by its index or a position near it; a texel by texture coordinates, or as "
-    "300px,200px; a pixel of an image by column and row. All count from 0.",
+    help="Which sample: a vertex by its index or a position near it, a texel by texture coordinates, or a pixel of an "
+    "image by column and row. Indices, columns and rows count from 0.",
 )  # fmt: skip
 @click.option(
     "--iteration", type=click.IntRange(1), default=1, show_default=True, metavar="K",
     help="Of which iteration; those before it are run.",
 )  # fmt: skip
-@click.option("--whole", is_flag=True, help="Write the whole mesh, and not only what lies around the kernel.")
 @options.options_of(SmoothSettings, without=_OF_WRITING)
 @options.preset
 @options.writing
-def command(
-    source: str, target: str, at: str, iteration: int, whole: bool, messages: Messages, **smoothing: Any
-) -> None:
+def command(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
 
     Distances are on the image manifold, so they go through space and colour together. Parameters are those that
@@ -69,20 +65,14 @@ def command(
     from beltrami_cli.jobs.kernel import kernel_file
 
     with options.job_from(smoothing, source, messages) as job:
-        facts = kernel_file(source, target, at, settings, iteration=iteration, whole=whole, job=job)
-    messages.say(f"{target}: kernel of the {facts['at']} {_described(facts)}")
-    if facts.get("cut_short"):
-        remedy = "lower -t, or raise --max-samples"
-        messages.warn(f"{source}: the kernel was cut short at {facts['samples']} samples; {remedy}")
-    for when in ("before", "after"):
-        colours: Any = facts[when]
-        messages.detail(f"{when:>8}: " + ", ".join(f"{name} {value:.4f}" for name, value in colours.items()))
-
-
-def _described(facts: dict[str, Any]) -> str:
-    number, iterations = facts["iteration"], facts["iterations"]
-    which = f"in iteration {number}" + (f" of {iterations}" if number <= iterations else "")
-    reach = f"{facts['furthest']:.3g} of {facts['radius']:.3g}"
-    size = f"{counted(facts['samples'], 'sample')} up to {reach} away"
-    beta = f"beta {facts['beta']:.3g}" + (f" ({facts['first_beta']:.3g} in the first)" if number > 1 else "")
-    return f"{which}, {size} ({facts['unit_of_length']}), {beta}"
+        shown = kernel_file(source, target, at, settings, iteration=iteration, job=job)
+    held = len(shown.table["distance"])
+    furthest = f"{shown.table['distance'].max():.3g} of {shown.radius:.3g}"
+    messages.say(
+        f"{target}: kernel of the {shown.at} in iteration {shown.iteration} of {shown.iterations}, "
+        f"{counted(held, 'sample')} up to {furthest} away, beta {shown.beta:.3g}"
+    )
+    if shown.cut_short:
+        messages.warn(
+            f"{source}: the kernel was cut short at {held} samples; lower -t, or raise --max-samples"
+        )

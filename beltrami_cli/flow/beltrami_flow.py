@@ -225,7 +225,7 @@ class BeltramiFlow(Generic[AnyManifold]):
         return self.manifold.values()
 
     def kernel_at(self, sample: int) -> SampledKernel:
-        """Return the kernel that the next iteration would have at a sample; on a grid, at a cell."""
+        """Return the kernel that the next iteration would have at a sample."""
         return self.manifold.kernel_at(sample, self.step(self.parameters.iterations))
 
 

@@ -182,24 +182,26 @@ class GridKernels(Manifold):
         return np.concatenate([colours_at(stack, cells, self.threads) for stack in stacks], axis=1)
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
-        """Return the kernel of an owned cell, by its flat index."""
+        """Return the kernel of an owned cell; cells of the halo count as the owned ones that they are nearest to."""
         metric, beta = self.channels(self.colours, step)
-        own = at_step(self.parameters, step)
-        columns, reach = self.atlas.kind.shape[1], own.window // 2
-        row, column = divmod(sample, columns)
+        own, atlas = at_step(self.parameters, step), self.atlas
+        columns, reach = atlas.kind.shape[1], own.window // 2
+        row, column = divmod(int(atlas.owned_cells[sample]), columns)
         window = self._distances(metric, beta, own, (row, column))
-        y, x = np.nonzero(np.isfinite(window))
-        order = np.argsort(window[y, x], kind="stable")
-        y, x = y[order], x[order]
-        cells = (row + y - reach) * columns + column + x - reach
-        # Samples at one place have the distance 0 too.
-        first = np.argsort(cells != sample, kind="stable")
-        distances, cells = window[y, x][first], cells[first]
+        offsets = np.argwhere(np.isfinite(window)) - reach
+        distances = window[tuple(offsets.T + reach)]
+        # Samples at one place have the distance 0 too, and the cell itself comes first.
+        order = np.lexsort([offsets.any(axis=1), distances])
+        offsets, distances = offsets[order], distances[order]
+        cells = (offsets[:, 0] + row) * columns + offsets[:, 1] + column
         weights = kernel_values(distances, own.t)
         if self.repeats is not None:
             weights /= self.repeats.reshape(-1)[cells]
         colours = np.ascontiguousarray(self.colours.reshape(len(self.colours), -1)[:, cells].T)
-        return SampledKernel(cells.astype(np.int64), distances, weights, self.as_given(colours))
+        is_halo = np.isin(cells, atlas.halo_cells)
+        cells[is_halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[is_halo])]
+        samples = np.searchsorted(atlas.owned_cells, cells)
+        return SampledKernel(samples, distances, weights, self.as_given(colours), offsets)
 
     def _distances(
         self, metric: Float32s, beta: float, own: KernelParameters, centre: tuple[int, int]

@@ -121,10 +121,11 @@ def at_step(parameters: KernelParameters, step: Step) -> KernelParameters:
 class SampledKernel:
     """The K samples in the kernel of one sample p, p first and the others by their distance."""
 
-    samples: Int64s  # of a surface, or flat indices of cells of a canvas, shape (K,)
+    samples: Int64s  # shape (K,)
     distances: Float32s  # d(p, q), in the unit of length of the parameters; 0 at p
     weights: Float32s  # w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum
     colours: Float32s  # I(q), before the iteration, in the working space, shape (K, N)
+    offsets: Int64s | None = None  # on a grid, rows and columns from p, shape (K, 2)
 
     @property
     def mean(self) -> Float64s:

@@ -1,24 +1,22 @@
-"""Write one kernel of a file: as a mesh or a picture to be looked at, or as numbers.
-
-Bright is near and weighs much, dark is where the kernel ends, grey is beyond.
-"""
+"""Show the kernel of one sample: on the mesh or in a picture, bright where it is near, or as a table."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import os
-from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Uint8s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.embedding import from_space
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.records import SampledKernel
-from beltrami_cli.formats.document import Written
+from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
@@ -26,81 +24,30 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.probes.probe import Location, MeshView, Probe, WindowView, read_location
+from beltrami_cli.samples.painted_samples import PaintedSamples
+from beltrami_cli.samples.samples import Samples
 from beltrami_cli.samples.selection import require_scale, samples_of, select
 from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
+from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 
-_TABLES = (".csv", ".json", ".npz")
-SUFFIXES = (".ply", *IMAGE_SUFFIXES, *_TABLES)
-_NOTHING = 1.0  # where there is no sample
-_PANEL, _GAP = 420, 12  # pixels
-_SOURCE = np.array([0.9, 0.1, 0.1])
+_ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
+_SURROUNDINGS = 4  # cells that are shown around the window
 
 
-def _as_table(facts: dict[str, Any], columns: dict[str, Array], suffix: str) -> bytes:
-    if suffix == ".csv":
-        text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(columns)
-        rows.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-        return text.getvalue().encode()
-    if suffix == ".json":
-        listed = {name: values.tolist() for name, values in columns.items()}
-        return (json.dumps({**facts, "columns": listed}, indent=2) + "\n").encode()
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, facts=json.dumps(facts), **columns)
-    return buffer.getvalue()
+@dataclass(frozen=True)
+class ShownKernel:
+    """The kernel of one sample in one iteration; `table` has a row for each sample that it holds, the nearest first."""
 
-
-def _drawn(facts: dict[str, Any], view: MeshView | WindowView, suffix: str) -> Written:
-    drawn_as = ".ply" if isinstance(view, MeshView) else ".png"
-    if (drawn_as == ".ply") != (suffix == ".ply"):
-        raise UsageError(
-            f"{facts['output']}: the kernel of a {facts['at'].split()[0]} is drawn as {drawn_as}, or written as "
-            f"{', '.join(_TABLES)}"
-        )
-    if isinstance(view, MeshView):
-        return _mesh(view, facts)
-    pixels = _picture(view, facts["radius"])
-    return Written([write_image(new_picture(pixels, facts["output"]), pixels, suffix=suffix).data])
-
-
-def _mesh(view: MeshView, facts: dict[str, Any]) -> Written:
-    nearness = _nearness(view, facts["radius"])
-    shades = as_bytes(colour_by_value(nearness, view.shades, np.isfinite(view.distances)))
-    scalars = {"distance": view.distances, "weight": view.weights}
-    comments = [f"kernel of {facts['at']}, beta {facts['beta']:.6g}, t {facts['t']:.6g}"]
-    return write_scalars_as_ply(view.positions, view.faces, shades, scalars, comments)
-
-
-def _nearness(view: MeshView | WindowView, radius: float) -> Float32s:
-    """Return 1 at the kernel's own sample, falling to 0 at the radius; NaN where the kernel holds nothing."""
-    reach = max(np.float32(radius), np.finfo(np.float32).tiny)
-    return np.asarray(1 - view.distances / reach, np.float32)
-
-
-def _picture(view: WindowView, radius: float) -> Uint8s:
-    """Draw a window three times side by side: the painting, the distances, the weights."""
-    held = np.isfinite(view.distances)
-    panels = (
-        view.shades.astype(np.float64),
-        colour_by_value(_nearness(view, radius), view.shades, held),
-        colour_by_value(view.weights / view.weights.max(), view.shades, held),
-    )
-    zoom = max(1, _PANEL // len(view.filled))
-    shown = [np.where(view.filled[..., None], panel, _NOTHING) for panel in panels]
-    drawn = [panel.repeat(zoom, axis=0).repeat(zoom, axis=1) for panel in shown]
-    if zoom > 2:
-        thickness = max(1, zoom // 14)
-        row, column = (zoom * index for index in view.source)
-        for panel in drawn:
-            square = panel[row : row + zoom, column : column + zoom]
-            inside = square[thickness:-thickness, thickness:-thickness].copy()
-            square[:] = _SOURCE
-            square[thickness:-thickness, thickness:-thickness] = inside
-    gap = np.full((len(drawn[0]), _GAP, 3), _NOTHING)
-    return as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
+    at: str  # vertex 12, texel 3,4 of skin.png, or pixel 3,4
+    iteration: int  # counted from 1
+    iterations: int
+    beta: float
+    t: float
+    radius: float
+    cut_short: bool  # at max_samples
+    table: dict[str, Array]  # which sample it is, its distance, weight, and colour in the working space
 
 
 def kernel_file(
@@ -110,18 +57,13 @@ def kernel_file(
     settings: SmoothSettings = DEFAULTS,
     *,
     iteration: int = 1,
-    whole: bool = False,
     job: Job = PLAIN_JOB,
-) -> dict[str, Any]:
-    """Write the geodesic distances and the weights of the kernel at a sample, in an iteration; return its facts."""
+) -> ShownKernel:
+    """Write the kernel of the sample at a place, in an iteration counted from 1, as .ply, image or .csv."""
     source, target = os.fspath(source), os.fspath(target)
-    if iteration < 1:
-        raise UsageError(f"iteration is {iteration}, but must be 1 or more")
     suffix = ".csv" if target == "-" else Path(target).suffix.lower()
-    if suffix not in SUFFIXES:
-        message = f"{target}: a kernel is written as .ply, .png, .csv, .json or .npz; end the name in one"
-        raise UsageError(message)
-    location = read_location(at)
+    if suffix not in (".ply", ".csv", *IMAGE_SUFFIXES):
+        raise UsageError(f"{target}: a kernel is written as .ply, .png or .csv; end the name in one")
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
     access = output.files.watching(job.access)
     document = open_input(source, settings, access)
@@ -132,47 +74,160 @@ def kernel_file(
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = samples_of(document, selection, settings, access)
-    probe = samples.probe(document, whole=whole)
-    kernel, found = _kernel(probe, location, iteration - 1, job.progress_of("iterations before"))
-    facts = {"input": source, "output": target, **found}
-    if suffix not in _TABLES:
-        output.write(_drawn(facts, probe.view(kernel), suffix))
-        return facts
-    # For each sample: which it is, distance, weight, colour.
-    columns = probe.columns(kernel.samples) | {"distance": kernel.distances, "weight": kernel.weights}
-    columns |= dict(zip(probe.colours.names, kernel.colours.T, strict=True))
-    output.write(Written([_as_table(facts, columns, suffix)]))
-    return facts
+    drawn_as = ".ply" if isinstance(samples, PaintedSamples) else ".png"
+    if suffix != ".csv" and (suffix == ".ply") != (drawn_as == ".ply"):
+        raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
+    flow = samples.flow()
+    if isinstance(samples, PaintedSamples):
+        sample_of = samples.sample_of(flow)
+        name, index, columns = _vertex_at(at, samples.joined.positions, sample_of, document.name)
+    else:
+        name, index, columns = _texel_at(at, samples, document)
+    iterations = flow.parameters.iterations
+    flow.stop_before(iteration - 1)
+    flow.run(job.progress_of("iterations before"))
+    kernel, parameters = flow.kernel_at(index), flow.parameters
+    table = {column: values[kernel.samples] for column, values in columns.items()}
+    table |= {"distance": kernel.distances, "weight": kernel.weights}
+    channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
+    table |= dict(zip(channels, kernel.colours.T, strict=True))
+    nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
+    if suffix == ".csv":
+        written = _table(table)
+    elif isinstance(samples, PaintedSamples):
+        written = _mesh(samples, sample_of, kernel, nearness, _greys(flow.values(), samples))
+    else:
+        written = _picture(flow.manifold, index, kernel, nearness, samples, suffix)
+    output.write(written)
+    return ShownKernel(
+        at=name,
+        iteration=iteration,
+        iterations=iterations,
+        beta=flow.beta * parameters.growth(iteration - 1),
+        t=parameters.t,
+        radius=parameters.radius,
+        cut_short=drawn_as == ".ply" and len(kernel.samples) == parameters.max_samples,
+        table=table,
+    )
 
 
-def _kernel(
-    probe: Probe, location: Location, iteration: int, progress: Callable[[int, int], None] | None
-) -> tuple[SampledKernel, dict[str, Any]]:
-    """Run the iterations before one, counted from 0; return the kernel of a sample in that, and facts in JSON types."""
-    sample, facts = probe.find(location)
-    iterations = probe.flow.parameters.iterations
-    # What is restored of clipped colours comes after the averages of all iterations, and is none of them.
-    probe.flow.stop_before(iteration)
-    parameters = probe.flow.parameters
-    probe.flow.run(progress)
-    kernel = probe.flow.kernel_at(sample)
-    units = {"spacing": "sample spacing", "world": "that of the file"}
-    names = probe.colours.names
-    facts |= probe.facts(kernel)
-    return kernel, facts | {
-        "iteration": iteration + 1,
-        "iterations": iterations,
-        "regularised_metric": parameters.is_regularised(iteration),
-        "t": parameters.t,
-        "first_beta": probe.flow.beta,
-        "beta": probe.flow.beta * parameters.growth(iteration),
-        "threshold": parameters.threshold,
-        "unit_of_length": probe.unit or units[parameters.units],
-        "radius": parameters.radius,
-        "space": probe.colours.space,
-        "samples": len(kernel.samples),
-        "furthest": float(kernel.distances.max()),
-        "sum_of_weights": float(kernel.weights.sum(dtype=np.float64)),
-        "before": dict(zip(names, kernel.colours[0].tolist(), strict=True)),
-        "after": dict(zip(names, kernel.mean.tolist(), strict=True)),
-    }
+def _vertex_at(
+    at: str, positions: Float64s, sample_of: Int64s, name: str
+) -> tuple[str, int, dict[str, Array]]:
+    """Find the sample of a vertex, by its index or the nearest position."""
+    numbers = _numbers(at)
+    if len(numbers) == 3:
+        squared = np.where(sample_of >= 0, np.square(positions - numbers).sum(axis=1), np.inf)
+        vertex = int(np.nanargmin(squared))
+    elif len(numbers) == 1 and numbers[0] in range(len(positions)) and sample_of[int(numbers[0])] >= 0:
+        vertex = int(numbers[0])
+    else:
+        remedy = f"give its index, 0 to {len(positions) - 1}, or a position X,Y,Z"
+        raise UsageError(f"--at {at} is no coloured vertex of {name}; {remedy}")
+    samples, first = np.unique(sample_of, return_index=True)
+    first = first[samples >= 0]
+    columns = {"vertex": first, **dict(zip("xyz", positions[first].T, strict=True))}
+    return f"vertex {vertex}", int(sample_of[vertex]), columns
+
+
+def _texel_at(at: str, samples: Samples, document: Document) -> tuple[str, int, dict[str, Array]]:
+    """Find the sample nearest to texture coordinates, or to a pixel of an image."""
+    glob, _, place = at.rpartition(":")
+    cells, numbers, is_image = samples.cells(), np.array(_numbers(place)), samples.part == "image"
+    assert cells is not None
+    names = [each.name for each in samples.surface.textures] if isinstance(samples, TexelSamples) else [""]
+    fitting = [index for index, name in enumerate(names) if fnmatch(name, glob or "*")]
+    if len(fitting) != 1:
+        which = "several textures" if fitting else "no texture"
+        raise UsageError(
+            f"--at {at} names {which}; write one of {', '.join(names)} and a colon before the place"
+        )
+    mine, (row, column) = cells.of(fitting[0])
+    size = np.array(cells.sizes[fitting[0]][::-1])
+    if len(numbers) == 2 and not is_image:
+        # glTF counts v from the upper side of an image, other formats from the lower.
+        u, v = numbers
+        numbers = np.floor((u, v if document.format in ("gltf", "glb") else 1 - v) * size)
+    if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= size)).all() or not mine.any():
+        form = "column and row as X,Y" if is_image else "texture coordinates U,V from 0 to 1"
+        raise UsageError(f"--at {at} is no place in {samples.label}, {size[0]} x {size[1]}; give {form}")
+    nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()
+    index = int(np.flatnonzero(mine)[nearest])
+    name, pixels = f"{column[nearest]},{row[nearest]}", {"x": cells.column, "y": cells.row}
+    if is_image:
+        return f"pixel {name}", index, pixels
+    return (
+        f"texel {name} of {names[fitting[0]]}",
+        index,
+        {"texture": np.array(names)[cells.picture], **pixels},
+    )
+
+
+def _numbers(at: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in at.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or not np.isfinite(numbers).all():
+        raise UsageError(f"--at {at} is no place; give the index of a vertex, X,Y,Z, U,V, or a pixel X,Y")
+    return numbers
+
+
+def _table(columns: dict[str, Array]) -> Written:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(columns)
+    rows.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+    return Written([text.getvalue().encode()])
+
+
+def _greys(colours: Float32s, samples: Samples) -> Float32s:
+    """Return working colours, (S, N), as display values, (S, 3); of data, the first channel by its range."""
+    if samples.names[0] in ("red", "grey"):
+        shown = from_space(colours[:, : 3 if len(samples.names) > 2 else 1], "srgb", samples.settings.space)
+    else:
+        low, high = colours[:, :1].min(initial=np.inf), colours[:, :1].max(initial=-np.inf)
+        shown = (colours[:, :1] - low) / max(high - low, np.float32(1e-30))
+    return np.clip(np.broadcast_to(shown, (len(shown), 3)), 0, 1)
+
+
+def _mesh(
+    samples: PaintedSamples, sample_of: Int64s, kernel: SampledKernel, nearness: Float32s, greys: Float32s
+) -> Written:
+    """Colour the whole mesh by nearness, with distance (NaN beyond the kernel) and weight as properties."""
+    values = np.full((len(greys), 2), np.nan, np.float32)
+    values[:, 1] = 0
+    values[kernel.samples] = np.column_stack([kernel.distances, kernel.weights])
+    near = np.full(len(greys), np.nan, np.float32)
+    near[kernel.samples] = nearness
+    shades = as_bytes(colour_by_value(near, greys, np.isfinite(near)))
+    scalars = {"distance": values[sample_of, 0], "weight": values[sample_of, 1]}
+    return write_scalars_as_ply(samples.joined.positions, samples.joined.faces, shades[sample_of], scalars)
+
+
+def _picture(
+    manifold: GridManifold,
+    index: int,
+    kernel: SampledKernel,
+    nearness: Float32s,
+    samples: Samples,
+    suffix: str,
+) -> Written:
+    """Draw the canvas around a sample three times: its colours, the nearness, the weights."""
+    around, offsets = manifold.parameters.window // 2 + _SURROUNDINGS, kernel.offsets
+    assert offsets is not None
+    row, column = divmod(int(manifold.atlas.owned_cells[index]), manifold.atlas.kind.shape[1])
+    place = np.s_[..., row : row + 2 * around + 1, column : column + 2 * around + 1]
+    edge = [(around, around)] * 2
+    filled = np.pad(manifold.atlas.kind, edge, constant_values=EMPTY)[place] != EMPTY
+    colours = np.pad(manifold.colours, [(0, 0), *edge])[place]
+    greys = _greys(manifold.as_given(colours.reshape(len(colours), -1).T), samples).reshape(*filled.shape, 3)
+    panels = [greys.astype(np.float64)]
+    for values in (nearness, kernel.weights / kernel.weights.max()):
+        shown = np.full(filled.shape, np.nan, np.float32)
+        shown[tuple(offsets.T + around)] = values
+        panels.append(colour_by_value(shown, greys, np.isfinite(shown)))
+    drawn = [np.where(filled[..., None], panel, 1.0).repeat(_ZOOM, 0).repeat(_ZOOM, 1) for panel in panels]
+    gap = np.ones((len(drawn[0]), _GAP, 3))
+    pixels = as_bytes(np.hstack([drawn[0], gap, drawn[1], gap, drawn[2]]))
+    return Written([write_image(new_picture(pixels, "kernel"), pixels, suffix=suffix).data])

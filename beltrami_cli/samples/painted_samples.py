@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
@@ -62,6 +63,15 @@ class PaintedSamples(Samples):
         self._noise, self._in_triangles = noise, in_triangles
         self.channels = columns_of(painted, settings)
         self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
+
+    @property
+    def joined(self) -> PaintedVertices:
+        """The vertices with triangles: their own, or those of the surface that points lie on."""
+        return self.painted
+
+    @abstractmethod
+    def sample_of(self, flow: BeltramiFlow[Any]) -> Int64s:
+        """Return the sample of a flow that each of the V vertices belongs to, shape (V,); -1: none."""
 
     def grains(self) -> Grains:
         # One random number for each place, so that split vertices stay equal.

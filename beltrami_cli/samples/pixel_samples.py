@@ -19,7 +19,6 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import ImageDocument, Picture, check_writable, is_exact, label_of
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses, upright
@@ -27,8 +26,6 @@ from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import grid_flow, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.picture_colours import PictureColours
-from beltrami_cli.samples.probes.cells import PixelProbe
-from beltrami_cli.samples.probes.probe import Probe, WorkingColours
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
@@ -134,10 +131,6 @@ class PixelSamples(Samples):
         flow, facts = self.flow(), self.facts()
         del facts["format"]  # is that of the file
         return {"image": {**facts, "pitch": flow.manifold.spacing}, **self._planned(flow)}
-
-    def probe(self, document: Document, *, whole: bool) -> Probe:
-        unit = "pixel" if self.surface.positions is None else ""
-        return PixelProbe(self.flow(), WorkingColours(self.names, self.settings.space), self.picture, unit)
 
     def notices(self) -> list[str]:
         return [*self.picture.notices, *self._own_notices()]

@@ -22,11 +22,9 @@ from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
-from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored, new_picture
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.samples.probes.probe import Probe
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
@@ -182,10 +180,6 @@ class Samples(ABC):
     @abstractmethod
     def describe(self) -> dict[str, object]:
         """Return facts about them, their noise, and what smoothing would do, in JSON types, by what they are about."""
-
-    @abstractmethod
-    def probe(self, document: Document, *, whole: bool) -> Probe:
-        """Run the flow on them for single kernels; `whole`: all of a mesh is shown with a kernel."""
 
     def notices(self) -> list[str]:
         """Return what users should know of them."""

@@ -28,8 +28,6 @@ from beltrami_cli.samples.coded_pictures import flow_on_pictures
 from beltrami_cli.samples.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
 from beltrami_cli.samples.picture_colours import PictureColours
-from beltrami_cli.samples.probes.cells import TexelProbe
-from beltrami_cli.samples.probes.probe import Probe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, SlotReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, choose_textures, only_textures
@@ -235,10 +233,6 @@ class TexelSamples(samples.Samples):
 
         planes = painted_by(atlas, len(self.names), working, kernel.thread_count)
         return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
-
-    def probe(self, document: Document, *, whole: bool) -> Probe:
-        colours = WorkingColours(self.names, self.colours.space)
-        return TexelProbe(self.flow(), colours, document, self.surface.textures, self.pictures)
 
     def repaint(self, new: NewColours) -> samples.Repainted:
         is_covered = len(self.atlas.owned_texels) > 0

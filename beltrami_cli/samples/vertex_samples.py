@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +18,10 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_manifold import MeshManifold
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.document import Document
 from beltrami_cli.levelling.correction import level_mesh
 from beltrami_cli.samples.image_surface import ImageSurface, grid_flow, options_of_meshes
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours, only_rows
-from beltrami_cli.samples.probes.cells import RangeProbe
-from beltrami_cli.samples.probes.probe import Probe, VertexProbe, WorkingColours
 from beltrami_cli.samples.reports import LevelReport, VertexReport
 from beltrami_cli.samples.samples import Repainted
 from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
@@ -165,10 +163,8 @@ class VertexSamples(PaintedSamples):
             **dataclasses.asdict(count_cloud(self.joined)),
         }
 
-    def probe(self, document: Document, *, whole: bool) -> Probe:
-        colours = WorkingColours(self.names, self.settings.space)
-        flow = self.flow()
-        return VertexProbe(flow, colours, self.joined, self.sampling, document.name, whole)
+    def sample_of(self, flow: BeltramiFlow[Any]) -> Int64s:
+        return self.sampling.sample_of.astype(np.int64)
 
     def repaint(self, new: NewColours) -> Repainted:
         written, sample_of = self.channels.written, self.sampling.sample_of
@@ -244,9 +240,11 @@ class RangeSamples(PaintedSamples):
             **self._planned(flow),
         }
 
-    def probe(self, document: Document, *, whole: bool) -> Probe:
-        colours = WorkingColours(self.names, self.settings.space)
-        return RangeProbe(self.flow(), colours, self.painted, self.grid, document.name)
+    def sample_of(self, flow: BeltramiFlow[Any]) -> Int64s:
+        measured = self.grid.reshape(-1)[flow.manifold.atlas.owned_texels]
+        sample_of = np.full(len(self.painted.positions), -1)
+        sample_of[measured] = np.arange(len(measured))
+        return sample_of
 
     def repaint(self, new: NewColours) -> Repainted:
         written = self.channels.written

@@ -61,8 +61,7 @@ def kernel(image: Array, at: tuple[int, int], **parameters: object) -> Array:
     flow = grid_flow(
         ImageSurface(valid=np.ones((rows, columns), bool)), lambda pixels: table[pixels], settings
     )
-    cells = flow.manifold.atlas.owned_cells
-    found = flow.kernel_at(int(cells[at[0] * columns + at[1]]))
+    found = flow.kernel_at(at[0] * columns + at[1])
     weights = np.zeros(rows * columns)
-    weights[np.searchsorted(cells, found.samples)] = found.weights
+    weights[found.samples] = found.weights
     return (weights / weights.sum()).reshape(rows, columns)

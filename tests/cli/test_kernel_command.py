@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 
@@ -12,16 +13,15 @@ HEAD = SAMPLES / "head-noisy.ply"
 
 
 def test_options_of_the_kernel_apply(tmp_path):
-    target = tmp_path / "kernel.json"
-    run = beltrami(
-        "kernel", HEAD, target, "--at", "1234", "-t", "1.5", "--beta", "0", "--iteration", "2", "-v"
-    )
-    facts = json.loads(target.read_text())
-    assert (facts["t"], facts["beta"], facts["iteration"]) == (1.5, 0, 2)
+    options = ("--at", "1234", "-t", "1.5", "--beta", "0", "--iteration", "2")
+    run = beltrami("kernel", HEAD, tmp_path / "kernel.csv", *options)
     printed = run.stderr.decode()
-    assert printed.startswith(f"{target}: kernel of the vertex 1234 in iteration 2 of ")
-    assert f", {facts['samples']} samples up to" in printed
-    assert "before: red" in printed
+    assert printed.startswith(f"{tmp_path / 'kernel.csv'}: kernel of the vertex 1234 in iteration 2 of ")
+    assert printed.endswith(" away, beta 0\n")
+    rows = (tmp_path / "kernel.csv").read_text().splitlines()
+    assert f", {len(rows) - 1} samples up to" in printed
+    distance, weight = map(float, rows[-1].split(",")[4:6])
+    assert weight == pytest.approx(math.exp(-(distance**2) / (4 * 1.5)))
 
 
 def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
@@ -34,7 +34,7 @@ def test_a_table_goes_through_a_pipe_with_a_row_for_each_sample(tmp_path):
 
 
 def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
-    target = tmp_path / "k.json"
+    target = tmp_path / "k.csv"
     target.write_text("mine")
     beltrami("kernel", HEAD, target, "--at", "1", code=4)
     assert target.read_text() == "mine"
@@ -45,24 +45,25 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
     ("name", "at"),
     [
         ("nonmanifold-noisy.ply", "100"),
-        ("mirrored-noisy.obj", "100px,100px"),
+        ("mirrored-noisy.obj", "0.4,0.4"),
         ("torus-two-noisy-dough.png", "90,70"),
     ],
 )
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--fast",), ("--strength", "strong", "-n", 2)])
 def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
-    source, record, target = SAMPLES / name, tmp_path / "run.json", tmp_path / "kernel.json"
+    source, record = SAMPLES / name, tmp_path / "run.json"
     smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)
-    beltrami("kernel", source, target, "--at", at, *options)
-    done, facts = json.loads(record.read_text()), json.loads(target.read_text())
+    shown = beltrami("kernel", source, tmp_path / "kernel.csv", "--at", at, *options, text=True).stderr
+    done = json.loads(record.read_text())
     done = done["vertices"] or done["image"] or done["textures"][0]
     info = json.loads(beltrami("info", source, "--json", *options).stdout)
     planned = info["smooth"] if "smooth" in info else info["textures"][0]["smooth"]
     for key in ("beta", "iterations"):
-        assert facts[key] == done[key] == planned[key]
-    assert facts["t"] == planned["t"]
-    assert f"beta {facts['beta']:.3g}," in smooth.stderr.decode()
+        assert done[key] == planned[key]
+    assert f"in iteration 1 of {planned['iterations']}," in shown
+    assert f"beta {planned['beta']:.3g}\n" in shown
+    assert f"beta {planned['beta']:.3g}," in smooth.stderr.decode()
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
@@ -76,10 +75,13 @@ def vertices_of(path):
     return trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
 
 
-def kernel_of(source, at, tmp_path, settings=FAST, name="kernel.json", **options):
-    target = tmp_path / name
+def kernel_of(source, at, tmp_path, settings=FAST, **options):
+    return kernel_file(source, tmp_path / "kernel.csv", at, settings, job=Job(overwrite=True), **options)
+
+
+def drawn(source, at, target, settings=FAST, **options):
     kernel_file(source, target, at, settings, job=Job(overwrite=True), **options)
-    return json.loads(target.read_text()) if name.endswith(".json") else target
+    return target
 
 
 def smoothed(source, target, settings):
@@ -91,9 +93,9 @@ def as_data(settings, **image):
     return dataclasses.replace(settings, space="data", image=ImageSettings(**image))
 
 
-def mean_of(facts):
-    columns = facts["columns"]
-    return [np.average(columns[channel], weights=columns["weight"]) for channel in ("red", "green", "blue")]
+def mean_of(kernel):
+    table = kernel.table
+    return [np.average(table[channel], weights=table["weight"]) for channel in ("red", "green", "blue")]
 
 
 @pytest.mark.parametrize("kernel", OF_VERTICES)
@@ -104,18 +106,16 @@ def test_the_samples_of_a_vertex_give_what_smoothing_makes_of_it(kernel, folder,
     truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
     # float32 twice: what is stored, and the sums in the kernel.
     np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
-    np.testing.assert_allclose(list(facts["after"].values()), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_samples_of_a_range_image_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
     settings = as_data(KERNELS[kernel])
     vertex = vertices_of(smoothed(folder / "range.ply", tmp_path / "out.ply", settings))[64]
-    for at in ("64", f"{64 % 14},{64 // 14}"):
-        facts = kernel_of(folder / "range.ply", at, tmp_path, settings)
-        assert facts["columns"]["vertex"][0] == 64
-        truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
-        np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
+    facts = kernel_of(folder / "range.ply", "64", tmp_path, settings)
+    assert facts.table["vertex"][0] == 64
+    truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
+    np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("surface", ["plane", "heights"])
@@ -127,19 +127,19 @@ def test_the_samples_of_a_pixel_give_what_smoothing_makes_of_it(kernel, surface,
     for column, row in ((18, 11), (39, 0)):  # the second is in a corner, where the window is cut
         facts = kernel_of(folder / "image.exr", f"{column},{row}", tmp_path, settings)
         np.testing.assert_allclose(mean_of(facts), image[row, column], atol=1e-6)
-        assert (facts["columns"]["x"][0], facts["columns"]["y"][0]) == (column, row)
-        assert facts["unit_of_length"] == "pixel"
+        assert (facts.table["x"][0], facts.table["y"][0]) == (column, row)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path):
     source = SAMPLES / "head-tex-noisy.obj"
-    facts = kernel_of(source, "124px,124px", tmp_path, KERNELS[kernel])
+    facts = kernel_of(source, "0.3,0.7", tmp_path, KERNELS[kernel])
+    column, row = facts.table["x"][0], facts.table["y"][0]
     smoothed(source, tmp_path / "out.obj", KERNELS[kernel])
     (image,) = tmp_path.glob("*.png")
     # The file has 8 bits.
-    np.testing.assert_allclose(mean_of(facts), read_pixels(image)[124, 124], atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(mean_of(facts), read_pixels(image)[row, column], atol=0.5 / 255 + 1e-6)
 
 
 def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_path):
@@ -148,14 +148,13 @@ def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_pat
     facts = kernel_of(folder / "image.exr", "18,11", tmp_path, settings, iteration=3)
     image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
     np.testing.assert_allclose(mean_of(facts), image[11, 18], atol=1e-6)
-    assert not facts["regularised_metric"]
-    assert facts["beta"] == pytest.approx(8 * 1.5**2)
+    assert facts.beta == pytest.approx(8 * 1.5**2)
 
 
 def test_a_kernel_that_is_cut_short_says_so(tmp_path):
     few = SmoothSettings(KernelParameters(beta=0.0, max_samples=20))
-    assert kernel_of(HEAD, "1234", tmp_path, few)["cut_short"]
-    assert not kernel_of(HEAD, "1234", tmp_path)["cut_short"]
+    assert kernel_of(HEAD, "1234", tmp_path, few).cut_short
+    assert not kernel_of(HEAD, "1234", tmp_path).cut_short
 
 
 @pytest.mark.parametrize(
@@ -165,23 +164,20 @@ def test_a_kernel_that_is_cut_short_says_so(tmp_path):
 )
 def test_weights_are_the_kernel_of_the_distances(source, at, tmp_path):
     settings = SmoothSettings(KernelParameters(t=1.7, threshold=0.05))
-    with np.load(kernel_of(source, at, tmp_path, settings, "kernel.npz")) as columns:
-        distances, weights = columns["distance"].astype(float), columns["weight"]
-        facts = json.loads(str(columns["facts"]))
+    facts = kernel_of(source, at, tmp_path, settings)
+    distances, weights = facts.table["distance"].astype(float), facts.table["weight"]
     assert distances[0] == 0
     assert (np.diff(distances) >= 0).all()
     np.testing.assert_allclose(weights, np.exp(-(distances**2) / (4 * 1.7)), rtol=1e-6)
     assert weights.min() >= 0.05 * (1 - 1e-6)
-    assert facts["samples"] == len(weights)
-    np.testing.assert_allclose(facts["sum_of_weights"], weights.sum(), rtol=1e-6)
 
 
 def test_a_mesh_to_look_at_holds_the_kernel_in_colours_and_its_surroundings_in_grey(tmp_path):
     facts = kernel_of(HEAD, "1234", tmp_path, iteration=4)
-    rows = vertices_of(kernel_of(HEAD, "1234", tmp_path, name="kernel.ply", iteration=4))
+    rows = vertices_of(drawn(HEAD, "1234", tmp_path / "kernel.ply", iteration=4))
     held = np.isfinite(rows["distance"])
-    assert 10 < np.count_nonzero(held) == facts["samples"] < len(rows)
-    np.testing.assert_array_equal(np.sort(rows["distance"][held]), np.float32(facts["columns"]["distance"]))
+    assert 10 < np.count_nonzero(held) == len(facts.table["vertex"]) < len(rows)
+    np.testing.assert_array_equal(np.sort(rows["distance"][held]), facts.table["distance"])
     assert (rows["weight"][~held] == 0).all()
     grey = (rows["red"] == rows["green"]) & (rows["green"] == rows["blue"])
     np.testing.assert_array_equal(grey, ~held)
@@ -190,27 +186,22 @@ def test_a_mesh_to_look_at_holds_the_kernel_in_colours_and_its_surroundings_in_g
     assert (np.diff(light[held][np.argsort(rows["distance"][held])]) < 1.5).all()
 
 
-def test_the_whole_mesh_is_shown_on_demand(tmp_path):
-    whole = kernel_of(HEAD, "1234", tmp_path, name="whole.ply", whole=True)
-    assert len(vertices_of(whole)) == len(vertices_of(HEAD))
-
-
 def test_a_position_chooses_the_vertex_nearest_to_it(tmp_path):
     row = vertices_of(HEAD)[1234]
     near = ",".join(str(float(row[axis]) + 1e-4) for axis in "xyz")
-    assert kernel_of(HEAD, near, tmp_path)["at"] == "vertex 1234"
+    assert kernel_of(HEAD, near, tmp_path).at == "vertex 1234"
 
 
 def test_texture_coordinates_are_those_of_the_file(tmp_path):
     # glTF counts v from the upper side of the image, OBJ from the lower.
-    upper = kernel_of(TEXTURED, "0.3,0.2", tmp_path)["at"]
-    lower = kernel_of(SAMPLES / "head-tex-noisy.obj", "0.3,0.8", tmp_path)["at"]
+    upper = kernel_of(TEXTURED, "0.3,0.2", tmp_path).at
+    lower = kernel_of(SAMPLES / "head-tex-noisy.obj", "0.3,0.8", tmp_path).at
     assert upper.split()[1] == lower.split()[1]
 
 
 def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
     facts = kernel_of(PICTURE, "100,300", tmp_path)
-    picture = read_pixels(kernel_of(PICTURE, "100,300", tmp_path, name="kernel.png"))
+    picture = read_pixels(drawn(PICTURE, "100,300", tmp_path / "kernel.png"))
     cells = 2 * (3 + 4) + 1  # the window of 7, and four beyond on each side
     side = len(picture)
     assert side % cells == 0
@@ -218,7 +209,7 @@ def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
     panels = [picture[zoom // 2 :: zoom, k * (side + gap) : k * (side + gap) + side] for k in range(3)]
     painting, distances, weights = (panel[:, zoom // 2 :: zoom] for panel in panels)
     np.testing.assert_allclose(painting, read_pixels(PICTURE)[293:308, 93:108, :3], atol=0.6 / 255)
-    columns = facts["columns"]
+    columns = facts.table
     held = {(y - 293, x - 93) for x, y in zip(columns["x"], columns["y"], strict=True)}
     for panel in (distances, weights):
         assert {tuple(cell) for cell in np.argwhere(np.ptp(panel, axis=2) > 1e-6).tolist()} == held
@@ -228,24 +219,22 @@ def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
 @pytest.mark.parametrize(
     ("source", "at", "target", "words"),
     [
-        (HEAD, "999999", "k.ply", "vertices 0 to"),
-        (HEAD, "1.5", "k.ply", "whole numbers"),
-        (HEAD, "0.1,0.2", "k.ply", "vertex colours"),
+        (HEAD, "999999", "k.ply", "vertex"),
+        (HEAD, "1.5", "k.ply", "vertex"),
+        (HEAD, "0.1,0.2", "k.ply", "vertex"),
         (HEAD, "nowhere", "k.ply", "no place"),
-        (HEAD, "1,2,3,4", "k.ply", "no place"),
+        (HEAD, "1,2,3,4", "k.ply", "vertex"),
         (HEAD, "nan,0,0", "k.ply", "no place"),
         (HEAD, "12", "k.png", ".ply"),
         (HEAD, "12", "k.xyz", ".csv"),
         (TEXTURED, "12", "k.png", "texture coordinates"),
         (TEXTURED, "1.2,0.3", "k.png", "0 to 1"),
-        (TEXTURED, "9999px,0px", "k.png", "outside"),
-        (TEXTURED, "0px,0px", "k.png", "nearest that does"),
         (TEXTURED, "0.3,0.3", "k.ply", ".png"),
         (SEVERAL, "0.3,0.3", "k.png", "several textures"),
         (SEVERAL, "nosuch*:0.3,0.3", "k.png", "no texture"),
         (PICTURE, "12", "k.png", "column and row"),
-        (PICTURE, "-1,3", "k.png", "outside"),
-        (PICTURE, "3,100000", "k.png", "outside"),
+        (PICTURE, "-1,3", "k.png", "no place"),
+        (PICTURE, "3,100000", "k.png", "no place"),
     ],
 )
 def test_places_that_are_none_are_usage_errors(source, at, target, words, tmp_path):
@@ -255,12 +244,13 @@ def test_places_that_are_none_are_usage_errors(source, at, target, words, tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_texel_that_an_error_proposes_has_a_kernel(tmp_path):
-    with pytest.raises(UsageError) as raised:
-        kernel_file(TEXTURED, tmp_path / "k.png", "0px,0px", FAST)
-    kernel_of(TEXTURED, str(raised.value).split("--at ")[-1], tmp_path)
+def test_a_place_without_colour_stands_for_the_nearest_texel_with_one(tmp_path):
+    corner = kernel_of(TEXTURED, "0,0", tmp_path)
+    column, row = corner.table["x"][0], corner.table["y"][0]
+    assert (column, row) != (0, 0)
+    assert corner.at.startswith(f"texel {column},{row} of ")
 
 
 def test_one_of_several_textures_is_chosen_by_a_glob(tmp_path):
     facts = kernel_of(SEVERAL, "*icing*:0.3,0.3", tmp_path)
-    assert facts["columns"]["texture"][0] == "torus-two-noisy-icing.png"
+    assert facts.table["texture"][0] == "torus-two-noisy-icing.png"

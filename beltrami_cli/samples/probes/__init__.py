@@ -1,1 +1,0 @@
-"""What a kernel on samples of a kind needs to be found, named and drawn."""
