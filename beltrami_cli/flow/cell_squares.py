@@ -34,7 +34,7 @@ class Squares(CoarseLevel):
         self._report = None if tick is None else lambda _: tick()
         self.kinds, counts = sort_squares(manifold.atlas.kind, side)
         self.noise, self._counts = 1 / side**2, counts
-        self._differing = None if manifold.differing is None else self.means(manifold.differing)[0]
+        self._differing = None if manifold.noise.relative is None else self.means(manifold.noise.relative)[0]
         ones = np.ones(self.kinds.shape, np.float32)
         self.relative = ones if self._differing is None else self._differing
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from beltrami_cli.flow.domain import CoarseLevel, in_blocks
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 from beltrami_cli.flow.patches import mixing_of, with_pilot
+
+AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
 # Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
 # the share that they leave, and at the coarsest level all.
@@ -45,14 +48,15 @@ _OUTLIER, _PLAIN, _ROUNDS = 4.0, 1.4, 2
 _LEAST_SHARE = 1e-6
 
 
-def denoise_means(manifold: Manifold, tick: Callable[[], None] | None = None) -> float:
-    """Remove noise that neighbours share, but for their own details; return the estimated mean square error.
+def denoise_means(manifold: AnyManifold, tick: Callable[[], None] | None = None) -> tuple[AnyManifold, float]:
+    """Remove noise that neighbours share, but for their own details, from the colours, in place.
 
-    `tick` is called often, and may raise to stop.
+    Return the manifold with the noise that is left, and the estimated mean square error of what was removed. `tick` is
+    called often, and may raise to stop.
     """
-    covariances = manifold.noise_covariances
+    covariances = manifold.noise.covariances
     if covariances is None:
-        return 0.0
+        return manifold, 0.0
     if manifold.parameters.clipping == "restore":
         _impute_cut_off(manifold)
     levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
@@ -61,10 +65,7 @@ def denoise_means(manifold: Manifold, tick: Callable[[], None] | None = None) ->
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate(level, manifold, noise))
-    manifold.noise_covariances = _left_for_samples(covariances)
-    manifold.sigma = sigma_of_covariances(manifold.noise_covariances)
-    manifold.embed([])
-    return error
+    return manifold.having(noise=manifold.noise.with_covariances(_left_for_samples(covariances))), error
 
 
 def _impute_cut_off(manifold: Manifold) -> None:

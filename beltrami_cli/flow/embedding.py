@@ -20,13 +20,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.parameters import SMOOTHNESS, KernelParameters, Space
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import Encoding
-
-# Noise that is reckoned with at least where colours are to be smoothed strongly: a step of an 8-bit file.
-_LEAST_STRONG = 1 / 255
 
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Noise below that cannot be measured.
 _QUANTISATION = 1 / (255 * np.sqrt(12))
@@ -111,27 +107,6 @@ def overall_noise(sigma: Float64s) -> float:
     """Return the root mean square of the channels' noise, without channels that have none, such as constant alpha."""
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
-
-
-def noise_of(
-    parameters: KernelParameters,
-    estimated: Float64s,
-    measured: Float64s | None,
-    stabiliser: VarianceStabiliser | None,
-) -> Float64s | float:
-    """Return the noise of colours to reckon with: measured or given, or else estimated."""
-    given = parameters.given_noise
-    if measured is not None:
-        if len(measured) not in (1, len(estimated)):
-            cause = f"noise has {len(measured)} channels, but must have one, or one for each colour"
-            raise UsageError(cause)
-        return measured
-    if given is not None and given.source:
-        cause = f"noise is {given.source}, but several textures have no such file in common; choose one"
-        raise UsageError(cause)
-    if given is not None:
-        return given.sigma if stabiliser is None else stabiliser.scale
-    return np.maximum(estimated, _LEAST_STRONG) if parameters.strength == "strong" else estimated
 
 
 def beta_of(parameters: KernelParameters, sigma: Float64s, unit: float) -> float:

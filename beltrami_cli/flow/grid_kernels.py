@@ -156,7 +156,8 @@ class GridKernels(Manifold):
         part.size = kind.size
         part.scale = None if self.scale is None else self.pick(self.scale, samples)
         part.repeats = None if self.repeats is None else self.pick(self.repeats, samples)
-        part.differing = None if self.differing is None else self.pick(self.differing, samples)
+        if self.noise.relative is not None:
+            part.noise = self.noise.with_relative(self.pick(self.noise.relative, samples))
         part.guides = [(self.pick(planes, samples), beta) for planes, beta in self.guides]
         if isinstance(samples, slice):
             gaussian = cast("GridGaussian | None", self._gaussian)
@@ -201,7 +202,7 @@ class GridKernels(Manifold):
         is_halo = np.isin(cells, atlas.halo_cells)
         cells[is_halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[is_halo])]
         samples = np.searchsorted(atlas.owned_cells, cells)
-        return SampledKernel(samples, distances, weights, self.as_given(colours), offsets)
+        return SampledKernel(samples, distances, weights, self.noise.to_input(colours), offsets)
 
     def _distances(
         self, metric: Float32s, beta: float, own: KernelParameters, centre: tuple[int, int]

@@ -26,8 +26,10 @@ from beltrami_cli.flow.grid_partitions import GridPartition, cut_grid
 from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.estimate import NoiseByPlace, estimate_noise
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
-from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
+from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import KernelWork, Mixing, NewColours, Step
 from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
@@ -55,6 +57,70 @@ class Whole:
     noise: FoundNoise | None = None
 
 
+@dataclass(frozen=True)
+class NoisyCanvas:
+    """Colours on a canvas, shape (N, R, C), as samples to estimate noise on."""
+
+    planes: Float32s
+    filled: Bools
+
+    def noise_by_place(self) -> NoiseByPlace:
+        found = find_relative_noise(self.planes, self.filled)
+        if found is None:
+            return NoiseByPlace()
+        relative, scale, most = found
+        return NoiseByPlace(relative[None], most, scale)
+
+    def noise_by_scale(self, relative: Float32s | None, *, by_level: bool) -> FoundNoise:
+        return find_grid_noise(self.planes, self.filled, by_level=by_level, relative=relative)
+
+    def sigma(self, relative: Float32s | None) -> Float64s:
+        del relative  # its mean is 1
+        return estimate_sigma_on_grid(self.planes, self.filled)
+
+    def stabilise(self, stabiliser: VarianceStabiliser) -> None:
+        for rows in large_arrays.blocks(self.planes.shape[1], _ROWS):
+            stabiliser.stabilise(self.planes[:, rows])
+
+
+def grid_manifold(
+    atlas: Atlas,
+    planes: Float32s,
+    parameters: KernelParameters,
+    *,
+    stop_at_holes: bool = False,
+    guides: Sequence[Guide] = (),
+    metric_channels: Sequence[int] | None = None,
+    deviations: Float32s | None = None,
+    whole: Whole | None = None,
+) -> GridManifold:
+    """Make the image manifold of an atlas with colours on its canvas, which are taken over."""
+    measured, known = None, None if whole is None else whole.noise
+    if deviations is not None and known is None:
+        of_samples, sigma = relative_to_mean(deviations)
+        relative = painted(atlas, of_samples, parameters.thread_count)
+        relative[relative == 0] = 1  # in empty cells
+        measured = relative, sigma
+    noise = estimate_noise(
+        NoisyCanvas(planes, atlas.kind == OWNED), parameters, measured=measured, known=known
+    )
+    different = np.zeros(max(1, atlas.seams), bool)
+    # Where colours do not count as distance, a jump in colour is not an edge.
+    if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
+        different = find_colour_jumps(atlas, planes, noise.sigma)
+    if different.any():
+        atlas = without_halo(atlas, halo_beyond(atlas, different))
+        for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+            planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
+    made = GridManifold(atlas, parameters, metric_channels, stop_at_holes=stop_at_holes)
+    made.colours, made.noise, made.jumps = planes, noise, int(np.count_nonzero(different))
+    made.unit = made.spacing if parameters.units == "world" else 1.0
+    if whole is not None and whole.unit is not None:
+        made.unit = whole.unit
+    made.lay_out_guides(guides)
+    return made
+
+
 class GridManifold(GridKernels):
     """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
@@ -62,80 +128,8 @@ class GridManifold(GridKernels):
     plain_levels: ClassVar[tuple[int, ...]] = 3, 2
     search_range, rule = ON_GRIDS, RULE_ON_GRIDS
 
-    def __init__(
-        self,
-        atlas: Atlas,
-        planes: Float32s,
-        parameters: KernelParameters,
-        *,
-        stop_at_holes: bool = False,
-        guides: Sequence[Guide] = (),
-        metric_channels: Sequence[int] | None = None,
-        unit: float | None = None,
-        deviations: Float32s | None = None,
-        whole: Whole | None = None,
-    ) -> None:
-        self.colours = planes
-        if whole is None or whole.noise is None:
-            self._find_noise(atlas, parameters, deviations)
-        else:
-            self._take_noise(whole.noise, atlas.kind == OWNED)
-        different = np.zeros(max(1, atlas.seams), bool)
-        # Where colours do not count as distance, a jump in colour is not an edge.
-        if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
-            different = find_colour_jumps(atlas, planes, self.sigma)
-        self.jumps = int(np.count_nonzero(different))
-        if self.jumps:
-            atlas = without_halo(atlas, halo_beyond(atlas, different))
-            for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
-                planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
-        super().__init__(atlas, parameters, metric_channels, stop_at_holes=stop_at_holes)
-        self.unit = self.spacing if parameters.units == "world" else 1.0
-        if whole is not None and whole.unit is not None:
-            self.unit = whole.unit
-        self.embed(guides)
-
-    def _find_noise(self, atlas: Atlas, parameters: KernelParameters, deviations: Float32s | None) -> None:
-        """Estimate the noise where it is not given, and make it even at all levels if it is not."""
-        planes, filled, given, sigma = self.colours, atlas.kind == OWNED, parameters.given_noise, None
-        if deviations is not None:
-            relative, sigma = relative_to_mean(deviations)
-            self.differing = painted(atlas, relative, parameters.thread_count)
-            self.differing[self.differing == 0] = 1  # in empty cells
-        is_given = given is not None or sigma is not None
-        differs = None if is_given or not parameters.evens_noise else find_relative_noise(planes, filled)
-        if differs is not None:
-            self.differing = differs[0][None]
-        if not is_given:
-            noise = find_grid_noise(planes, filled, by_level=parameters.evens_noise, relative=self.differing)
-            self.take_found(noise)
-        elif given is not None and given.is_by_level:
-            self.stabiliser = given.stabiliser()
-        self._stabilise()
-        self.sigma = estimate_sigma_on_grid(planes, filled)
-        if differs is not None:  # of quiet places
-            self.sigma = np.minimum(self.sigma, differs[2]) * differs[1]
-        self.settle_noise(parameters, sigma)
-        if self.noise_covariances is not None:
-            self.sigma = sigma_of_covariances(self.noise_covariances)
-
-    def _take_noise(self, noise: FoundNoise, filled: Bools) -> None:
-        """Take the noise that was found on the whole; what is not known is estimated."""
-        self.take_found(noise)
-        self._stabilise()
-        self.sigma = estimate_sigma_on_grid(self.colours, filled) if noise.sigma is None else noise.sigma
-
-    def _stabilise(self) -> None:
-        if self.stabiliser is not None:
-            for rows in large_arrays.blocks(self.colours.shape[1], _ROWS):
-                self.stabiliser.stabilise(self.colours[:, rows])
-
-    @property
-    def common_noise(self) -> FoundNoise:
-        """The noise as found, for other parts of the surface: not its size where that differs from place to place."""
-        differs = self.differing is not None and self.noise_covariances is None
-        sigma = None if differs else self.sigma
-        return FoundNoise(self.stabiliser, self.noise_covariances, self.doubt, sigma)
+    jumps = 0
+    """Seams over which colours jump, which end the surface for kernels."""
 
     def single(self, marked: Bools) -> Bools:
         """Return which of the marked cells, shape (R, C), have no marked ones among the eight beside them."""
@@ -177,9 +171,9 @@ class GridManifold(GridKernels):
             planes = self.pick(planes, cells)
             planes[:, part.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
-        drawn = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise_covariances)
+        drawn = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise.covariances)
         signs = np.array(drawn, np.float32)
-        return SampleTrial(part, planes, signs, scored, correlated=self.noise_covariances is not None)
+        return SampleTrial(part, planes, signs, scored, correlated=self.noise.is_shared)
 
     def cut_blocks(self, cells: Int64s, core: Bools, reach: int) -> GridManifold:
         """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
@@ -207,15 +201,15 @@ class GridManifold(GridKernels):
 
     def values(self) -> Float32s:
         """Return the colours of the owned cells as they are now, shape (T, N)."""
-        return self.as_given(colours_at(self.colours, self.atlas.owned_cells, self.threads))
+        return self.noise.to_input(colours_at(self.colours, self.atlas.owned_cells, self.threads))
 
     def new_colours(self) -> NewColours:
         """Return the colours of the owned cells as they are now, and those of the gutter."""
-        return canvas_colours(self.atlas, self.colours, self.threads).mapped(self.as_given)
+        return canvas_colours(self.atlas, self.colours, self.threads).mapped(self.noise.to_input)
 
     def find_clipped(self) -> ClippedChannels | None:
         """Find the channels that were cut off."""
-        return find_clipped_on_canvas(self.colours, int(np.count_nonzero(self.atlas.kind)), self.sigma)
+        return find_clipped_on_canvas(self.colours, int(np.count_nonzero(self.atlas.kind)), self.noise.sigma)
 
     def marks(self, clipped: ClippedChannels) -> Float32s:
         """Return the marks of the cells at a limit, shape (M, R, C)."""
@@ -242,14 +236,14 @@ class GridManifold(GridKernels):
     ) -> Stack:
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
         estimates = collaborate_on_canvas(
-            self.atlas.kind, noisy, pilot, mixing, self.threads, progress, relative=self.differing
+            self.atlas.kind, noisy, pilot, mixing, self.threads, progress, relative=self.noise.relative
         )
         refresh_halo(estimates, self.atlas, self.threads)
         return estimates
 
     def perturbation(self) -> Array:
         """Return random planes like the noise: independent signs, or correlated as the noise is."""
-        return perturbations(1, len(self.colours), self.atlas, self.noise_covariances)[0]
+        return perturbations(1, len(self.colours), self.atlas, self.noise.covariances)[0]
 
     def planes(self, count: int) -> Float32s:
         """Return planes of zeros."""
@@ -311,3 +305,9 @@ def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
         atlas.gutter_texels,
         beyond,
     )
+
+
+def common_noise(noise: NoiseModel) -> FoundNoise:
+    """Return noise for other parts of the same surface: not its size where that differs from place to place."""
+    differs = noise.relative is not None and noise.covariances is None
+    return FoundNoise(noise.stabiliser, noise.covariances, noise.doubt, None if differs else noise.sigma)

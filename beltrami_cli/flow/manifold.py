@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.domain import CoarseLevel, Domain, Stack
-from beltrami_cli.flow.embedding import Guide, beta_of, choose_guide_beta, join_channels, noise_of
+from beltrami_cli.flow.embedding import Guide, beta_of, choose_guide_beta, join_channels
 from beltrami_cli.flow.geometry import MovingPositions
-from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
-from beltrami_cli.flow.noise.stabilising import COLOURS, VarianceStabiliser
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.partitions import Partition
 from beltrami_cli.flow.records import Averaged, KernelWork, Mixing, NewColours, SampledKernel, Step
@@ -61,91 +59,40 @@ class Manifold(Domain):
     colours: Float32s
     """The stack of the colours, before or after iterations."""
 
-    sigma: Float64s
-    """Estimated standard deviation of the noise, by channel."""
+    noise: NoiseModel
+    """The noise of the colours."""
 
     moving: MovingPositions | None = None
     """The positions, if they are smoothed along with the colours."""
 
-    differing: Float32s | None = None
-    """The variance of the noise relative to its mean, a stack of one channel; None if it is the same everywhere."""
-
-    stabiliser: VarianceStabiliser | None = None
-    """What made the noise of the colours the same at all levels."""
-
-    noise_covariances: Float64s | None = None
-    """The noise at each scale, shape (L, N, N), if neighbouring samples share it."""
-
-    doubt: float = 0.0
-    """The mean square error that may be missing in estimates because of JPEG; infinite: nobody can tell."""
-
-    most_noise: float = np.inf
-    """Estimated noise of a channel of colour at most."""
-
-    @property
-    def shares_noise(self) -> bool:
-        """Whether neighbouring samples share noise."""
-        return self.noise_covariances is not None
-
-    @property
-    def grain(self) -> float:
-        """The width, in samples, of the area that samples share noise over; 1: each has its own."""
-        if self.noise_covariances is None:
-            return 1.0
-        # Noise of a filter has its power at the coarsest scale divided by the filter's area.
-        own = np.trace(covariance_of_cells(self.noise_covariances))
-        return float(np.sqrt(max(1.0, np.trace(self.noise_covariances[-1]) / max(own, 1e-12))))
-
-    @property
-    def noise_covariance(self) -> Float64s:
-        """Covariance of the noise of channels, shape (N, N)."""
-        if self.noise_covariances is None:
-            return np.diag(np.square(self.sigma))
-        return covariance_of_cells(self.noise_covariances)
-
     @property
     def relative(self) -> Float32s:
         """The variance of the noise relative to its mean, a stack of one channel like that of the colours."""
-        if self.differing is not None:
-            return self.differing
+        if self.noise.relative is not None:
+            return self.noise.relative
         shape = list(self.colours.shape)
         shape[self.axis] = 1
         return np.broadcast_to(np.float32(1), shape)
 
     @property
-    def noise(self) -> Float64s:
-        """Estimated standard deviation of the noise of the colours as they were given, by channel."""
-        noise = self.sigma.astype(np.float64)
-        if self.stabiliser is not None:
-            noise[:COLOURS] *= self.stabiliser.growth
-        return noise
+    def metric_sigma(self) -> Float64s:
+        """Standard deviation of the noise of the channels that enter the metric."""
+        return self.noise.sigma if self.chosen is None else self.noise.sigma[self.chosen]
 
-    def take_found(self, noise: FoundNoise) -> None:
-        """Take what was found of the noise."""
-        self.stabiliser, self.noise_covariances, self.doubt = noise.stabiliser, noise.covariances, noise.doubt
-        self.most_noise = noise.most
+    @property
+    def beta(self) -> float:
+        """The given beta, or else one for the noise, in units of length per unit of stabilised colours."""
+        return beta_of(self.parameters, self.metric_sigma, self.unit) if len(self.metric_sigma) else 0.0
 
-    def settle_noise(self, parameters: KernelParameters, sigma: Float64s | None = None) -> None:
-        """Set the noise of the colours to what is reckoned with; `sigma` is of noise that is given by sample."""
-        colours = self.sigma[:COLOURS]
-        np.minimum(colours, self.most_noise, out=colours)
-        colours[:] = noise_of(parameters, colours, sigma, self.stabiliser)
-
-    def given_beta(self, beta: float) -> float:
-        """Return beta in units of length per unit of the colours as they were given."""
-        return beta if self.stabiliser is None else beta / self.stabiliser.growth
-
-    def as_given(self, rows: Float32s) -> Float32s:
-        """Return colours, shape (S, N), as they were given."""
-        if self.stabiliser is None:
-            return rows
-        rows = rows.copy()
-        self.stabiliser.restore(rows.T)
-        return rows
+    def having(self, **values: Any) -> Self:
+        """Return the same manifold with other parameters, noise or colours."""
+        other = object.__new__(type(self))  # a copy would leave out what is not sent to other processes
+        other.__dict__ |= {**self.__dict__, **values}
+        return other
 
     def coarse_levels(self) -> Iterator[CoarseLevel]:
         """Go through levels, coarse to fine, at which plain colours are estimated better than sample by sample."""
-        if self.shares_noise:  # which they have been estimated for
+        if self.noise.is_shared:  # which they have been estimated for
             return
         levels = self.levels(max(self.plain_levels))
         yield from (levels[number - 1] for number in self.plain_levels if number <= len(levels))
@@ -160,10 +107,7 @@ class Manifold(Domain):
         self.guides: list[tuple[Float32s, float]] = []
         self._gaussian: MeshGaussian | GridGaussian | None = None
 
-    def embed(self, guides: Sequence[Guide]) -> None:
-        """Set beta of the colours, and lay out the guides with theirs."""
-        self.metric_sigma = self.sigma if self.chosen is None else self.sigma[self.chosen]
-        self.beta = beta_of(self.parameters, self.metric_sigma, self.unit) if len(self.metric_sigma) else 0.0
+    def lay_out_guides(self, guides: Sequence[Guide]) -> None:
         for guide in guides:
             stack, beta = self._laid_out(guide), guide.beta
             if beta is None:
@@ -176,8 +120,8 @@ class Manifold(Domain):
         beta = step.beta
         if self.chosen is not None:
             colours = np.ascontiguousarray(np.take(colours, self.chosen, axis=self.axis))
-        if self.differing is not None:  # differences count by the noise where they are
-            colours = np.divide(colours, np.sqrt(self.differing), dtype=np.float32)
+        if self.noise.relative is not None:  # differences count by the noise where they are
+            colours = np.divide(colours, np.sqrt(self.noise.relative), dtype=np.float32)
         own = self.regularised(colours, beta) if step.regularised else (colours, beta)
         return join_channels([own, *self.guides, *self._features(step)], self.axis)
 
@@ -314,7 +258,7 @@ class SampleTrial:
     @property
     def relative(self) -> Float32s | float:
         """The variance of the noise relative to its mean."""
-        return 1.0 if self.part.differing is None else self.scored(self.part.differing)
+        return 1.0 if self.part.noise.relative is None else self.scored(self.part.noise.relative)
 
     def step(self, state: Float32s, step: Step) -> Float32s:
         """Return the colours after an iteration."""

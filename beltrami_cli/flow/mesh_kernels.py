@@ -128,7 +128,8 @@ class MeshKernels(Manifold):
         part.order = np.zeros(0, self.order.dtype)
         part._scales = None if self._scales is None else spread(self._scales, 1)
         part._weights = None if self._weights is None else spread(self._weights, 1)
-        part.differing = None if self.differing is None else spread(self.differing, 1)
+        if self.noise.relative is not None:
+            part.noise = self.noise.with_relative(spread(self.noise.relative, 1))
         part.guides = [(spread(values), beta) for values, beta in self.guides]
         return part
 
@@ -146,7 +147,7 @@ class MeshKernels(Manifold):
         if self._weights is not None:
             weights = weights * self._weights[held]
         return SampledKernel(
-            self.order[held].astype(np.int64), distances, weights, self.as_given(self.colours[held])
+            self.order[held].astype(np.int64), distances, weights, self.noise.to_input(self.colours[held])
         )
 
     def samples_per_kernel(self, kernels: int, step: Step) -> float:

@@ -19,8 +19,11 @@ from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.mesh_kernels import MeshKernels, rank_in
 from beltrami_cli.flow.mesh_partitions import MeshPartition, cut_mesh, first_reach
 from beltrami_cli.flow.noise.by_place import relative_to_mean
+from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.estimate import NoiseByPlace, estimate_noise
 from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
 from beltrami_cli.flow.noise.mesh import estimate_sigma, find_mesh_noise, find_relative
+from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import MeshWork, Mixing, NewColours, Step, without_hubs
 from beltrami_cli.flow.regularisation import MeshGaussian
@@ -39,46 +42,48 @@ _COARSE = np.float32(256)
 _SPREAD, _PASSES = 3.0, 38
 
 
+def mesh_manifold(
+    surface: SampledSurface,
+    parameters: KernelParameters,
+    *,
+    guides: Sequence[Guide] = (),
+    metric_channels: Sequence[int] | None = None,
+    geometry: GeometryParameters | None = None,
+    deviations: Float32s | None = None,
+) -> MeshManifold:
+    """Make the image manifold of a sampled surface; with `geometry`, positions are smoothed, too."""
+    made = MeshManifold(surface, parameters, metric_channels)
+    measured = None if deviations is None else relative_to_mean(deviations[made.order])
+    made.noise = estimate_noise(made, parameters, measured=measured, is_searched=geometry is None)
+    made.lay_out_guides([dataclasses.replace(guide, values=guide.values[made.order]) for guide in guides])
+    if geometry is not None:
+        places = GeometryParameters(geometry.places[made.order], geometry.normal_beta)
+        faces = rank_in(made.order)[surface.faces]
+        spacing = made.spacing or 1.0
+        made.moving = MovingPositions(made.positions, faces, made.edges, spacing, made.unit, places)
+    return made
+
+
 class MeshManifold(MeshKernels):
-    """The image manifold of a sampled surface; `geometry`: positions are smoothed, too."""
+    """The image manifold of a sampled surface."""
 
     width: ClassVar[float] = 4.0
     plain_levels: ClassVar[tuple[int, ...]] = 2, 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 
-    def __init__(
-        self,
-        surface: SampledSurface,
-        parameters: KernelParameters,
-        *,
-        guides: Sequence[Guide] = (),
-        metric_channels: Sequence[int] | None = None,
-        geometry: GeometryParameters | None = None,
-        deviations: Float32s | None = None,
-    ) -> None:
-        super().__init__(surface, parameters, metric_channels)
-        given, sigma = parameters.given_noise, None
-        if deviations is not None:
-            self.differing, sigma = relative_to_mean(deviations[self.order])
-        elif given is not None:
-            self.stabiliser = given.stabiliser() if given.is_by_level else None
-        elif parameters.evens_noise and geometry is None:
-            self.differing = find_relative(self.colours, self.edges)
-            if len(self.edges):
-                self.take_found(find_mesh_noise(self.graph, self.colours, self.differing))
-        if self.stabiliser is not None:
-            self.stabiliser.stabilise(self.colours.T)
-        self.sigma = estimate_sigma(self.colours, self.edges, self.differing)
-        self.settle_noise(parameters, sigma)
-        if self.noise_covariances is not None:
-            self.sigma = sigma_of_covariances(self.noise_covariances)
-        self.embed([dataclasses.replace(guide, values=guide.values[self.order]) for guide in guides])
-        if geometry is not None:
-            places = GeometryParameters(geometry.places[self.order], geometry.normal_beta)
-            faces = rank_in(self.order)[surface.faces]
-            self.moving = MovingPositions(
-                self.positions, faces, self.edges, self.spacing or 1.0, self.unit, places
-            )
+    def noise_by_place(self) -> NoiseByPlace:
+        return NoiseByPlace(find_relative(self.colours, self.edges))
+
+    def noise_by_scale(self, relative: Float32s | None, *, by_level: bool) -> FoundNoise:
+        if not by_level or not len(self.edges):
+            return FoundNoise()
+        return find_mesh_noise(self.graph, self.colours, relative)
+
+    def sigma(self, relative: Float32s | None) -> Float64s:
+        return estimate_sigma(self.colours, self.edges, relative)
+
+    def stabilise(self, stabiliser: VarianceStabiliser) -> None:
+        stabiliser.stabilise(self.colours.T)
 
     def partitions(
         self, count: int, widening: int, steps: Sequence[Step], channels: int
@@ -102,7 +107,7 @@ class MeshManifold(MeshKernels):
         if len(samples) < self.size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
         scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
-        return SampleTrial(part, colours, signs, scored, correlated=self.shares_noise)
+        return SampleTrial(part, colours, signs, scored, correlated=self.noise.is_shared)
 
     def release(self) -> None:
         """Give back the triangles, which only cuts need."""
@@ -125,7 +130,7 @@ class MeshManifold(MeshKernels):
 
     def values(self) -> Float32s:
         """Return the colours as they are now, shape (S, N), in the caller's order."""
-        return self.in_order(self.as_given(self.colours))
+        return self.in_order(self.noise.to_input(self.colours))
 
     def new_colours(self) -> NewColours:
         """Return the same as blocks to be written back."""
@@ -141,7 +146,7 @@ class MeshManifold(MeshKernels):
         """Find the channels that were cut off; isolated samples keep their colours, and do not count."""
         joined = np.zeros(self.size, bool)
         joined[self.edges] = True
-        return find_clipped(self.colours[joined], self.sigma)
+        return find_clipped(self.colours[joined], self.noise.sigma)
 
     def marks(self, clipped: ClippedChannels) -> Float32s:
         """Return the marks of the samples at a limit, shape (S, M)."""
@@ -158,7 +163,7 @@ class MeshManifold(MeshKernels):
         assert self._patches is not None
         estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
         own = mixing.parts
-        relative = None if self.differing is None else self.differing[:, 0]
+        relative = None if self.noise.relative is None else self.noise.relative[:, 0]
         self._patches.collaborate(
             noisy, pilot, own, relative, mixing.has_pilot, estimates, weights, self.threads, progress
         )
@@ -191,7 +196,7 @@ class MeshManifold(MeshKernels):
 
     def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
         """Return random stacks like the noise, by nearby colours: signs, or noise that neighbours share."""
-        covariances = self.noise_covariances
+        covariances = self.noise.covariances
         if covariances is None:
             return random_signs(colours, around, count)
         levels = list(islice(levels_of(self.graph), len(covariances) + 1))
@@ -203,7 +208,7 @@ class MeshManifold(MeshKernels):
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
         """Return clusters of samples."""
         del tick
-        return clusters_for(self.graph, most, self._axes, self.differing, self.threads)
+        return clusters_for(self.graph, most, self._axes, self.noise.relative, self.threads)
 
     def planes(self, count: int) -> Float32s:
         """Return rows of zeros."""

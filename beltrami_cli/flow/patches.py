@@ -96,7 +96,7 @@ def blend_with_patches(
     stage: Callable[[int], Callable[[int], None] | None],
 ) -> Blend:
     """Blend the kernel's result with that of patches; `noisy` is a stack that is overwritten."""
-    axis, sigma = manifold.axis, manifold.sigma
+    axis, sigma = manifold.axis, manifold.noise.sigma
     before = kernel(large_arrays.copy_of(noisy))
     signs = manifold.perturbation()
     size = np.float32(_PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
@@ -106,7 +106,7 @@ def blend_with_patches(
     if clipped is not None:
         for own, pilot, relative in in_blocks(axis, noisy, before, manifold.relative):
             clipped.impute(own, pilot, relative[0], manifold.threads)
-    mixing = mixing_of(manifold, before, manifold.noise_covariance)
+    mixing = mixing_of(manifold, before, manifold.noise.covariance)
     second = with_pilot(mixing, manifold)
 
     def estimate(colours: Float32s, pilot: Float32s) -> Float32s:
@@ -128,9 +128,8 @@ def blend_with_patches(
     for level in manifold.coarse_levels():
         means = _means(level, manifold, model, (noisy, signs, size), results)
         gain += _improve_means(level, model, second, means, (before, disturbed))
-    growth = 1.0 if manifold.stabiliser is None else manifold.stabiliser.growth
     count = max(1, manifold.kernels)
-    return Blend(before, share / count, growth**2 * gain / count / len(sigma))
+    return Blend(before, share / count, manifold.noise.growth**2 * gain / count / len(sigma))
 
 
 def _mix(
@@ -313,7 +312,7 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
     shrinkage, least = np.where(is_difference, _OF_DIFFERENCES, _SHRINKAGE), 0.0
-    if manifold.shares_noise:
+    if manifold.noise.is_shared:
         shrinkage, least = np.full(len(shrinkage), _IF_SHARED), _IF_SHARED
     return dataclasses.replace(
         mixing,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import smooth as smooth_manifold
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.jobs.array_arguments import (
@@ -19,7 +20,7 @@ from beltrami_cli.jobs.array_arguments import (
     require_encoding,
     settings_for,
 )
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.vertex_samples import CloudCounts, VertexSamples, count_cloud
 from beltrami_cli.surface.records import Encoding
@@ -191,13 +192,13 @@ def smooth(
         raise UsageError(f"positions in {dimensions} dimensions need faces")
     samples = VertexSamples(painted, settings, guides, noise)
     samples.is_cloud = faces is None
-    flow = samples.flow()
-    result = flow.run(progress)
-    report, moving = samples.report(flow, result), flow.manifold.moving
-    repainted, counts = samples.repaint(flow.manifold.new_colours()), report.counts
+    plan = samples.plan()
+    result = smooth_manifold(plan, progress)
+    report, moving = samples.report(plan, result), result.manifold.moving
+    repainted, counts = samples.repaint(result.manifold.new_colours()), report.counts
     assert repainted.colours is not None
     return SmoothResult(
-        repainted.colours, result.beta, result.spacing, report.noise, int(counts["samples"]),
+        repainted.colours, plan.beta, plan.manifold.spacing, report.noise, int(counts["samples"]),
         int(counts["hard_edge_samples"]), result.samples_per_kernel, result.truncated, report.iterations,
         report.guides, repainted.positions,
         normal_noise=None if moving is None else moving.sigma,
@@ -270,16 +271,16 @@ def smooth_image(
 
     numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
     place = checked_surface(surface, table, shape)
-    flow = grid_flow(place, working, settings.kernel, guides, numbers, noise=noise)
-    result = flow.run(progress)
-    pixels = flow.manifold.atlas.owned_texels
-    before, after = working(pixels), flow.values()
+    plan = plan_on_image(place, working, settings.kernel, guides, numbers, noise=noise)
+    result = smooth_manifold(plan, progress)
+    pixels = plan.manifold.atlas.owned_texels
+    before, after = working(pixels), result.manifold.values()
     smoothed, moved, old = table.copy(), np.any(before != after, axis=1), table[pixels]
     if moved.any():
         # The way there and back is not exact; what comes of it stays in the range of the colours.
         back = from_space(after[moved], encoding, settings.space)
         smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
     return ImageResult(
-        smoothed.reshape(*shape, -1), result.beta, result.spacing, result.sigma, len(pixels),
+        smoothed.reshape(*shape, -1), plan.beta, plan.manifold.spacing, plan.noise, len(pixels),
         result.samples_per_kernel, result.choice, result.patches,
     )  # fmt: skip

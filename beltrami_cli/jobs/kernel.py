@@ -13,6 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import from_space
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.records import SampledKernel
@@ -77,16 +78,15 @@ def kernel_file(
     drawn_as = ".ply" if isinstance(samples, PaintedSamples) else ".png"
     if suffix != ".csv" and (suffix == ".ply") != (drawn_as == ".ply"):
         raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
-    flow = samples.flow()
+    plan = samples.plan()
     if isinstance(samples, PaintedSamples):
-        sample_of = samples.sample_of(flow)
+        sample_of = samples.sample_of(plan)
         name, index, columns = _vertex_at(at, samples.joined.positions, sample_of, document.name)
     else:
         name, index, columns = _texel_at(at, samples, document)
-    iterations = flow.parameters.iterations
-    flow.stop_before(iteration - 1)
-    flow.run(job.progress_of("iterations before"))
-    kernel, parameters = flow.kernel_at(index), flow.parameters
+    parameters, before = plan.parameters, plan.stopped_before(iteration - 1)
+    manifold = smooth(before, job.progress_of("iterations before")).manifold
+    kernel = manifold.kernel_at(index, plan.step(iteration - 1))
     table = {column: values[kernel.samples] for column, values in columns.items()}
     table |= {"distance": kernel.distances, "weight": kernel.weights}
     channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
@@ -95,15 +95,15 @@ def kernel_file(
     if suffix == ".csv":
         written = _table(table)
     elif isinstance(samples, PaintedSamples):
-        written = _mesh(samples, sample_of, kernel, nearness, _greys(flow.values(), samples))
+        written = _mesh(samples, sample_of, kernel, nearness, _greys(manifold.values(), samples))
     else:
-        written = _picture(flow.manifold, index, kernel, nearness, samples, suffix)
+        written = _picture(manifold, index, kernel, nearness, samples, suffix)
     output.write(written)
     return ShownKernel(
         at=name,
         iteration=iteration,
-        iterations=iterations,
-        beta=flow.beta * parameters.growth(iteration - 1),
+        iterations=parameters.iterations,
+        beta=plan.beta * parameters.growth(iteration - 1),
         t=parameters.t,
         radius=parameters.radius,
         cut_short=drawn_as == ".ply" and len(kernel.samples) == parameters.max_samples,
@@ -221,7 +221,9 @@ def _picture(
     edge = [(around, around)] * 2
     filled = np.pad(manifold.atlas.kind, edge, constant_values=EMPTY)[place] != EMPTY
     colours = np.pad(manifold.colours, [(0, 0), *edge])[place]
-    greys = _greys(manifold.as_given(colours.reshape(len(colours), -1).T), samples).reshape(*filled.shape, 3)
+    greys = _greys(manifold.noise.to_input(colours.reshape(len(colours), -1).T), samples).reshape(
+        *filled.shape, 3
+    )
     panels = [greys.astype(np.float64)]
     for values in (nearness, kernel.weights / kernel.weights.max()):
         shown = np.full(filled.shape, np.nan, np.float32)

@@ -11,6 +11,7 @@ from typing import Any
 
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import FileReport, Painter
@@ -44,11 +45,11 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
         assert choosing is not None
         choosing(number := next(steps), number + _USUAL_TICKS)
 
-    flow = samples.flow(None if choosing is None else tick)
-    result = flow.run(job.progress_of(label))
-    report, warnings = samples.report(flow, result), samples.warnings(result)
-    new = flow.manifold.new_colours()
-    del flow  # before images as large are made
+    plan = samples.plan(None if choosing is None else tick)
+    result = smooth(plan, job.progress_of(label))
+    report, warnings = samples.report(plan, result), samples.warnings(result)
+    new = result.manifold.new_colours()
+    del plan, result  # before images as large are made
     repainted = samples.repaint(new)
     report = dataclasses.replace(report, change=repainted.change.summary())
     return Smoothed(samples.part, repainted, report, warnings)

@@ -1,4 +1,4 @@
-"""The flow on pictures of which JPEG coded the noise."""
+"""How pictures are smoothed whose noise JPEG coded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
@@ -26,19 +26,19 @@ Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
 _PILOTS = 2
 
 
-def flow_on_pictures(
+def plan_on_pictures(
     make: Make,
     atlas: Atlas,
     pixels: Sequence[Array],
     tables: Sequence[JpegTables | None],
     kernel: KernelParameters,
     tick: Callable[[], None] | None,
-) -> BeltramiFlow[GridManifold]:
-    """Return the flow on pictures, decoded anew if JPEG coded white noise in all; `make`: on given colours."""
+) -> Plan[GridManifold]:
+    """Plan the smoothing of pictures, decoded again if JPEG coded white noise in all; `make`: on given colours."""
     pictures = _coded(atlas, pixels, tables) if kernel.evens_noise and not kernel.fast else []
     sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:
-        return BeltramiFlow(make(None, None), kernel, tick)
+        return choose_parameters(make(None, None), kernel, tick)
     planes, noise, before = None, None, None
     for _ in range(_PILOTS if kernel.takes_patches else 1):
         rows = _smoothed(make(planes, noise), kernel, tick)
@@ -49,18 +49,16 @@ def flow_on_pictures(
         noise, stored = _decode(atlas, pictures, rows, sigma)
         planes = painted(atlas, rows, kernel.thread_count)
     del before, rows
-    flow = BeltramiFlow(make(planes, noise), kernel, tick)
-    if not flow.parameters.iterations:  # what is not smoothed stays as it is
-        return BeltramiFlow(make(None, None), kernel, tick)
-    flow.reckon_with(stored)
-    return flow
+    plan = choose_parameters(make(planes, noise), kernel, tick)
+    if not plan.parameters.iterations:  # what is not smoothed stays as it is
+        return choose_parameters(make(None, None), kernel, tick)
+    return plan.with_noise(stored)
 
 
 def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[], None] | None) -> Float32s:
     """Return what the kernel alone makes of the owned cells."""
-    flow = BeltramiFlow(manifold, dataclasses.replace(kernel, patches="off"), tick)
-    flow.run(None if tick is None else lambda *_: tick())
-    return flow.values()
+    plan = choose_parameters(manifold, dataclasses.replace(kernel, patches="off"), tick)
+    return smooth(plan, None if tick is None else lambda *_: tick()).manifold.values()
 
 
 def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | None]) -> list[CodedPicture]:

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin, painted
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.samples.coded_pictures import flow_on_pictures
+from beltrami_cli.samples.coded_pictures import plan_on_pictures
 from beltrami_cli.samples.guides import require_size
 from beltrami_cli.samples.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import grid_atlas
@@ -139,7 +139,7 @@ def _opaque(picture: Picture) -> NDArray[np.bool_]:
     return np.asarray(picture.pixels[..., picture.alpha] != 0)
 
 
-def grid_flow(
+def plan_on_image(
     surface: ImageSurface,
     colours_of: Callable[[Pixels], NDArray[np.float32]],
     kernel: KernelParameters,
@@ -149,8 +149,8 @@ def grid_flow(
     noise: NDArray[np.float32] | None = None,
     rows: Pixels | None = None,
     coded: tuple[NDArray[Any], JpegTables] | None = None,
-) -> BeltramiFlow[GridManifold]:
-    """Make the flow on an image, whose owned texels are the pixels that are not holes, row by row.
+) -> Plan[GridManifold]:
+    """Plan the smoothing of an image, whose owned texels are the pixels that are not holes, row by row.
 
     Guides and noise have a row for each pixel, or those that `rows` names for the pixels. `coded`: the pixels, if they
     are as a JPEG file has them.
@@ -172,7 +172,7 @@ def grid_flow(
     def manifold(planes: NDArray[np.float32] | None, found: FoundNoise | None) -> GridManifold:
         if planes is None:
             planes = painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count)
-        return GridManifold(
+        return grid_manifold(
             atlas,
             planes,
             kernel,
@@ -184,7 +184,7 @@ def grid_flow(
         )
 
     pictures = ([coded[0]], [coded[1]]) if coded else ([], [])
-    return flow_on_pictures(manifold, atlas, *pictures, kernel, tick)
+    return plan_on_pictures(manifold, atlas, *pictures, kernel, tick)
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:

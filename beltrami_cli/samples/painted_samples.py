@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import (
@@ -70,8 +70,8 @@ class PaintedSamples(Samples):
         return self.painted
 
     @abstractmethod
-    def sample_of(self, flow: BeltramiFlow[Any]) -> Int64s:
-        """Return the sample of a flow that each of the V vertices belongs to, shape (V,); -1: none."""
+    def sample_of(self, plan: Plan[Any]) -> Int64s:
+        """Return the sample of a manifold that each of the V vertices belongs to, shape (V,); -1: none."""
 
     def grains(self) -> Grains:
         # One random number for each place, so that split vertices stay equal.
@@ -96,7 +96,7 @@ class PaintedSamples(Samples):
         colours[places] = np.where(after != grains.colours, back, colours[places])
         return Repainted(Change.between(painted.colours, colours), colours)
 
-    def _report(self, flow: BeltramiFlow[Any], result: FlowResult, counts: dict[str, float]) -> VertexReport:
+    def _report(self, plan: Plan[Any], result: FlowResult[Any], counts: dict[str, float]) -> VertexReport:
         return VertexReport(
             counts={
                 "vertices": len(self.painted.positions),
@@ -104,8 +104,8 @@ class PaintedSamples(Samples):
                 "samples_per_kernel": round(result.samples_per_kernel, 2),
                 "truncated_kernels": result.truncated,
             },
-            spacing=result.spacing,
-            **self._used(flow, result),
+            spacing=plan.manifold.spacing,
+            **self._used(plan, result),
         )
 
     def _repainted(self, vertices: NDArray[np.intp], after: Float32s) -> Repainted:

@@ -13,7 +13,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
@@ -23,7 +23,7 @@ from beltrami_cli.formats.image import ImageDocument, Picture, check_writable, i
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses, upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
-from beltrami_cli.samples.image_surface import grid_flow, read_surface, refuse_options_of_meshes
+from beltrami_cli.samples.image_surface import plan_on_image, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.reports import ImageReport
@@ -83,14 +83,14 @@ class PixelSamples(Samples):
     def _colours_of(self, picture: Picture) -> PictureColours:
         return PictureColours([picture], "baseColor", self._chosen, is_image=True)
 
-    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         noise = None if self._noise is None else self._noise.reshape(-1, self._noise.shape[2])
         working, metric = partial(self.colours.working, self.picture), self.colours.metric_channels
         coded = None
         if self._tables is not None and self.colours.shows_all:
             coded = self.picture.pixels, self._tables
         known = self.settings.kernel, self._guides, metric, tick, noise
-        return grid_flow(self.surface, working, *known, coded=coded)
+        return plan_on_image(self.surface, working, *known, coded=coded)
 
     def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
         """Return the samples of a part of the image, with other parameters."""
@@ -128,9 +128,9 @@ class PixelSamples(Samples):
         }
 
     def describe(self) -> dict[str, object]:
-        flow, facts = self.flow(), self.facts()
+        plan, facts = self.plan(), self.facts()
         del facts["format"]  # is that of the file
-        return {"image": {**facts, "pitch": flow.manifold.spacing}, **self._planned(flow)}
+        return {"image": {**facts, "pitch": plan.manifold.spacing}, **self._planned(plan)}
 
     def notices(self) -> list[str]:
         return [*self.picture.notices, *self._own_notices()]
@@ -152,12 +152,12 @@ class PixelSamples(Samples):
             found.append(f"{name} has no pixel but holes, so nothing was smoothed{remedy}.")
         return found
 
-    def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> ImageReport:
+    def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> ImageReport:
         return ImageReport(
             image=self.facts(),
-            pitch=result.spacing,
+            pitch=plan.manifold.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            **self._used(flow, result),
+            **self._used(plan, result),
         )
 
     def painted(self, new: NewColours) -> tuple[Array, Change]:

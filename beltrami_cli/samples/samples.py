@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
@@ -129,12 +129,12 @@ class Samples(ABC):
     names: tuple[str, ...]  # of the sampled channels: those that change, and those that only enter the metric
 
     @abstractmethod
-    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[Any]:
-        """Make the flow on these samples, whose memory it takes over; `tick` is called meanwhile, and may raise."""
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:
+        """Plan their smoothing, which takes over their memory; `tick` is called meanwhile, and may raise."""
 
     @abstractmethod
-    def report(self, flow: BeltramiFlow[Any], result: FlowResult) -> SamplesReport:
-        """Return the report of a flow, without the change of colours."""
+    def report(self, plan: Plan[Any], result: FlowResult[Any]) -> SamplesReport:
+        """Return the report of what was done, without the change of colours."""
 
     @abstractmethod
     def repaint(self, new: NewColours) -> Repainted:
@@ -185,34 +185,34 @@ class Samples(ABC):
         """Return what users should know of them."""
         return []
 
-    def _used(self, flow: BeltramiFlow[Any], result: FlowResult) -> dict[str, Any]:
+    def _used(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
         """Return what all reports have in common, by the names of their fields."""
         return {
-            "beta": result.beta,
-            "iterations": flow.parameters.iterations,
-            "noise": self.named(result.sigma),
-            "noise_model": flow.noise_model,
-            "guides": flow.manifold.guide_betas,
+            "beta": plan.beta,
+            "iterations": plan.parameters.iterations,
+            "noise": self.named(plan.noise),
+            "noise_model": plan.described_noise,
+            "guides": plan.manifold.guide_betas,
             "choice": describe_choice(result.choice),
             "patches": result.patches,
         }
 
-    def _planned(self, flow: BeltramiFlow[Any]) -> dict[str, Any]:
-        """Return what `describe` says of all kinds: the noise, and the parameters of the kernel that a flow uses."""
-        choice = describe_choice(flow.choice)
-        used = dataclasses.asdict(dataclasses.replace(flow.parameters, beta=flow.beta))
+    def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
+        """Return what `describe` says of all kinds: the noise, and the parameters of the kernel as planned."""
+        choice = describe_choice(plan.choice)
+        used = dataclasses.asdict(dataclasses.replace(plan.parameters, beta=plan.beta))
         del used["free"]  # nothing is any more
         smooth = {
             **used,
-            "patches": "on" if flow.takes_patches else "off",
+            "patches": "on" if plan.takes_patches else "off",
             "threads": self.settings.kernel.thread_count,
             "space": self.settings.space,
-            **({"guide_betas": flow.manifold.guide_betas} if flow.manifold.guide_betas else {}),
+            **({"guide_betas": plan.manifold.guide_betas} if plan.manifold.guide_betas else {}),
             **({"choice": choice} if choice else {}),
         }
-        return {"noise": self.named(flow.noise), "noise_model": flow.noise_model, "smooth": smooth}
+        return {"noise": self.named(plan.noise), "noise_model": plan.described_noise, "smooth": smooth}
 
-    def warnings(self, result: FlowResult) -> list[str]:
+    def warnings(self, result: FlowResult[Any]) -> list[str]:
         del result
         return []
 

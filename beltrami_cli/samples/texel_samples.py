@@ -10,10 +10,10 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.embedding import Guide, from_space, to_space
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole, common_noise, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
@@ -24,7 +24,7 @@ from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
-from beltrami_cli.samples.coded_pictures import flow_on_pictures
+from beltrami_cli.samples.coded_pictures import plan_on_pictures
 from beltrami_cli.samples.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
 from beltrami_cli.samples.picture_colours import PictureColours
@@ -96,19 +96,19 @@ class TexelSamples(samples.Samples):
             return picture
         return dataclasses.replace(picture, source=b"")
 
-    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         tables = self._tables if self._levelled is None and self.colours.shows_all else []
         pixels = [picture.pixels for picture in self.pictures]
-        flow = flow_on_pictures(self.manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
+        plan = plan_on_pictures(self.manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
         self._guides = []
-        return flow
+        return plan
 
     def manifold(self, planes: Float32s | None = None, noise: FoundNoise | None = None) -> GridManifold:
         """Return the manifold of the texels, with the noise of their colours; or of others, with theirs."""
         whole = None if self._group is None else self._group.common.whole(self.names)
         if noise is not None:
             whole = Whole(None if whole is None else whole.unit, noise)
-        return GridManifold(
+        return grid_manifold(
             self.atlas,
             self._on_canvas() if planes is None else planes,
             self.settings.kernel,
@@ -121,7 +121,7 @@ class TexelSamples(samples.Samples):
     def common(self) -> Common:
         """Return what groups of these textures share: noise only if it does not differ from place to place."""
         manifold = self.manifold()
-        noise = manifold.common_noise if manifold.differing is None else None
+        noise = None if manifold.noise.relative is not None else common_noise(manifold.noise)
         return Common(self.settings, manifold.unit, noise, self.names)
 
     def _on_canvas(self) -> Float32s:
@@ -146,7 +146,7 @@ class TexelSamples(samples.Samples):
     def levelled(self) -> NewColours:
         self._is_dithered, still = True, self.settings.kernel.with_values(iterations=0)
         known = self.colours.metric_channels
-        return GridManifold(self.atlas, self._on_canvas(), still, metric_channels=known).new_colours()
+        return grid_manifold(self.atlas, self._on_canvas(), still, metric_channels=known).new_colours()
 
     def require_writable(self) -> None:
         for picture in self.pictures:
@@ -174,30 +174,30 @@ class TexelSamples(samples.Samples):
             for picture in [self.pictures[index]]
         ]
 
-    def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> SlotReport:
-        self._is_smoothed = flow.parameters.iterations > 0
+    def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> SlotReport:
+        self._is_smoothed = plan.parameters.iterations > 0
         if not self._is_smoothed and not self._is_levelled:
             self._gutter = None  # what is neither smoothed nor levelled stays as it is
         self._is_dithered = not self._is_smoothed and self._is_levelled
-        used, counts = self._used(flow, result), self.atlas.counts
+        used, counts = self._used(plan, result), self.atlas.counts
         if self._group is not None:
             used |= self._group.common.described
             counts |= self._group.counts(self.atlas, self._written())
         return SlotReport(
             slot=self.slot,
             textures=self.facts(),
-            counts={**counts, "jumps": flow.manifold.jumps},
-            pitch=result.spacing,
+            counts={**counts, "jumps": plan.manifold.jumps},
+            pitch=plan.manifold.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
             **used,
         )
 
     def describe(self) -> dict[str, object]:
         exposure = self.exposure() if self._group is None else None
-        flow, described = self.flow(), self.facts()
-        flows = [flow] if len(described) == 1 else map(self._alone, range(len(described)))
+        plan, described = self.plan(), self.facts()
+        plans = [plan] if len(described) == 1 else map(self._alone, range(len(described)))
         seams = 0
-        for facts, own in zip(described, flows, strict=True):
+        for facts, own in zip(described, plans, strict=True):
             atlas = own.manifold.atlas
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
             facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.noise)}
@@ -207,10 +207,10 @@ class TexelSamples(samples.Samples):
             "images": described,
             **self.atlas.counts,
             "seams_between_textures": max(0, self.atlas.seams - seams),
-            "colour_jumps": flow.manifold.jumps,
-            "pitch": flow.manifold.spacing,
+            "colour_jumps": plan.manifold.jumps,
+            "pitch": plan.manifold.spacing,
             "exposure": exposure,
-            **self._planned(flow),
+            **self._planned(plan),
         }
 
     def exposure(self) -> dict[str, object] | None:
@@ -219,7 +219,7 @@ class TexelSamples(samples.Samples):
             return None
         return describe_level(self.level(LevelSettings(strength=0.0)))
 
-    def _alone(self, index: int) -> BeltramiFlow[GridManifold]:
+    def _alone(self, index: int) -> Plan[GridManifold]:
         """Return a flow, with no parameters chosen, on one of several textures."""
         kernel, picture = dataclasses.replace(self.settings.kernel, free=()), self.pictures[index]
         surface = only_textures(self.surface, [index])
@@ -232,7 +232,7 @@ class TexelSamples(samples.Samples):
             return self.colours.working(picture, atlas.owned_texels[block])
 
         planes = painted_by(atlas, len(self.names), working, kernel.thread_count)
-        return BeltramiFlow(GridManifold(atlas, planes, kernel), kernel)
+        return choose_parameters(grid_manifold(atlas, planes, kernel), kernel)
 
     def repaint(self, new: NewColours) -> samples.Repainted:
         is_covered = len(self.atlas.owned_texels) > 0

@@ -15,8 +15,9 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin
+from beltrami_cli.flow.grid_manifold import common_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import ImageSize
 from beltrami_cli.samples import memory_check
@@ -58,12 +59,18 @@ class TileGroups:
         """Estimate noise and choose parameters on some of the textures, with nothing left to choose."""
         samples = TexelSamples(self.evenly_chosen(), slot, settings)
         manifold = samples.manifold()
-        noise, sigma = manifold.common_noise, samples.named(manifold.noise)
-        flow = BeltramiFlow(manifold, settings.kernel)
-        used, beta = flow.parameters, flow.step(0).beta
-        kernel = dataclasses.replace(used, free=(), beta=beta, patches="on" if flow.takes_patches else "off")
-        choice = describe_choice(flow.choice)
-        described = {"noise": sigma, "noise_model": flow.noise_model, "choice": choice}
+        noise, plan = common_noise(manifold.noise), choose_parameters(manifold, settings.kernel)
+        kernel = dataclasses.replace(
+            plan.parameters,
+            free=(),
+            beta=plan.manifold.beta,
+            patches="on" if plan.takes_patches else "off",
+        )
+        described = {
+            "noise": samples.named(plan.noise),
+            "noise_model": plan.described_noise,
+            "choice": describe_choice(plan.choice),
+        }
         chosen = dataclasses.replace(settings, kernel=kernel)
         return Common(chosen, manifold.unit, noise, samples.names, described)
 

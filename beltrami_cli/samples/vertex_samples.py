@@ -12,14 +12,14 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, FlowResult
+from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.embedding import Guide, to_space
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.levelling.correction import level_mesh
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow, options_of_meshes
+from beltrami_cli.samples.image_surface import ImageSurface, options_of_meshes, plan_on_image
 from beltrami_cli.samples.levelled_charts import level_report
 from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours, only_rows
 from beltrami_cli.samples.reports import LevelReport, VertexReport
@@ -69,8 +69,8 @@ class VertexSamples(PaintedSamples):
     def sampling(self) -> VertexSampling:
         return self._sampled[1]
 
-    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[MeshManifold]:
-        # The flow reorders the surface, of which only colours are kept here.
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
+        # The manifold reorders the surface, of which only colours are kept here.
         geometry, own, (surface, sampling) = None, self.settings, self._sampled
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
@@ -78,11 +78,11 @@ class VertexSamples(PaintedSamples):
         none = np.zeros((0, 3))
         remaining = SampledSurface(none, none.astype(np.int32), none.astype(np.int32), surface.colours)
         self._sampled = remaining, sampling
-        manifold = MeshManifold(
+        manifold = mesh_manifold(
             surface, own.kernel, guides=guides, metric_channels=self.channels.metric, geometry=geometry,
             deviations=None if self._noise is None else sampling.means(self._noise),
         )  # fmt: skip
-        return BeltramiFlow(manifold, own.kernel, tick)
+        return choose_parameters(manifold, own.kernel, tick)
 
     def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         (surface, sampling), stored = self._sampled, self._stored
@@ -99,17 +99,17 @@ class VertexSamples(PaintedSamples):
     def levelled(self) -> NewColours:
         return NewColours.of(self.surface.colours)
 
-    def report(self, flow: BeltramiFlow[MeshManifold], result: FlowResult) -> VertexReport:
+    def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         if self.is_cloud:
             counts = dataclasses.asdict(count_cloud(self.joined))
         samples = len(self.surface.colours)
         counts |= {"samples": samples, "hard_edge_samples": samples - self.sampling.places}
-        report = self._report(flow, result, counts)
-        moving = flow.manifold.moving
+        report = self._report(plan, result, counts)
+        moving = result.manifold.moving
         if moving is None:
             return report
-        self._positions = flow.manifold.in_order(moving.positions)[self.sampling.sample_of]
+        self._positions = result.manifold.in_order(moving.positions)[self.sampling.sample_of]
         moves = np.linalg.norm(self._positions - self.painted.positions, axis=1)
         geometry = {
             "normal_noise": moving.sigma,
@@ -123,13 +123,13 @@ class VertexSamples(PaintedSamples):
     def describe(self) -> dict[str, object]:
         painted = self.joined
         facts = self._describe_points() if self.is_cloud else self._describe_mesh()
-        flow = self.flow()
-        manifold = flow.manifold
+        plan = self.plan()
+        manifold = plan.manifold
         moving = {}
         if (moved := manifold.moving) is not None:
             moving = {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
-        held = round(manifold.samples_per_kernel(_PROBED_KERNELS, flow.step(0)), 1)
-        planned = self._planned(flow)
+        held = round(manifold.samples_per_kernel(_PROBED_KERNELS, plan.step(0)), 1)
+        planned = self._planned(plan)
         planned["smooth"] |= moving | {"samples_per_kernel": held}
         return {
             "colours": describe_colours(painted),
@@ -163,7 +163,7 @@ class VertexSamples(PaintedSamples):
             **dataclasses.asdict(count_cloud(self.joined)),
         }
 
-    def sample_of(self, flow: BeltramiFlow[Any]) -> Int64s:
+    def sample_of(self, plan: Plan[Any]) -> Int64s:
         return self.sampling.sample_of.astype(np.int64)
 
     def repaint(self, new: NewColours) -> Repainted:
@@ -174,7 +174,7 @@ class VertexSamples(PaintedSamples):
         repainted = self._repainted(vertices, after[sample_of[vertices]])
         return dataclasses.replace(repainted, positions=self._positions)
 
-    def warnings(self, result: FlowResult) -> list[str]:
+    def warnings(self, result: FlowResult[Any]) -> list[str]:
         found = []
         outliers = count_cloud(self.joined).outliers if self.is_cloud else 0
         if outliers:
@@ -182,7 +182,7 @@ class VertexSamples(PaintedSamples):
             where = "too far from others, in one line with them, or nowhere"
             found.append(f"{outliers} of {len(self.painted.positions)} points {alone} {where}")
         if result.truncated:
-            limit = result.max_samples
+            limit = result.manifold.parameters.max_samples
             remedy = "lower t, or raise --max-samples"
             found.append(f"{result.truncated} kernels were cut short at {limit} samples; {remedy}")
         return found
@@ -204,7 +204,7 @@ class RangeSamples(PaintedSamples):
         super().__init__(painted, settings, guides, noise)
         self.grid = grid
 
-    def flow(self, tick: Callable[[], None] | None = None) -> BeltramiFlow[GridManifold]:
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         if wrong := options_of_meshes(self.settings):
             cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
             raise UsageError(cause)
@@ -213,21 +213,21 @@ class RangeSamples(PaintedSamples):
         positions[measured] = self.painted.positions[self.grid[measured]]
         surface, kernel = ImageSurface(None, positions, measured), self.settings.kernel
         known = self.guides, self.channels.metric, tick, self._noise
-        return grid_flow(surface, self._working, kernel, *known, rows=self.grid.reshape(-1))
+        return plan_on_image(surface, self._working, kernel, *known, rows=self.grid.reshape(-1))
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
         colours = self.painted.colours[self.grid.reshape(-1)[places]][:, self.channels.sampled]
         return to_space(colours, self.painted.encoding, self.settings.space)
 
-    def report(self, flow: BeltramiFlow[GridManifold], result: FlowResult) -> VertexReport:
-        samples = len(flow.manifold.atlas.owned_texels)
+    def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> VertexReport:
+        samples = len(plan.manifold.atlas.owned_texels)
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
-        return self._report(flow, result, {**counts, "samples": samples, "hard_edge_samples": 0})
+        return self._report(plan, result, {**counts, "samples": samples, "hard_edge_samples": 0})
 
     def describe(self) -> dict[str, object]:
-        flow, grid = self.flow(), self.grid
-        measured = len(flow.manifold.atlas.owned_texels)
+        plan, grid = self.plan(), self.grid
+        measured = len(plan.manifold.atlas.owned_texels)
         return {
             "colours": describe_colours(self.painted),
             "surface": {
@@ -235,13 +235,13 @@ class RangeSamples(PaintedSamples):
                 "vertices": len(self.painted.positions),
                 "samples": measured,
                 "holes": grid.size - measured,
-                "mean_edge_length": flow.manifold.spacing,
+                "mean_edge_length": plan.manifold.spacing,
             },
-            **self._planned(flow),
+            **self._planned(plan),
         }
 
-    def sample_of(self, flow: BeltramiFlow[Any]) -> Int64s:
-        measured = self.grid.reshape(-1)[flow.manifold.atlas.owned_texels]
+    def sample_of(self, plan: Plan[Any]) -> Int64s:
+        measured = self.grid.reshape(-1)[plan.manifold.atlas.owned_texels]
         sample_of = np.full(len(self.painted.positions), -1)
         sample_of[measured] = np.arange(len(measured))
         return sample_of

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
@@ -133,9 +134,7 @@ class Previewer:
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
         place = top, left
         samples = self._pixels.window(place, kernel)
-        flow = samples.flow()
-        flow.run(progress)
-        pixels, _ = samples.painted(flow.manifold.new_colours())
+        pixels, _ = samples.painted(smooth(samples.plan(), progress).manifold.new_colours())
         shown = displayed_pixels(dataclasses.replace(samples.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
@@ -184,9 +183,7 @@ class Previewer:
         part = _used(surface, order)
         read = _part_of(self._document, self._own, part, self._faces[order])
         samples = TexelSamples(part, self._slot, settings, (read, self._access))
-        flow = samples.flow()
-        flow.run(progress)
-        new = flow.manifold.new_colours()
+        new = smooth(samples.plan(), progress).manifold.new_colours()
         offsets, patches = samples.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
         for index, picture in enumerate(samples.pictures):
@@ -214,9 +211,10 @@ def _smoothed(
     samples: PaintedSamples, painted: PaintedVertices, rows: Int64s, own: Int64s, progress: Progress | None
 ) -> Patch:
     """Smooth samples of vertices; `rows`: these in the document, `own`: in `painted`."""
-    flow = samples.flow()
-    samples.report(flow, flow.run(progress))
-    made = samples.repaint(flow.manifold.new_colours())
+    plan = samples.plan()
+    result = smooth(plan, progress)
+    samples.report(plan, result)
+    made = samples.repaint(result.manifold.new_colours())
     colours = painted.colours if made.colours is None else made.colours
     places = painted.positions[own]
     kept = dataclasses.replace(painted, colours=colours[own], positions=places, faces=_NO_FACES)

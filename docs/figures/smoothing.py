@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 
 Array = NDArray[np.float64]
 
@@ -58,10 +58,10 @@ def kernel(image: Array, at: tuple[int, int], **parameters: object) -> Array:
     rows, columns = image.shape[:2]
     table = image.reshape(rows * columns, -1).astype(np.float32)
     settings = KernelParameters(**{**PAPER, **parameters, "iterations": 0})
-    flow = grid_flow(
+    plan = plan_on_image(
         ImageSurface(valid=np.ones((rows, columns), bool)), lambda pixels: table[pixels], settings
     )
-    found = flow.kernel_at(at[0] * columns + at[1])
+    found = plan.manifold.kernel_at(at[0] * columns + at[1], plan.step(0))
     weights = np.zeros(rows * columns)
     weights[found.samples] = found.weights
     return (weights / weights.sum()).reshape(rows, columns)

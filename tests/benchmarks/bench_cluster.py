@@ -21,10 +21,10 @@ from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item
 from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import Batch
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, in_partitions
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.beltrami_flow import choose_parameters, in_partitions, smooth
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
@@ -67,14 +67,16 @@ def mesh(side=700):
     surface = SampledSurface(
         flat, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours.astype(np.float32)
     )
-    return BeltramiFlow(MeshManifold(surface, FIXED), FIXED)
+    return choose_parameters(mesh_manifold(surface, FIXED), FIXED)
 
 
 def texture(side=2048):
     """Make the flow on a picture of four million pixels."""
     random = np.random.default_rng(0)
     colours = (0.5 + 20 / 255 * random.standard_normal((side * side, 3))).astype(np.float32)
-    return grid_flow(ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED)
+    return plan_on_image(
+        ImageSurface(valid=np.ones((side, side), bool)), lambda pixels: colours[pixels], FIXED
+    )
 
 
 def in_eight_partitions(make):
@@ -82,9 +84,9 @@ def in_eight_partitions(make):
 
     def run(client):
         with in_partitions(8, ClusterRunner(client)):
-            flow = make()
+            plan = make()
             start = time.perf_counter()
-            flow.run()
+            smooth(plan)
             return time.perf_counter() - start
 
     return run
@@ -92,9 +94,9 @@ def in_eight_partitions(make):
 
 def whole(make):
     """Time the same on one thread without a cluster: on the clock, and of the processor."""
-    flow = make()
+    plan = make()
     start, used = time.perf_counter(), time.process_time()
-    flow.run()
+    smooth(plan)
     return time.perf_counter() - start, time.process_time() - used
 
 

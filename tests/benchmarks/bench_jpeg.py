@@ -21,11 +21,12 @@ from bench_textures import scenes
 from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 
 import beltrami_cli.flow.parameters as kernel
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole
+from beltrami_cli.flow.grid_manifold import Whole, grid_manifold
 from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.coded_pictures import flow_on_pictures
+from beltrami_cli.samples.coded_pictures import plan_on_pictures
 from beltrami_cli.surface.atlas import build_atlas
 
 SUBSAMPLINGS = {"4:4:4": 0x111111, "4:2:0": 0x221111}
@@ -100,11 +101,10 @@ def judge(scene, atlas, quality, subsampling, sigma):
 
         def manifold(planes, noise):
             planes = painted(atlas, stored, threads=1) if planes is None else planes
-            return GridManifold(atlas, planes, own, whole=Whole(noise=noise))
+            return grid_manifold(atlas, planes, own, whole=Whole(noise=noise))
 
-        flow = flow_on_pictures(manifold, atlas, pixels, tables, own, None)
-        flow.run()
-        return tuning_scene.psnr(flow.values(), clean)
+        plan = plan_on_pictures(manifold, atlas, pixels, tables, own, None)
+        return tuning_scene.psnr(smooth(plan).manifold.values(), clean)
 
     best = max(
         reached(iterations=count, t=8.0, beta=255 * contrast / sigma, beta_growth=growth, metric_steps=2)

@@ -71,7 +71,7 @@ def judge(scene, sigma):
     noisy = scene.noisy(noise)
     steps = tuning_scene.Steps(scene, noisy)
     tuned, how = tune(steps, scene, noise)
-    reached, flow = tuning_scene.chosen(scene, noisy)
+    reached, plan = tuning_scene.chosen(scene, noisy)
     by_rule, _ = tuning_scene.chosen(scene, noisy, fast=True)
     row = Loss(
         scene.name.split("-clean")[0].split(".")[0],
@@ -83,10 +83,16 @@ def judge(scene, sigma):
         how,
     )
     if os.isatty(2) or os.environ.get("BELTRAMI_BENCH_LOG"):
-        used = flow.parameters
-        mine = f"c {flow.beta * noise:.2f}, G {used.beta_growth:g}, t {used.t:g}"
+        used = plan.parameters
+        mine = f"c {plan.beta * noise:.2f}, G {used.beta_growth:g}, t {used.t:g}"
         mine += f", K {used.metric_steps}, n {used.iterations}"
-        print(row, mine, [round(float(255 * s), 1) for s in flow.manifold.sigma], file=sys.stderr, flush=True)
+        print(
+            row,
+            mine,
+            [round(float(255 * s), 1) for s in plan.manifold.noise.sigma],
+            file=sys.stderr,
+            flush=True,
+        )
     return row
 
 

@@ -18,6 +18,7 @@ from peers import PeerError
 from scene import ROOT, SIGMA, SMOOTH
 
 import beltrami_cli
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.texel_samples import TexelSamples
@@ -88,9 +89,9 @@ def stage_seconds(source, guided):
     for texture in surface.textures:
         read_image(texture.data, texture.name)
     marks.append(time.process_time())
-    flow = TexelSamples(surface, "baseColor", settings).flow()
+    plan = TexelSamples(surface, "baseColor", settings).plan()
     marks.append(time.process_time())
-    flow.run()
+    smooth(plan)
     decoding, setup, iteration = np.diff([*marks, time.process_time()])
     return setup - decoding, iteration
 

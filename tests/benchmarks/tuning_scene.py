@@ -12,10 +12,10 @@ import numpy as np
 import texture_files
 from scene import ROOT
 
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks
@@ -49,10 +49,9 @@ class Texels:
     starts = (1.4, 8.0)
     steps = (2.4, 4.0, 8.0)
 
-    def flow(self, noisy, parameters):
-        """Return the flow."""
-        manifold = GridManifold(self.atlas, painted(self.atlas, noisy, threads=1), parameters)
-        return BeltramiFlow(manifold, parameters)
+    def plan(self, noisy, parameters):
+        manifold = grid_manifold(self.atlas, painted(self.atlas, noisy, threads=1), parameters)
+        return choose_parameters(manifold, parameters)
 
     def noisy(self, sigma):
         """Return colours with noise."""
@@ -85,13 +84,11 @@ class Vertices:
         """Return colours with noise, one row a place."""
         return with_noise(self.clean, sigma)
 
-    def flow(self, noisy, parameters):
-        """Return the flow on places."""
+    def plan(self, noisy, parameters):
         colours = noisy[self._place[2].ravel()]
         surface, sampling = sample_vertices(self.painted, colours)
-        flow = BeltramiFlow(MeshManifold(surface, parameters), parameters)
-        flow.rows = sampling.sample_of[self._first]
-        return flow
+        self.rows = sampling.sample_of[self._first]
+        return choose_parameters(mesh_manifold(surface, parameters), parameters)
 
 
 def textures(scenes, most):
@@ -115,7 +112,7 @@ def textures(scenes, most):
 def blocks_of(atlas, clean, most):
     """Return blocks of an atlas that end at their borders, and the colours of their owned cells."""
     cells, core = choose_blocks(atlas, most, REACH)
-    whole = GridManifold(
+    whole = grid_manifold(
         atlas, painted(atlas, clean.astype(np.float32), threads=1), KernelParameters(beta=0.0)
     )
     part = whole.cut_blocks(cells, core, REACH).atlas
@@ -144,37 +141,34 @@ class Steps:
 
     def __init__(self, scene, noisy):
         # With these the flow makes all that its iterations need; beta and the rest are given step by step.
-        self.flow = scene.flow(noisy, KernelParameters(iterations=1, beta=1.0, metric_steps=1))
-        self.scene, self.on_grid = scene, isinstance(self.flow.manifold, GridManifold)
-        if self.on_grid:
-            self.flow.manifold = self.flow.manifold.in_one_block()
-        manifold, self.clipped = self.flow.manifold, self.flow.manifold.find_clipped()
+        manifold = scene.plan(noisy, KernelParameters(iterations=1, beta=1.0, metric_steps=1)).manifold
+        self.scene, self.on_grid = scene, isinstance(manifold, GridManifold)
+        self.manifold = manifold = manifold.in_one_block() if self.on_grid else manifold
+        self.clipped = manifold.find_clipped()
         marks = [] if self.clipped is None else [manifold.marks(self.clipped)]
         self.start = [manifold.colours, *marks]
 
     def step(self, state, beta, t, *, regularised):
         """Return the state after an iteration."""
-        self.flow.manifold.measure(state[0], Step(beta, t, regularised))
-        return self.flow.manifold.average(state).stacks
+        self.manifold.measure(state[0], Step(beta, t, regularised))
+        return self.manifold.average(state).stacks
 
     def score(self, state):
         """Return the PSNR of a state, after averages of clipped noise were restored."""
-        manifold = self.flow.manifold
-        manifold.colours = state[0].copy()
+        manifold = self.manifold.having(colours=state[0].copy())
         if self.clipped is not None:
-            manifold.restore(self.clipped, state[1])
+            manifold.restore(self.clipped, manifold.colours, state[1])
         values = manifold.values()
-        return psnr(values if self.on_grid else values[self.flow.rows], self.scene.clean)
+        return psnr(values if self.on_grid else values[self.scene.rows], self.scene.clean)
 
 
 def chosen(scene, noisy, **others):
-    """Return the PSNR with parameters chosen from the data, and the flow."""
-    flow = scene.flow(noisy, KernelParameters(free=TUNABLE, **others))
-    flow.run()
-    colours = flow.values()
-    if not isinstance(flow.manifold, GridManifold):
-        colours = colours[flow.rows]
-    return psnr(colours, scene.clean), flow
+    """Return the PSNR with parameters chosen from the data, and the plan."""
+    plan = scene.plan(noisy, KernelParameters(free=TUNABLE, **others))
+    colours = smooth(plan).manifold.values()
+    if not isinstance(plan.manifold, GridManifold):
+        colours = colours[scene.rows]
+    return psnr(colours, scene.clean), plan
 
 
 __all__ = ["Steps", "Texels", "Vertices", "chosen", "psnr", "textures", "vertices"]

@@ -6,16 +6,16 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.partitions import Joined, TooNarrowError, collect, joined, plan_transfers
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from properties.test_slits import SIDE, TEXELS, cut_plane
-from properties.textured_planes import texel_flow
+from properties.textured_planes import texel_plan
 
 FIXED = {"iterations": 2, "t": 1.2, "beta": 6.0, "beta_growth": 1.5, "metric_steps": 1, "threads": 2}
 ON_GRIDS = {
@@ -32,22 +32,22 @@ def noisy(count):
     return (0.9 + 20 / 255 * random.standard_normal((count, 3))).clip(0, 1).astype(np.float32)
 
 
-def textured_flow(parameters):
+def textured_plan(parameters):
     """Texels with seams, slits and a guide."""
     size = SIDE * TEXELS + 2
     atlas = build_atlas(cut_plane("aslant", True), [(size, size)], parameters.window // 2 + 3, 1)
     colours = noisy(len(atlas.owned_cells))
     guide = Guide("guide", colours[::-1, :1].copy(), 1.5)
-    return texel_flow(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
+    return texel_plan(atlas, colours, parameters, guides=[guide], metric_channels=[0, 2])
 
 
-def image_flow(parameters):
+def image_plan(parameters):
     """Pixels with holes."""
     random = np.random.default_rng(5)
     valid = random.random((70, 90)) > 0.03
     positions = np.dstack([*np.meshgrid(np.arange(90.0), np.arange(70.0)), 3 * random.random((70, 90))])
     values = noisy(valid.size)
-    return grid_flow(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
+    return plan_on_image(ImageSurface(None, positions, valid), lambda pixels: values[pixels], parameters)
 
 
 def wavy_surface(side, seed=0):
@@ -84,15 +84,14 @@ SURFACE = wavy_surface(94)
 
 def smooth_mesh(surface, parameters, progress=None, **others):
     """Return what comes of a mesh: its colours, and the result."""
-    flow = BeltramiFlow(MeshManifold(surface, parameters, **others), parameters)
-    result = flow.run(progress)
-    return SimpleNamespace(colours=flow.values(), **vars(result))
+    result = smooth(choose_parameters(mesh_manifold(surface, parameters, **others), parameters), progress)
+    return SimpleNamespace(colours=result.manifold.values(), **vars(result))
 
 
-def outcome(flow):
-    """Run a flow on a grid; return its colours, those of the gutter, and the samples that a kernel held."""
-    result = flow.run()
-    return flow.values(), flow.manifold.new_colours().beyond, result.samples_per_kernel
+def outcome(plan):
+    """Smooth a grid; return its colours, those of the gutter, and the samples that a kernel held."""
+    result = smooth(plan)
+    return result.manifold.values(), result.manifold.new_colours().beyond, result.samples_per_kernel
 
 
 def same_bits(one, other):

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow import grid_kernels
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
-from flow.split_surfaces import FIXED, ON_GRIDS, image_flow, outcome, same_bits, textured_flow
+from flow.split_surfaces import FIXED, ON_GRIDS, image_plan, outcome, same_bits, textured_plan
 from properties.textured_planes import smoothed
 
 THREE_ITERATIONS = {**FIXED, "iterations": 3, "metric_steps": 2}
@@ -24,35 +25,35 @@ def low_row_blocks(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [textured_flow, image_flow])
+@pytest.mark.parametrize("make", [textured_plan, image_plan])
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_row_blocks_have_the_bits_of_the_whole(make, name, monkeypatch):
     parameters = KernelParameters(**{**THREE_ITERATIONS, **ON_GRIDS[name]})
-    flow = make(parameters)
-    assert name == "world" or flow.manifold.find_clipped() is not None
-    whole = outcome(flow)
+    plan = make(parameters)
+    assert name == "world" or plan.manifold.find_clipped() is not None
+    whole = outcome(plan)
     low_row_blocks(monkeypatch)
-    flow = make(parameters)
-    assert same_bits(outcome(flow), whole)
-    assert len(flow.manifold.row_blocks) >= 3
+    plan = make(parameters)
+    assert same_bits(outcome(plan), whole)
+    assert len(plan.manifold.row_blocks) >= 3
 
 
 def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     """So the test above would see it."""
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
-    whole = smoothed(image_flow(parameters))
+    whole = smoothed(image_plan(parameters))
     low_row_blocks(monkeypatch)
     margin = GridManifold.margin.fget
     monkeypatch.setattr(GridManifold, "margin", property(lambda manifold: margin(manifold) - 2))
-    assert not np.array_equal(smoothed(image_flow(parameters)), whole)
+    assert not np.array_equal(smoothed(image_plan(parameters)), whole)
 
 
 def test_progress_goes_from_block_to_block_up_to_the_work_there_is(monkeypatch):
     low_row_blocks(monkeypatch)
-    flow = image_flow(KernelParameters(**THREE_ITERATIONS))
+    plan = image_plan(KernelParameters(**THREE_ITERATIONS))
     calls = []
-    flow.run(lambda done, total: calls.append((done, total)))
-    cells = flow.manifold.atlas.kind.size
+    smooth(plan, lambda done, total: calls.append((done, total)))
+    cells = plan.manifold.atlas.kind.size
     assert {total for _, total in calls} == {3 * cells}
     assert [done for done, _ in calls] == sorted(done for done, _ in calls)
     assert calls[-1][0] <= 3 * cells
@@ -63,8 +64,8 @@ def test_chosen_parameters_do_not_depend_on_row_blocks(monkeypatch):
     free = dataclasses.replace(
         KernelParameters(threads=2), free=("iterations", "t", "beta", "beta_growth", "metric_steps")
     )
-    whole = image_flow(free)
+    whole = image_plan(free)
     low_row_blocks(monkeypatch)
-    parts = image_flow(free)
+    parts = image_plan(free)
     assert parts.choice == whole.choice
     assert np.array_equal(smoothed(parts), smoothed(whole))

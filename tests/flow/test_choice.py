@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning import mesh_trial, sure
@@ -251,10 +251,9 @@ def test_a_sample_of_a_mesh_is_enough(monkeypatch):
     reached = []
     for budget in (mesh_trial.LEAST_TRIED // 2, mesh_trial.LEAST_TRIED):
         monkeypatch.setattr(mesh_trial, "LEAST_TRIED", budget)
-        flow = BeltramiFlow(MeshManifold(surface, CHOSEN), CHOSEN)
-        assert flow.choice.samples < len(positions) / 2
-        flow.run()
-        reached.append(psnr(flow.values(), clean))
+        plan = choose_parameters(mesh_manifold(surface, CHOSEN), CHOSEN)
+        assert plan.choice.samples < len(positions) / 2
+        reached.append(psnr(smooth(plan).manifold.values(), clean))
     assert reached[0] > reached[1] - 0.3
 
 

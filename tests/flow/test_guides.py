@@ -11,7 +11,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
-from properties.textured_planes import Board, smoothed, texel_flow
+from properties.textured_planes import Board, smoothed, texel_plan
 
 SIDE = 48
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
@@ -134,7 +134,7 @@ def with_guide(surface, image, guide, beta=5.0, in_chart_frame=False):
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table, values = (part.reshape(-1, part.shape[2]).astype(np.float32) for part in (image, guide))
     guides = [Guide("guide", values[atlas.owned_texels], beta, in_chart_frame)]
-    flow = texel_flow(atlas, table[atlas.owned_texels], kernel, guides=guides)
+    flow = texel_plan(atlas, table[atlas.owned_texels], kernel, guides=guides)
     new = table.copy()
     new[atlas.owned_texels] = smoothed(flow)
     return new.reshape(image.shape)

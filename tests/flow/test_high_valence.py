@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli._native import SegmentManifold
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.arrays import smooth
 from beltrami_cli.surface.records import SampledSurface
@@ -179,4 +179,4 @@ def test_parameters_are_tried_on_surfaces_only(mesh, expected):
     positions, faces = mesh
     none = np.zeros((0, 3), np.int32)
     surface = SampledSurface(positions, faces, none, noisy(len(positions)))
-    assert MeshManifold(surface, KernelParameters()).work.is_surface is expected
+    assert mesh_manifold(surface, KernelParameters()).work.is_surface is expected

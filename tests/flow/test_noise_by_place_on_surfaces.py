@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 import beltrami_cli
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import SampledSurface
@@ -34,7 +34,7 @@ def noisy(clean, sigma, seed=0):
 
 
 def manifold(positions, faces, colours):
-    return MeshManifold(SampledSurface(positions, faces, faces, colours), CHOSEN)
+    return mesh_manifold(SampledSurface(positions, faces, faces, colours), CHOSEN)
 
 
 @pytest.mark.parametrize(("channels", "contrast"), [(3, 0.12), (1, 0.05)])
@@ -42,7 +42,7 @@ def test_the_noise_of_both_halves_is_found(channels, contrast):
     """Within 20 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
     positions, faces, clean, sigma = scene(channels, contrast)
     found = manifold(positions, faces, noisy(clean, sigma))
-    local = found.in_order(np.sqrt(found.differing))[:, 0] * np.sqrt(np.mean(found.noise**2))
+    local = found.in_order(np.sqrt(found.noise.relative))[:, 0] * np.sqrt(np.mean(found.noise.of_input**2))
     assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.2)
     quiet = np.median(local[positions[:, 0] < -0.2])
     assert QUIET * 0.8 < quiet < QUIET * (1.3 if channels == 3 else 2)
@@ -52,7 +52,7 @@ def test_the_noise_of_both_halves_is_found(channels, contrast):
 @pytest.mark.parametrize("sigma", [0, 5, 20])
 def test_textures_and_even_noise_are_the_same_everywhere(channels, sigma):
     positions, faces, clean, _ = scene(channels)
-    assert manifold(positions, faces, noisy(clean, sigma / 255)).differing is None
+    assert manifold(positions, faces, noisy(clean, sigma / 255)).noise.relative is None
 
 
 def test_noise_by_level_is_no_noise_by_place():
@@ -61,8 +61,8 @@ def test_noise_by_level_is_no_noise_by_place():
     light = srgb_to_linear(levels).astype(float)
     seen = light + np.sqrt(0.004 * light + 0.005**2) * np.random.default_rng(0).standard_normal(light.shape)
     found = manifold(positions, faces, linear_to_srgb(np.clip(seen, 0, 1)).astype(np.float32))
-    assert found.differing is None
-    assert found.stabiliser is not None
+    assert found.noise.relative is None
+    assert found.noise.stabiliser is not None
 
 
 @pytest.mark.slow
@@ -79,4 +79,4 @@ def test_isolated_vertices_do_not_matter():
     positions, faces, clean, sigma = scene()
     alone = np.array([[3.0, 0, 0]]), np.array([[0.5, 0.5, 0.5]])
     colours = np.concatenate([noisy(clean, sigma), alone[1]]).astype(np.float32)
-    assert manifold(np.concatenate([positions, alone[0]]), faces, colours).differing is not None
+    assert manifold(np.concatenate([positions, alone[0]]), faces, colours).noise.relative is not None

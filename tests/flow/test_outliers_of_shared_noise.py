@@ -7,7 +7,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 import beltrami_cli
 from beltrami_cli.flow.coarse_levels import replace_outliers
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.jobs.noise import add_grain, seen_by_camera
 from beltrami_cli.jobs.settings import NoiseSettings
@@ -86,7 +86,7 @@ def test_vertices_far_out_are_replaced_on_surfaces():
     colours = add_grain(grey, positions, spacing, noise).astype(np.float32)
 
     surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
-    manifold = MeshManifold(surface, parameters_with({"threads": 1}))
+    manifold = mesh_manifold(surface, parameters_with({"threads": 1}))
     struck = np.argmax(positions @ np.concatenate([np.eye(3), -np.eye(3)]).T, axis=0)
     outliers = manifold.colours.copy()
     outliers[struck] -= np.float32(0.3)

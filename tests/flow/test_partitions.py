@@ -10,24 +10,24 @@ import pytest
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow import mesh_partitions
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow, in_partitions
+from beltrami_cli.flow.beltrami_flow import choose_parameters, in_partitions
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,
     ON_GRIDS,
     SURFACE,
     InTurn,
-    image_flow,
+    image_plan,
     noisy,
     outcome,
     same_bits,
     smooth_mesh,
-    textured_flow,
+    textured_plan,
     wavy_surface,
 )
 from properties.textured_planes import smoothed
@@ -55,9 +55,9 @@ ON_MESHES = {
 
 
 def test_triangles_are_kept_only_where_partitions_are_cut():
-    manifold = MeshManifold(SURFACE, KernelParameters(**FIXED))
+    manifold = mesh_manifold(SURFACE, KernelParameters(**FIXED))
     triangles = weakref.ref(manifold.faces)
-    BeltramiFlow(manifold, KernelParameters(**FIXED))
+    choose_parameters(manifold, KernelParameters(**FIXED))
     assert triangles() is None
 
 
@@ -123,14 +123,14 @@ def test_vertices_are_not_moved_in_partitions():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make", [textured_flow, image_flow])
+@pytest.mark.parametrize("make", [textured_plan, image_plan])
 @pytest.mark.parametrize("name", ON_GRIDS)
 def test_a_grid_in_partitions_has_the_bits_of_the_whole(make, name):
     """The result and the gutter are those of the whole, and samples are counted exactly."""
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
-    flow = make(parameters)
-    assert name == "world" or flow.manifold.find_clipped() is not None
-    whole = outcome(flow)
+    plan = make(parameters)
+    assert name == "world" or plan.manifold.find_clipped() is not None
+    whole = outcome(plan)
     for count in (1, 2, 5):
         runner = Sent()
         with in_partitions(count, runner):
@@ -142,11 +142,11 @@ def test_a_grid_in_partitions_has_the_bits_of_the_whole(make, name):
 def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     """So the test above would see it."""
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
-    whole = smoothed(image_flow(parameters))
+    whole = smoothed(image_plan(parameters))
     margin = GridManifold.margin.fget
     monkeypatch.setattr(GridManifold, "margin", property(lambda manifold: margin(manifold) - 2))
     with in_partitions(4, InTurn(2)):
-        parts = smoothed(image_flow(parameters))
+        parts = smoothed(image_plan(parameters))
     assert not np.array_equal(parts, whole)
 
 
@@ -155,7 +155,7 @@ def test_nothing_to_do_is_nothing_in_partitions_too():
     values = noisy(30)
 
     def grid(valid, parameters):
-        return smoothed(grid_flow(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters))
+        return smoothed(plan_on_image(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters))
 
     with in_partitions(3, InTurn(1)):
         result = grid(np.ones((5, 6), bool), nothing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 from pathlib import Path
 from statistics import NormalDist
@@ -12,20 +13,21 @@ import pytest
 from beltrami_cli import SmoothSettings, _native, smooth, smooth_file, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
 from beltrami_cli.flow.beltrami_flow import in_partitions
+from beltrami_cli.flow.beltrami_flow import smooth as smooth_plan
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,
     InTurn,
-    image_flow,
+    image_plan,
     outcome,
     same_bits,
     smooth_mesh,
-    textured_flow,
+    textured_plan,
     wavy_surface,
 )
 from flow.test_bands import low_row_blocks
@@ -180,10 +182,12 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
     )
 
 
-def pixel_flow(image, **parameters):
+def pixel_plan(image, **parameters):
     values = image.reshape(-1, image.shape[2])
     own = KernelParameters(**{"threads": 2, **parameters})
-    return grid_flow(ImageSurface(valid=np.ones(image.shape[:2], bool)), lambda pixels: values[pixels], own)
+    return plan_on_image(
+        ImageSurface(valid=np.ones(image.shape[:2], bool)), lambda pixels: values[pixels], own
+    )
 
 
 class Seen:
@@ -208,11 +212,11 @@ class Seen:
         self.blend, self.gain = done.colours.copy(), done.gain
         return done
 
-    def errors(self, flow, clean):
+    def errors(self, plan, clean):
         """Return the mean square errors of the kernel, of patches and of the blend, cut off as they are stored."""
-        flow.run()
+        smooth_plan(plan)
         colours = [
-            stack.reshape(len(stack), -1)[:, flow.manifold.atlas.owned_cells].T
+            stack.reshape(len(stack), -1)[:, plan.manifold.atlas.owned_cells].T
             for stack in (self.kernel, self.patches, self.blend)
         ]
         limits = clean.min(), clean.max()
@@ -224,10 +228,11 @@ class Seen:
 @pytest.mark.parametrize("contrast", [0.05, 0.1])
 def test_the_estimated_gain_is_the_true_one_on_white_noise(contrast, monkeypatch):
     clean = photograph(128, contrast=contrast)
-    flow = pixel_flow(with_noise(clean, SIGMA, cut_off=False), **{**ON, "iterations": 3})
-    flow.manifold.sigma = np.full(3, SIGMA)
+    plan = pixel_plan(with_noise(clean, SIGMA, cut_off=False), **{**ON, "iterations": 3})
+    known = dataclasses.replace(plan.manifold.noise, sigma=np.full(3, SIGMA))
+    plan = dataclasses.replace(plan, manifold=plan.manifold.having(noise=known))
     seen = Seen(monkeypatch)
-    kernel, alone, blend = seen.errors(flow, clean)
+    kernel, alone, blend = seen.errors(plan, clean)
     # Given w, the estimate scatters by n . d, the noise times the difference of both, over all samples; noise that
     # w follows, and the perturbation that is drawn once, scatter about as much.
     difference = np.sqrt(np.mean((seen.patches - seen.kernel) ** 2))
@@ -251,16 +256,16 @@ def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, m
     """To 0.2 dB, or to a thousandth of the noise: less does not show in an estimate from 50,000 colours."""
     clean = CLEAN[name](128)
     free = ("iterations", "t", "beta", "beta_growth", "metric_steps")
-    flow = pixel_flow(with_noise(clean, sigma / 255), free=free)
-    kernel, alone, blend = Seen(monkeypatch).errors(flow, clean)
+    plan = pixel_plan(with_noise(clean, sigma / 255), free=free)
+    kernel, alone, blend = Seen(monkeypatch).errors(plan, clean)
     assert blend < 10**0.02 * min(kernel, alone) + 1e-3 * (sigma / 255) ** 2
 
 
 def test_plain_areas_are_averaged_over_many_samples(monkeypatch):
     """Three times as many as a group has patches, which differ by noise alone; and means of samples reach further."""
     clean = np.repeat(np.repeat(np.random.default_rng(5).uniform(0.3, 0.7, (2, 2, 3)), 128, 0), 128, 1)
-    flow = pixel_flow(with_noise(clean, SIGMA), **ON)
-    kernel, alone, blend = Seen(monkeypatch).errors(flow, clean)
+    plan = pixel_plan(with_noise(clean, SIGMA), **ON)
+    kernel, alone, blend = Seen(monkeypatch).errors(plan, clean)
     assert alone < SIGMA**2 / (3 * 48)
     assert blend < min(kernel, alone) / 1.3
 
@@ -292,7 +297,7 @@ def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
     assert shares[1] < 0.2
 
 
-@pytest.mark.parametrize("make", [textured_flow, image_flow])
+@pytest.mark.parametrize("make", [textured_plan, image_plan])
 def test_on_grids_nothing_depends_on_threads_row_blocks_partitions_and_instruction_sets(make, monkeypatch):
     def run(**others):
         return outcome(make(KernelParameters(**{**ON, "threads": 1, **others})))
@@ -343,7 +348,7 @@ def test_progress_goes_up_to_the_work_there_is(make):
     if make == "mesh":
         smooth_mesh(SMALL_MESH, KernelParameters(**ON), progress=lambda *call: calls.append(call))
     else:
-        pixel_flow(with_noise(photograph(130), SIGMA), **ON).run(lambda *call: calls.append(call))
+        smooth_plan(pixel_plan(with_noise(photograph(130), SIGMA), **ON), lambda *call: calls.append(call))
     assert len({total for _, total in calls}) == 1
     done = [before for before, _ in calls]
     assert done == sorted(done)
@@ -356,7 +361,7 @@ def test_a_progress_that_raises_ends_the_run_while_patches_are_estimated():
             raise KeyboardInterrupt
 
     for run in (
-        pixel_flow(with_noise(photograph(130), SIGMA), **ON).run,
+        partial(smooth_plan, pixel_plan(with_noise(photograph(130), SIGMA), **ON)),
         lambda progress: smooth_mesh(SMALL_MESH, KernelParameters(**ON), progress=progress),
     ):
         with pytest.raises(KeyboardInterrupt):
@@ -369,8 +374,8 @@ def test_channels_that_vary_apart_are_not_mixed():
         (clean, True),
         (np.dstack([clean[..., 0], clean[::-1, :, 0], clean[..., 0].T]), False),
     ):
-        flow = pixel_flow(with_noise(image, 0.02), **FIXED)
-        mixing = patches.mixing_of(flow.manifold, flow.manifold.colours, flow.manifold.noise_covariance)
+        plan = pixel_plan(with_noise(image, 0.02), **FIXED)
+        mixing = patches.mixing_of(plan.manifold, plan.manifold.colours, plan.manifold.noise.covariance)
         assert np.allclose(mixing.forth @ mixing.back, np.eye(3), atol=1e-6)
         assert np.count_nonzero(mixing.forth[:, 0]) == (3 if mixed else 1)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from beltrami_cli import smooth
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.noise import mesh
 from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
 from beltrami_cli.flow.parameters import parameters_with
@@ -45,7 +45,7 @@ def with_grain(positions, clean, size):
 
 def manifold_of(positions, faces, colours):
     surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
-    return MeshManifold(surface, parameters_with({"threads": 1}))
+    return mesh_manifold(surface, parameters_with({"threads": 1}))
 
 
 @pytest.mark.parametrize("size", [1.5, 2.0])
@@ -53,9 +53,9 @@ def test_noise_that_vertices_share_is_found(sphere, size):
     """To a quarter, where residuals of single vertices show a half of it or less."""
     positions, faces = sphere
     manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), size))
-    assert manifold.shares_noise
-    assert manifold.noise == pytest.approx(SIGMA, rel=0.25)
-    assert manifold.grain > 1.5
+    assert manifold.noise.is_shared
+    assert manifold.noise.of_input == pytest.approx(SIGMA, rel=0.25)
+    assert manifold.noise.grain > 1.5
     alone = mesh.estimate_sigma(manifold.colours, manifold.edges)
     assert (alone < 0.6 * SIGMA).all()
 
@@ -83,7 +83,7 @@ def test_the_noise_that_jpeg_left_on_vertices_is_found(sigma, quality, count, se
     positions = np.column_stack([places, np.zeros(count)])
     manifold = manifold_of(positions, Delaunay(places).simplices, colours)
     true = np.sqrt(np.mean((colours - clean[row, column]) ** 2))
-    assert np.sqrt(np.mean(manifold.noise**2)) == pytest.approx(true, rel=0.2)
+    assert np.sqrt(np.mean(manifold.noise.of_input**2)) == pytest.approx(true, rel=0.2)
 
 
 def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere):
@@ -92,8 +92,8 @@ def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere)
     plain = np.full(positions.shape, 0.5)
     noise = (with_grain(positions, plain, 2.0) - 0.5) * [1.4, 1.0, 0.6]
     manifold = manifold_of(positions, faces, (0.5 + noise).astype(np.float32))
-    assert manifold.shares_noise
-    assert manifold.noise == pytest.approx(noise.std(axis=0), rel=0.2)
+    assert manifold.noise.is_shared
+    assert manifold.noise.of_input == pytest.approx(noise.std(axis=0), rel=0.2)
 
 
 @pytest.mark.parametrize("sigma", [5, 20])
@@ -108,7 +108,7 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     """At single vertices and two levels, to four standard errors of a variance and what it varies in size."""
     positions, faces = sphere
     manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), 2.0))
-    covariances = manifold.noise_covariances
+    covariances = manifold.noise.covariances
     levels = list(islice(levels_of(manifold.graph), len(covariances) + 1))
     random = np.random.default_rng(5)
     signs = random.choice(np.float32([-1, 1]), (len(levels), manifold.size, 3))
@@ -162,6 +162,6 @@ def test_noise_is_found_and_removed_where_nearly_all_is_black(sphere, height, sh
     white = clean + SIGMA * np.random.default_rng(2).standard_normal(clean.shape)
     noisy = np.clip(with_grain(positions, clean, 2.0) if shared else white, 0, 1).astype(np.float32)
     manifold = manifold_of(positions, faces, noisy)
-    assert manifold.shares_noise == shared
-    assert np.sqrt(np.mean(manifold.noise**2)) == pytest.approx(SIGMA, rel=1 / 6)
+    assert manifold.noise.is_shared == shared
+    assert np.sqrt(np.mean(manifold.noise.of_input**2)) == pytest.approx(SIGMA, rel=1 / 6)
     assert psnr(smooth(positions, faces, noisy).colours, clean) > psnr(noisy, clean) + 10

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
 from beltrami_cli.arrays import Float32s
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_by
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.surface.records import SampledSurface
@@ -57,9 +57,9 @@ def test_vertices_with_a_texture_of_one_hue_show_their_noise():
         np.float32
     )
     surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), noisy)
-    manifold = MeshManifold(surface, parameters_with({"threads": 1}))
-    assert not manifold.shares_noise
-    assert 255 * manifold.noise == pytest.approx(12, rel=0.15)  # by some 600 tiles
+    manifold = mesh_manifold(surface, parameters_with({"threads": 1}))
+    assert not manifold.noise.is_shared
+    assert 255 * manifold.noise.of_input == pytest.approx(12, rel=0.15)  # by some 600 tiles
 
 
 @pytest.mark.parametrize("hue", [GRASS, [0, 0, 1], [1, 1, 1]])
@@ -87,4 +87,4 @@ def test_a_strong_texture_of_one_hue_that_is_strongest_in_its_finest_details_is_
     surface = SampledSurface(
         positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), noisy.astype(np.float32)
     )
-    assert (255 * MeshManifold(surface, parameters_with({"threads": 1})).noise < 1.2 * 15).all()
+    assert (255 * mesh_manifold(surface, parameters_with({"threads": 1})).noise.of_input < 1.2 * 15).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth
-from beltrami_cli.flow.mesh_manifold import MeshManifold
+from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_clusters import clusters_for
 from beltrami_cli.flow.vertex_graph import Graph
@@ -86,7 +86,7 @@ def test_parts_do_not_carry_the_graph_of_the_whole():
     positions, faces = surfaces.icosphere(5)
     colours = RANDOM.random((len(positions), 3)).astype(np.float32)
     surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
-    manifold = MeshManifold(surface, KernelParameters(iterations=1))
+    manifold = mesh_manifold(surface, KernelParameters(iterations=1))
     part = np.arange(50)
     before = len(pickle.dumps(manifold.cut(part)))
     manifold.perturbation()

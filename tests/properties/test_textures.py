@@ -37,9 +37,9 @@ def test_a_plane_cut_into_charts_gives_the_uncut_result(places, parameters):
     board = Board(cells=8, texels=6, block=4, slot=32, slots=2, places=places)
     whole = uncut(8, 6)
     picture = painting(48)
-    cut, flow = smooth_image(board.surface(), board.image_of(picture), **parameters)
+    cut, plan = smooth_image(board.surface(), board.image_of(picture), **parameters)
     truth, _ = smooth_image(whole.surface(), picture, **parameters)
-    assert flow.manifold.jumps == 0
+    assert plan.manifold.jumps == 0
     # The same arithmetic in another order: sums of some 30 float32 terms, over four iterations.
     assert np.abs(cut[board.texel_places()] - truth).max() < 2e-5
 
@@ -116,10 +116,10 @@ def test_constants_stay_and_colours_stay_in_range_for_any_number_of_threads():
     grey = np.full((64, 64, 2), 0.3, np.float32)
     assert np.array_equal(smooth_image(board.surface(), grey)[0], grey)
     image = board.image_of(painting(48))
-    one, flow = smooth_image(board.surface(), image, threads=1)
-    owned = image.reshape(-1, 3)[flow.manifold.atlas.owned_texels]
-    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[flow.manifold.atlas.owned_texels].all()
-    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[flow.manifold.atlas.owned_texels].all()
+    one, plan = smooth_image(board.surface(), image, threads=1)
+    owned = image.reshape(-1, 3)[plan.manifold.atlas.owned_texels]
+    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[plan.manifold.atlas.owned_texels].all()
+    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[plan.manifold.atlas.owned_texels].all()
     for threads in (2, 5):
         assert np.array_equal(one, smooth_image(board.surface(), image, threads=threads)[0])
 
@@ -147,8 +147,8 @@ def two_charts(jump, pattern=0.0):
 )
 def test_a_seam_whose_sides_really_differ_is_distinguished_from_a_noisy_one(jump, pattern, expected):
     board, picture = two_charts(jump, pattern)
-    _, flow = smooth_image(board.surface(), board.image_of(picture))
-    assert flow.manifold.jumps == expected
+    _, plan = smooth_image(board.surface(), board.image_of(picture))
+    assert plan.manifold.jumps == expected
 
 
 def test_nothing_is_smoothed_over_a_seam_whose_sides_really_differ():

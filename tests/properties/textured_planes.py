@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from beltrami_cli.flow.beltrami_flow import BeltramiFlow
+from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import grid_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas
@@ -86,16 +86,15 @@ class Board:
         return np.stack([x, y], axis=-1)
 
 
-def texel_flow(atlas, colours, parameters, **others):
-    """Return the flow on texels with some colours, shape (T, N)."""
-    manifold = GridManifold(atlas, painted(atlas, colours, threads=1), parameters, **others)
-    return BeltramiFlow(manifold, parameters)
+def texel_plan(atlas, colours, parameters, **others):
+    """Plan the smoothing of texels with some colours, shape (T, N)."""
+    manifold = grid_manifold(atlas, painted(atlas, colours, threads=1), parameters, **others)
+    return choose_parameters(manifold, parameters)
 
 
-def smoothed(flow):
-    """Run a flow on texels and return their colours."""
-    flow.run()
-    return flow.values()
+def smoothed(plan):
+    """Smooth texels and return their colours."""
+    return smooth(plan).manifold.values()
 
 
 def smooth_image(surface, image, **parameters):
@@ -104,10 +103,10 @@ def smooth_image(surface, image, **parameters):
     margin = kernel.window // 2 + (guide_radius(kernel.metric_scale) if kernel.metric_steps else 0)
     atlas = build_atlas(surface, [(image.shape[1], image.shape[0])], margin, 1)
     table = image.reshape(-1, image.shape[2]).astype(np.float32)
-    flow = texel_flow(atlas, table[atlas.owned_texels], kernel)
+    plan = texel_plan(atlas, table[atlas.owned_texels], kernel)
     new = table.copy()
-    new[atlas.owned_texels] = smoothed(flow)
-    return new.reshape(image.shape), flow
+    new[atlas.owned_texels] = smoothed(plan)
+    return new.reshape(image.shape), plan
 
 
 def painting(side, channels=3):

@@ -13,6 +13,7 @@ import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.flow import domain, patches
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
@@ -23,7 +24,7 @@ from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.samples import memory_check
-from beltrami_cli.samples.image_surface import ImageSurface, grid_flow
+from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.surface import large_arrays
@@ -149,10 +150,10 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
     assert len(made) == len(labels) + 1  # also of the textures on which parameters were chosen
     assert len(labels) > 4
     first, *others = made
-    assert first.stabiliser is not None
+    assert first.noise.stabiliser is not None
     for other in others:
-        assert other.stabiliser is first.stabiliser
-        assert np.array_equal(other.sigma, first.sigma)
+        assert other.noise.stabiliser is first.noise.stabiliser
+        assert np.array_equal(other.noise.sigma, first.noise.sigma)
 
 
 @pytest.mark.parametrize("noise", ["12", pytest.param("shot:0.002,read:0.03", marks=pytest.mark.slow)])
@@ -256,14 +257,14 @@ def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
     assert max(held) - held[0] < 64 << 20
 
 
-def flow_with_patches(side):
-    """Return a flow on a noisy grey image."""
+def plan_with_patches(side):
+    """Plan the smoothing of a noisy grey image."""
     random = np.random.default_rng(5)
     colours = (0.5 + 0.1 * random.normal(size=(side * side, 3))).clip(0, 1).astype(np.float32)
     flat = np.dstack([*np.meshgrid(np.arange(side), np.arange(side)), np.zeros((side, side))])
     surface = ImageSurface(None, flat, np.ones((side, side), bool))
     kernel = KernelParameters(iterations=2, beta=20, t=2.4, patches="on", threads=1)
-    return grid_flow(surface, colours.__getitem__, kernel)
+    return plan_on_image(surface, colours.__getitem__, kernel)
 
 
 @pytest.mark.slow
@@ -271,10 +272,10 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
     """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
     memory = 8 << 20
     with large_arrays.kept_on_disk(tmp_path, memory):
-        flow = flow_with_patches(512)
+        plan = plan_with_patches(512)
         tracemalloc.start()
         try:
-            flow.run()
+            smooth(plan)
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
@@ -298,10 +299,10 @@ def test_means_of_squares_are_kept_in_files(tmp_path, monkeypatch):
 
     monkeypatch.setattr(patches, "_improve_means", measured)
     with large_arrays.kept_on_disk(tmp_path, 1 << 20):
-        flow = flow_with_patches(512)
+        plan = plan_with_patches(512)
         tracemalloc.start()
         try:
-            flow.run()
+            smooth(plan)
         finally:
             tracemalloc.stop()
     assert len(grown) == 2

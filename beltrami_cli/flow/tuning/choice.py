@@ -240,11 +240,11 @@ def choose(
     tick: Callable[[], None] | None = None,
 ) -> tuple[KernelParameters, Choice]:
     """Choose the free parameters by the smallest error that is estimated on a sample of the manifold."""
-    sigma, metric_sigma = manifold.sigma, manifold.metric_sigma
+    metric_sigma = manifold.metric_sigma
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
     weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * SMOOTHNESS[parameters.strength]
-    risks = RiskEstimate(trial, sigma, manifold.stabiliser)
+    risks = RiskEstimate(trial, manifold.noise.sigma, manifold.noise.stabiliser)
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
     values: dict[str, Any] = {
@@ -327,7 +327,7 @@ def choose_by_rule(
 
 def _as_given(chosen: dict[str, Any], manifold: Manifold) -> dict[str, Any]:
     """Return chosen parameters with beta per unit of the colours as they were given."""
-    return chosen | ({"beta": manifold.given_beta(chosen["beta"])} if "beta" in chosen else {})
+    return chosen | ({"beta": chosen["beta"] / manifold.noise.growth} if "beta" in chosen else {})
 
 
 def tune(
