@@ -101,7 +101,7 @@ def test_independent_noise_of_vertices_is_not_taken_for_shared_noise(sphere, sig
     positions, faces = sphere
     clean = painted(positions)
     noisy = clean + sigma / 255 * np.random.default_rng(2).standard_normal(clean.shape)
-    assert not manifold_of(positions, faces, noisy.astype(np.float32)).shares_noise
+    assert not manifold_of(positions, faces, noisy.astype(np.float32)).noise.is_shared
 
 
 def test_drawn_noise_has_the_details_of_what_was_found(sphere):
