@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +13,15 @@ from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.formats.image.picture import full_scale_one, is_associated, supplies_colour, without_alpha
+from beltrami_cli.formats.image.layers import layers_of
+from beltrami_cli.formats.image.picture import (
+    full_scale_one,
+    is_associated,
+    require_colours,
+    supplies_colour,
+    with_colours_of,
+    without_alpha,
+)
 from beltrami_cli.samples.samples import choose_channels
 from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
@@ -23,11 +32,15 @@ COLOURS = ("red", "green", "blue", "grey")
 # The channels that a data slot uses; others of the same image belong to another slot.
 _SLOT_CHANNELS = {"occlusion": {"red", "grey"}, "metallicRoughness": {"green", "blue", "grey"}}
 
+_CHOOSE_LAYER = "choose one by its name, as in --channels LAYER"
+_EXPORT_LAYER = "export one layer as a file of its own"
+
 
 class PictureColours:
     """Colours of the pixels of several pictures as samples with the same N channels, and back.
 
-    `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are stored.
+    `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are stored,
+    unless `colours_only` leaves out those that no setting names.
     """
 
     names: tuple[str, ...]  # of the N channels: those that change, and those that enter the metric
@@ -37,8 +50,11 @@ class PictureColours:
     others: tuple[str, ...]  # the names of those that are neither colours nor opacity
 
     def __init__(
-        self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *, is_image: bool = False
-    ) -> None:
+        self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *,
+        is_image: bool = False, colours_only: bool = False,
+    ) -> None:  # fmt: skip
+        for picture in pictures:
+            require_colours(picture, _CHOOSE_LAYER if is_image else _EXPORT_LAYER)
         self._pictures = pictures
         self.space = settings.space if slot in COLOUR_SLOTS else "data"
         self._is_normal = slot == "normal"
@@ -49,7 +65,8 @@ class PictureColours:
             cause = f"{pictures[0].name} is grey" if is_image else "all textures are grey"
             raise UsageError(f"the space oklab needs red, green and blue, but {cause}")
         further = _further_channels(pictures[0], names) if is_image else {}
-        used = _SLOT_CHANNELS.get(slot, {*names, *further})
+        colours_only = colours_only and settings.channels is None
+        used = _SLOT_CHANNELS.get(slot, {*names} if colours_only else {*names, *further})
         smoothes_alpha = settings.textures.alpha == "smooth"
         self._hides = slot in COLOUR_SLOTS and not smoothes_alpha
         self._alpha = smoothes_alpha and any(picture.alpha is not None for picture in pictures)
@@ -201,6 +218,32 @@ class PictureColours:
         every = tuple(range(pixels.shape[1]))
         colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
         return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
+
+
+def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:
+    """Return a picture with the colours of the layer that `settings.channels` names first, if any.
+
+    In the settings that are returned with it, the channels of that layer have the names of colours.
+    """
+    if settings.channels is None or not picture.is_layered:
+        return picture, settings
+    layers = {layer.lower(): layer for layer in layers_of(picture.channels) if layer}
+    words = [word.lower() for word in settings.channels]
+    named = (layers.get(word) or layers.get(word.rpartition(".")[0]) for word in words)
+    layer = next((layer for layer in named if layer is not None), None)
+    if layer is not None:
+        picture = with_colours_of(picture, layer)
+    names = COLOURS[:3] if len(picture.colour) == 3 else COLOURS[3:]
+    colours = {picture.channels[i].lower(): name for i, name in zip(picture.colour, names, strict=True)}
+    chosen = list[str]()
+    for word in words:
+        if word not in layers:
+            chosen.append(colours.get(word, word))
+        elif layers[word] == layer:
+            chosen += names
+        else:
+            chosen += (picture.channels[i].lower() for i in layers_of(picture.channels)[layers[word]])
+    return picture, dataclasses.replace(settings, channels=tuple(chosen))
 
 
 def _table(picture: Picture) -> Array:

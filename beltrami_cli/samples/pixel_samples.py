@@ -25,7 +25,7 @@ from beltrami_cli.formats.image.writing import noise_losses, upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import plan_on_image, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.picture_colours import PictureColours
+from beltrami_cli.samples.picture_colours import PictureColours, with_chosen_layer
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
@@ -60,11 +60,9 @@ class PixelSamples(Samples):
     ) -> None:
         refuse_options_of_meshes(settings, document.name)
         require_memory([(document.name, document.data)], access)
-        self.settings, self.picture, self._suffix = settings, document.picture(), suffix
-        self._chosen = settings
-        if colours_only and settings.channels is None:
-            names = ("red", "green", "blue") if len(self.picture.colour) == 3 else ("grey",)
-            self._chosen = dataclasses.replace(settings, channels=names)
+        self.settings, self._suffix = settings, suffix
+        self.picture, self._chosen = with_chosen_layer(document.picture(), settings)
+        self._colours_only = colours_only or self.picture.is_layered
         self._tables = read_jpeg_tables(document.data)
         self.colours = self._colours_of(self.picture)
         self.names = self.colours.names
@@ -81,7 +79,8 @@ class PixelSamples(Samples):
         self._is_noted = settings.channels is None and not colours_only
 
     def _colours_of(self, picture: Picture) -> PictureColours:
-        return PictureColours([picture], "baseColor", self._chosen, is_image=True)
+        options = {"is_image": True, "colours_only": self._colours_only}
+        return PictureColours([picture], "baseColor", self._chosen, **options)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         noise = None if self._noise is None else self._noise.reshape(-1, self._noise.shape[2])
@@ -121,6 +120,7 @@ class PixelSamples(Samples):
             "format": picture.format,
             "stored": picture.stored,
             "channels": list(picture.channels),
+            "colours": [picture.channels[i] for i in picture.colour],
             "encoding": picture.encoding,
             "smoothed": [self.colours.names[i] for i in self.colours.written],
             "surface": self.surface.kind,

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.image.layers import colour_layer, coloured_layers, colours_and_alpha, layers_of
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import Encoding
 
@@ -154,6 +156,12 @@ class Picture:
     kinds: tuple[str, ...]  # type of every channel in the file; they differ in some EXR files only
     source: bytes = field(repr=False)  # the file, whose metadata are carried over
     spec: Any = field(repr=False)  # OpenImageIO.ImageSpec of the file
+    # Layer of an EXR file that holds the colours: "" outside of layers, None if it is ambiguous.
+    layer: str | None = ""
+
+    @property
+    def is_layered(self) -> bool:
+        return layers_of(self.channels).keys() != {""}
 
 
 def described(
@@ -164,8 +172,8 @@ def described(
     channels = tuple(spec.channelnames)
     if known == "targa" and len(channels) == 2:  # OpenImageIO calls grey and alpha red and green there.
         channels = ("Y", "A")
-    alpha = next((i for i, channel in enumerate(channels) if channel.lower() in ("a", "alpha")), None)
-    colour = _colour_channels(channels, alpha)
+    layer = colour_layer(channels)
+    colour, alpha = colours_and_alpha(channels, layer)
     return Picture(
         name=name,
         pixels=pixels,
@@ -180,18 +188,27 @@ def described(
         notices=notices,
         source=data,
         spec=spec,
+        layer=layer,
     )
 
 
-def _colour_channels(channels: tuple[str, ...], alpha: int | None) -> tuple[int, ...]:
-    """Return red, green and blue by their names, or grey, or else the first channels that are not alpha."""
-    lower = [channel.lower() for channel in channels]
-    if all(letter in lower for letter in "rgb"):
-        return tuple(lower.index(letter) for letter in "rgb")
-    if "y" in lower and "x" not in lower:  # a luminance, and no coordinate
-        return (lower.index("y"),)
-    others = [i for i in range(len(channels)) if i != alpha] or [0]
-    return tuple(others[:3]) if len(others) >= 3 else (others[0],)
+def with_colours_of(picture: Picture, layer: str) -> Picture:
+    """Return a picture with the colours and the alpha of another layer of its file."""
+    colour, alpha = colours_and_alpha(picture.channels, layer)
+    return replace(picture, layer=layer, colour=colour, alpha=alpha, stored=picture.kinds[colour[0]])
+
+
+def require_colours(picture: Picture, remedy: str) -> None:
+    """Raise InputError if it is ambiguous which layer of an EXR file holds the colours."""
+    if picture.layer is not None:
+        return
+    coloured = coloured_layers(picture.channels)
+    if coloured:
+        cause = f"its colours could be those of the layers {' and '.join(coloured)}"
+    else:
+        named = [layer for layer in layers_of(picture.channels) if layer]
+        cause = f"none of its layers {', '.join(named)} has red, green and blue"
+    raise InputError(picture.name, cause, remedy)
 
 
 def new_picture(pixels: Array, name: str) -> Picture:

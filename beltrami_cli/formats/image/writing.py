@@ -112,9 +112,11 @@ def converted(picture: Picture, pixels: Array, known: str, *, as_data: bool) -> 
     if known == "openexr" and alpha is not None:  # where alpha is always multiplied in
         values[:, :, colour] *= values[:, :, [alpha]]
     names = [picture.channels[channel] for channel in kept]
+    if known != "openexr":  # elsewhere channels have no names of their own, but roles
+        names[:] = [_role(picture, channel) for channel in kept]
     if _needs_three(picture, known):
         values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
-        names = ["R", "G", "B", *([picture.channels[kept[alpha]]] if alpha is not None else [])]
+        names = ["R", "G", "B", *(["A"] if alpha is not None else [])]
     return as_stored(values, stored), _spec(picture, values.shape, names, stored, known)
 
 
@@ -138,10 +140,20 @@ def _holds_any(known: str) -> bool:
 
 
 def _kept_channels(picture: Picture, known: str) -> list[int]:
-    if _holds_any(known):
-        return list(range(len(picture.channels)))
+    """Return the channels that a format holds, colours and alpha first."""
     alpha = [picture.alpha] if picture.alpha is not None and FORMATS[known].alpha else []
-    return [*picture.colour, *alpha]
+    first = [*picture.colour, *alpha]
+    further = [channel for channel in range(len(picture.channels)) if channel not in first]
+    return [*first, *further] if _holds_any(known) else first
+
+
+def _role(picture: Picture, channel: int) -> str:
+    """Return R, G, B, Y or A for a colour or alpha, and the name of any other channel."""
+    if channel == picture.alpha:
+        return "A"
+    if channel not in picture.colour:
+        return picture.channels[channel]
+    return "RGB"[picture.colour.index(channel)] if len(picture.colour) == 3 else "Y"
 
 
 def _needs_three(picture: Picture, known: str) -> bool:

@@ -171,7 +171,7 @@ def compare_images(
     colours = one.working(samples[0].picture, pixels), other.working(samples[1].picture, pixels)
     space = settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data"
     part = _part_of_image("image", "image", colours, pixels, valid.shape, np.ones(len(pixels)), space)
-    opacity = [None if "alpha" in one.names else _opacity(document.picture()) for document in documents]
+    opacity = [None if "alpha" in one.names else _opacity(each.picture) for each in samples]
     return dataclasses.replace(part, other_opacity=_differ(*opacity))
 
 
