@@ -13,7 +13,7 @@ from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.formats.image.layers import layers_of
+from beltrami_cli.formats.image.layers import coloured_layers, colours_and_alpha, layers_of
 from beltrami_cli.formats.image.picture import (
     full_scale_one,
     is_associated,
@@ -221,16 +221,16 @@ class PictureColours:
 
 
 def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:
-    """Return a picture with the colours of the layer that `settings.channels` names first, if any.
+    """Return a picture with the colours of the layer that `settings.channels` chooses, if any.
 
     In the settings that are returned with it, the channels of that layer have the names of colours.
     """
     if settings.channels is None or not picture.is_layered:
         return picture, settings
-    layers = {layer.lower(): layer for layer in layers_of(picture.channels) if layer}
+    members = layers_of(picture.channels)
+    layers = {layer.lower(): layer for layer in members if layer}
     words = [word.lower() for word in settings.channels]
-    named = (layers.get(word) or layers.get(word.rpartition(".")[0]) for word in words)
-    layer = next((layer for layer in named if layer is not None), None)
+    layer = _chosen_layer(picture, layers, words)
     if layer is not None:
         picture = with_colours_of(picture, layer)
     names = COLOURS[:3] if len(picture.colour) == 3 else COLOURS[3:]
@@ -239,11 +239,25 @@ def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Pictu
     for word in words:
         if word not in layers:
             chosen.append(colours.get(word, word))
-        elif layers[word] == layer:
+        elif layers[word] == picture.layer:
             chosen += names
         else:
-            chosen += (picture.channels[i].lower() for i in layers_of(picture.channels)[layers[word]])
+            chosen += (picture.channels[i].lower() for i in members[layers[word]])
     return picture, dataclasses.replace(settings, channels=tuple(chosen))
+
+
+def _chosen_layer(picture: Picture, layers: dict[str, str], words: Sequence[str]) -> str | None:
+    """Return the first layer that a word names, or a colour of; None if words name colours without their layer."""
+    if any(name.startswith(word) for word in words for name in COLOURS):
+        return None
+    colours = {
+        picture.channels[i].lower(): layer
+        for layer in coloured_layers(picture.channels)
+        for i in colours_and_alpha(picture.channels, layer)[0]
+    }
+    return next(
+        (layer for word in words if (layer := layers.get(word) or colours.get(word)) is not None), None
+    )
 
 
 def _table(picture: Picture) -> Array:

@@ -120,6 +120,7 @@ class PixelSamples(Samples):
             "format": picture.format,
             "stored": picture.stored,
             "channels": list(picture.channels),
+            **({"part": picture.parts[picture.part or 0]} if len(picture.parts) > 1 else {}),
             "colours": [picture.channels[i] for i in picture.colour],
             "encoding": picture.encoding,
             "smoothed": [self.colours.names[i] for i in self.colours.written],

@@ -275,7 +275,7 @@ class SmoothSettings:
     channels: tuple[str, ...] | None = parameter(
         None,
         "Only these channels, such as r,g; the others stay and do not count. Channels of images have the "
-        "names that `beltrami info` shows.",
+        "names that `beltrami info` shows; the name of a layer of an EXR file stands for its colours.",
         kind=str, several=True, unset="the colours", metavar="LIST", parse=names_in,
     )  # fmt: skip
     on: Target = parameter(

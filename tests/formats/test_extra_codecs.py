@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import random
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
@@ -196,3 +198,26 @@ def test_damaged_files_do_nothing_worse_than_be_refused_in_a_line(known):
 def test_a_fake_is_refused_by_what_it_is(tmp_path):
     with pytest.raises(InputError, match=r"(KTX2 image is damaged|need the package)"):
         read_image(picture(1, b"\xabKTX 20\xbb"), "x.ktx2")
+
+
+@needs("ktx2")
+def test_keys_of_ktx2_that_are_lost_are_named():
+    data = file_of("ktx2").replace(b"KTXwriter\0", b"licensing\0")
+    picture = read_image(data, "x.ktx2")
+    for suffix, label in ((None, "KTX2"), (".png", "PNG")):
+        notices = write_image(picture, picture.pixels // 2, suffix=suffix).notices
+        assert f"x.ktx2: these metadata are not kept in {label}: KTX2 key licensing." in notices
+    plain = read_image(file_of("ktx2"), "x.ktx2")
+    assert not any("metadata" in notice for notice in write_image(plain, plain.pixels // 2).notices)
+
+
+@needs("avif")
+def test_exif_of_avif_that_are_lost_are_named():
+    buffer = io.BytesIO()
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(
+        buffer, "AVIF", exif=b"II*\0\x08\0\0\0" + bytes(6), xmp=b"<x/>"
+    )
+    picture = read_image(buffer.getvalue(), "x.avif")
+    assert not any("metadata" in notice for notice in write_image(picture, picture.pixels).notices)
+    notices = write_image(picture, picture.pixels, suffix=".png").notices
+    assert notices == ("x.avif: these metadata are not kept in PNG: EXIF, XMP.",)

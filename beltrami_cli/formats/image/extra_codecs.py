@@ -174,6 +174,17 @@ def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool)
     return found
 
 
+def ktx2_keys(data: bytes) -> set[str]:
+    """Return the names of the key/value pairs of a KTX2 file, except that of the program that wrote it."""
+    at, size = _HEADER.unpack_from(data)[11:13]
+    keys, end = set[str](), min(at + size, len(data) - 4)
+    while at < end:
+        (length,) = struct.unpack_from("<I", data, at)
+        keys.add(data[at + 4 : at + 4 + length].partition(b"\0")[0].decode("utf-8", "replace"))
+        at += 4 + length + -length % 4
+    return keys - {"KTXwriter"}
+
+
 def _opened_avif(data: bytes, name: str) -> Any:
     from PIL import Image
 
@@ -183,6 +194,12 @@ def _opened_avif(data: bytes, name: str) -> Any:
             return Image.open(io.BytesIO(data), formats=["AVIF"])
     except (*_REFUSALS, Image.DecompressionBombError) as error:
         raise _damaged(name, "AVIF", str(error).partition("<")[0].strip()) from None
+
+
+def avif_metadata(data: bytes) -> dict[str, bytes]:
+    """Return the colour profile, EXIF and XMP of an AVIF file, by the names of Pillow's options."""
+    with _opened_avif(data, "") as image:
+        return {key: image.info[key] for key in ("icc_profile", "exif", "xmp") if image.info.get(key)}
 
 
 def _avif_bits(data: bytes) -> int:
@@ -197,10 +214,7 @@ def _avif_bits(data: bytes) -> int:
 def _encoded_avif(pixels: Uint8s, quality: int, source: bytes) -> bytes:
     from PIL import Image
 
-    kept = {}
-    if source:
-        with _opened_avif(source, "") as old:
-            kept = {key: old.info[key] for key in ("icc_profile", "exif", "xmp") if old.info.get(key)}
+    kept = avif_metadata(source) if source else {}
     buffer = io.BytesIO()
     # Tiles that follow the number of processors would make the file depend on the machine.
     options = {"quality": quality, "subsampling": "4:4:4", "speed": _SLOWEST_SPEED, "autotiling": False}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 # Last parts of the names of layers with the final picture: in Blender, in Arnold and V-Ray, in Nuke.
 _FINAL_LAYERS = ("combined", "beauty", "rgba")
@@ -35,6 +35,15 @@ def colour_layer(channels: Sequence[str]) -> str | None:
     final = [layer for layer in coloured if layer.lower().rpartition(".")[2] in _FINAL_LAYERS]
     candidates = final or coloured
     return candidates[0] if len(candidates) == 1 else None
+
+
+def colour_part(parts: Mapping[str, Sequence[str]]) -> int | None:
+    """Return the number of the part, of channels by the names of parts, that holds the colours; None if ambiguous."""
+    coloured = {part: layers for part, channels in parts.items() if (layers := coloured_layers(channels))}
+    final = [part for part in coloured if part.lower().rpartition(".")[2] in _FINAL_LAYERS]
+    plain = [part for part, layers in coloured.items() if "" in layers]
+    candidates = final or plain or [*coloured] or [*parts][:1]
+    return [*parts].index(candidates[0]) if len(candidates) == 1 else None
 
 
 def colours_and_alpha(channels: Sequence[str], layer: str | None) -> tuple[tuple[int, ...], int | None]:

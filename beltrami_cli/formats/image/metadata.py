@@ -18,7 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float64s, Uint8s
+from beltrami_cli.formats.image import exr_header, text_headers, tiff_tags
 from beltrami_cli.surface.large_arrays import blocks
+
+DAMAGED = (ValueError, LookupError, struct.error)
+"""Errors that damaged metadata raise."""
 
 PNG_START = b"\x89PNG\r\n\x1a\n"
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
@@ -29,13 +33,13 @@ _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
-_EXIF, _START_OF_SCAN = 0xE1, 0xDA
+_WEBP_STRUCTURE = (b"VP8X", b"ANIM", b"ANMF", *_WEBP_PIXELS)
+_START_OF_SCAN = 0xDA
 _METADATA = (
     0xFE,
     *range(0xE0, 0xEE),
     0xEF,
 )  # but Adobe's segment, which says how these very samples are coded
-_EMPTY_EXIF = 14  # bytes: a header and a directory of nothing
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 _PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
 _MOST_BITS_OF_A_PALETTE = 8
@@ -47,15 +51,21 @@ _INDICES = 3  # as type of colour
 _LEVEL, _LEVEL_OF_SMALL = 6, 9  # of compression
 
 
-def carry_over(source: bytes, encoded: bytes, known: str) -> bytes:
-    """Return an encoded PNG, JPEG or WebP image with the metadata of another file; others stay unchanged."""
+def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> bytes:
+    """Return an encoded image, of a part of an EXR file, with what else another file of its format holds."""
     match known:
         case "png":
             return _carry_png(source, encoded)
         case "jpeg":
             return _carry_jpeg(source, encoded)
         case "webp":
-            return _webp_with(_webp_metadata(source), encoded)
+            return webp_with(webp_metadata(source), encoded)
+        case "tiff":
+            return tiff_tags.with_tags(source, encoded)
+        case "openexr":
+            return exr_header.with_attributes(source, encoded, part)
+        case "hdr" | "pnm":
+            return text_headers.with_header(source, encoded, known)
     return encoded
 
 
@@ -89,7 +99,7 @@ def has_palette(data: bytes, known: str) -> bool:
 
 def is_lossless_webp(data: bytes) -> bool:
     """Whether the (first) picture of a WebP file is coded without loss."""
-    return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in _webp_chunks(data))
+    return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in webp_chunks(data))
 
 
 def is_cmyk_jpeg(data: bytes) -> bool:
@@ -163,7 +173,7 @@ def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
     return encoded[:2] + b"".join([*metadata, *pixels])
 
 
-def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+def webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Give the type and the payload of every complete chunk."""
     at = _RIFF_START
     while at + 8 <= len(data):
@@ -174,29 +184,25 @@ def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += 8 + size + size % 2
 
 
-def with_exif_of(jpeg: bytes, webp: bytes) -> bytes:
-    """Return a WebP image with the EXIF data of a JPEG image, if these say anything."""
-    segments = (bytes(segment) for marker, segment in jpeg_segments(jpeg) if marker == _EXIF)
-    found = [segment[10:] for segment in segments if segment[4:10] == b"Exif\0\0"]
-    if not found or len(found[0]) <= _EMPTY_EXIF:
-        return webp
-    return _webp_with(_webp_metadata(webp) | {b"EXIF": found[0]}, webp)
+def webp_metadata(data: bytes) -> list[tuple[bytes, bytes]]:
+    """Return the types and payloads of all chunks but those of pixels."""
+    return [chunk for chunk in webp_chunks(data) if chunk[0] not in _WEBP_STRUCTURE]
 
 
-def _webp_metadata(data: bytes) -> dict[bytes, bytes]:
-    return dict(chunk for chunk in _webp_chunks(data) if chunk[0] in _WEBP_FLAGS)
-
-
-def _webp_with(metadata: dict[bytes, bytes], encoded: bytes) -> bytes:
+def webp_with(metadata: list[tuple[bytes, bytes]], encoded: bytes) -> bytes:
+    """Return the pixels of a WebP image with these chunks of metadata."""
     if not metadata:
         return encoded
-    pixels = [chunk for chunk in _webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
+    pixels = [chunk for chunk in webp_chunks(encoded) if chunk[0] in _WEBP_PIXELS]
     width, height, alpha = _webp_size(*pixels[-1])
-    flags = sum(_WEBP_FLAGS[kind] for kind in metadata)
+    flags = 0
+    for kind, _ in metadata:
+        flags |= _WEBP_FLAGS.get(kind, 0)
     flags |= _WEBP_ALPHA if alpha or len(pixels) > 1 else 0
     canvas = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
-    profile = [(b"ICCP", metadata.pop(b"ICCP"))] if b"ICCP" in metadata else []
-    chunks = [(b"VP8X", bytes([flags, 0, 0, 0]) + canvas), *profile, *pixels, *metadata.items()]
+    profile = [chunk for chunk in metadata if chunk[0] == b"ICCP"]
+    behind = [chunk for chunk in metadata if chunk[0] != b"ICCP"]
+    chunks = [(b"VP8X", bytes([flags, 0, 0, 0]) + canvas), *profile, *pixels, *behind]
     sized = ((kind + len(data).to_bytes(4, "little"), data, b"\0" * (len(data) % 2)) for kind, data in chunks)
     body = b"".join(part for parts in sized for part in parts)
     return b"RIFF" + (len(body) + 4).to_bytes(4, "little") + b"WEBP" + body
@@ -268,11 +274,12 @@ def _encoded(indices: Uint8s, palette: NDArray[np.uint32], depth: int, level: in
         b"IDAT": zlib.compress(lines.tobytes(), level),
         b"IEND": b"",
     }
-    whole = (
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks.items()
-    )
-    return PNG_START + b"".join(whole)
+    return PNG_START + b"".join(png_chunk(kind, data) for kind, data in chunks.items())
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    """Return a chunk with its length and checksum."""
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 _JPEG_START, _TABLES, _ADOBE = b"\xff\xd8", 0xDB, 0xEE

@@ -158,6 +158,10 @@ class Picture:
     spec: Any = field(repr=False)  # OpenImageIO.ImageSpec of the file
     # Layer of an EXR file that holds the colours: "" outside of layers, None if it is ambiguous.
     layer: str | None = ""
+    parts: tuple[str, ...] = ()  # names of the parts of an EXR file, which are images of their own
+    part: int | None = (
+        0  # the one with the colours; None if it is ambiguous, and the pixels are those of the first
+    )
 
     @property
     def is_layered(self) -> bool:
@@ -199,7 +203,10 @@ def with_colours_of(picture: Picture, layer: str) -> Picture:
 
 
 def require_colours(picture: Picture, remedy: str) -> None:
-    """Raise InputError if it is ambiguous which layer of an EXR file holds the colours."""
+    """Raise InputError if it is ambiguous which layer or part of an EXR file holds the colours."""
+    if picture.part is None:
+        cause = f"it has the parts {', '.join(picture.parts)}, of which several could be the colours"
+        raise InputError(picture.name, cause, "save the one to be smoothed as a file of its own")
     if picture.layer is not None:
         return
     coloured = coloured_layers(picture.channels)

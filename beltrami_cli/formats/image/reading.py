@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
+from beltrami_cli.formats.image.layers import colour_part
 from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg, png_chunks
 from beltrami_cli.formats.image.picture import READABLE, STORED, Picture, described, format_of, label_of
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
@@ -76,6 +77,7 @@ def _measured(data: bytes, name: str) -> ImageSize | None:
         if file is None:
             OpenImageIO.geterror()
             return None
+        _seek_colours(file)
         spec = file.spec()
         return ImageSize(spec.width, spec.height, spec.nchannels, spec.format.basesize())
 
@@ -132,13 +134,14 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     with opened(data, config, name) as (file, path):
         if file is None:
             raise _damaged(name, known, OpenImageIO.geterror(), path)
+        parts, part = _seek_colours(file)
         spec = file.spec().copy()
         _check(spec, file.format_name(), known, name)
-        pixels = file.read_image(0, 0, 0, spec.nchannels, spec.format)
+        pixels = file.read_image(part or 0, 0, 0, spec.nchannels, spec.format)
         error = file.geterror()
         if pixels is None or error:
             raise _damaged(name, known, error, path)
-        notices = _changes(file, spec, data, known, name)
+        notices = _changes(file, part or 0, data, known, name)
     if is_on_disk():
         pixels = copy_of(pixels, _SMALLEST_FILE)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
@@ -148,7 +151,25 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it anew")
-    return described(data, name, known, spec, pixels, notices)
+    picture = described(data, name, known, spec, pixels, notices)
+    return replace(picture, parts=tuple(parts), part=part)
+
+
+def _seek_colours(file: Any) -> tuple[dict[str, tuple[str, ...]], int | None]:
+    """Go to the part of an EXR file that holds the colours; return the channels of all parts, and its number.
+
+    Deep parts have no channels that can be used. The number is None, and the part the first, if it is ambiguous.
+    """
+    parts: dict[str, tuple[str, ...]] = {}
+    if file.format_name() != "openexr":
+        return parts, 0
+    while file.seek_subimage(len(parts), 0):
+        spec = file.spec()
+        label = spec.get_string_attribute("oiio:subimagename") or f"number {len(parts) + 1}"
+        parts[label] = () if spec.deep else tuple(spec.channelnames)
+    part = colour_part(parts) if len(parts) > 1 else 0
+    file.seek_subimage(part or 0, 0)
+    return parts, part
 
 
 def _read_extra(data: bytes, name: str, known: str) -> Picture:
@@ -195,14 +216,14 @@ def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
     return InputError(name, f"the {label_of(known)} image is damaged or cut off ({shown})", "export it anew")
 
 
-def _changes(file: Any, spec: Any, data: bytes, known: str, name: str) -> tuple[str, ...]:
-    """Return notices of what is not kept of an OpenImageIO.ImageInput whose first image has been read."""
-    notices = []
+def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[str, ...]:
+    """Return notices of what is not kept of an OpenImageIO.ImageInput of which an image has been read."""
+    notices, spec = list[str](), file.spec().copy()
     if known == "psd":  # whose first image is all its layers together
         notices.append(f"{name} is taken as it is shown, its layers together.")
-    elif is_animated(data, known) or file.seek_subimage(1, 0):
+    elif known != "openexr" and (is_animated(data, known) or file.seek_subimage(1, 0)):
         notices.append(f"{name} holds several images, of which only the first is read and kept.")
-    if file.seek_subimage(0, 1):
+    if file.seek_subimage(part, 1):
         notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
     in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
     # In a palette of greys alone OpenImageIO sees grey, and so writes it.

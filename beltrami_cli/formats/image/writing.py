@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import ProcessingError, UsageError
-from beltrami_cli.formats.image import extra_codecs, metadata
+from beltrami_cli.errors import InputError, ProcessingError, UsageError
+from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
+from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF, carry_exif, exif_of
+from beltrami_cli.formats.image.lost_metadata import lost_metadata
 from beltrami_cli.formats.image.picture import (
     FORMATS,
     TYPES,
@@ -33,9 +35,9 @@ _TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
     "rla:", "gif:", "psd:",
 )  # fmt: skip
-_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "DateTime", "textureformat")
+_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "textureformat")
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
-_TURNED_BY_TAGS = (*_SPLICED, "tiff")  # which programs that show pictures obey
+_TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show pictures obey
 
 
 def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
@@ -50,6 +52,10 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
         found.append(f"{name}: {label} has no alpha, which is dropped.")
     if len(picture.channels) > len(picture.colour) + (picture.alpha is not None) and not _holds_any(known):
         found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
+    if len(picture.parts) > 1:
+        found.append(
+            f"{name}: {label} holds one part only; all but {picture.parts[picture.part or 0]} are dropped."
+        )
     if _needs_three(picture, known):
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if picture.encoding == "linear" and stored.startswith("uint"):
@@ -190,6 +196,7 @@ _NOT_KEPT = (
     "ICCProfile:", "oiio:BitsPerSample", "textureformat", "openexr:levelmode", "openexr:roundingmode",
     "oiio:AverageColor", "oiio:ConstantColor",
 )  # fmt: skip
+_STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
 _LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
@@ -215,14 +222,16 @@ def write_image(
         values, spec = converted(picture, pixels, known, as_data=as_data)
         _set_options(spec, known, "", jpeg_quality, small=small)
         data = metadata.without_additions(_encode(spec, values, known, picture.name), known)
-        if known == "webp":  # where OpenImageIO writes none
-            data = metadata.with_exif_of(_with_metadata(spec, picture.name), data)
-        return ImageFile(data, FORMATS[known].suffixes[0])
+        if known in FORMATS_WITH_EXIF:  # of which OpenImageIO writes some, to WebP files none
+            is_webp = known == "webp"
+            made = exif_of(_one_pixel(spec, picture.name), "jpeg") if is_webp else exif_of(data, known)
+            data = carry_exif(picture.source, picture.format, data, known, made)
+        return ImageFile(data, FORMATS[known].suffixes[0], lost_metadata(picture, data, known))
     notices = list[str]()
     if known == "png" and metadata.has_palette(picture.source, known):
         kept = metadata.encode_with_palette(pixels, picture.source, small=small)
         if kept is not None:
-            return ImageFile(metadata.carry_over(picture.source, kept, known), picture.suffix)
+            return _with_metadata(picture, kept, [])
         notices = [f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."]
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
@@ -236,7 +245,7 @@ def write_image(
             return ImageFile(picture.source, picture.suffix, (notice,))
         if known == "webp":
             notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
-    return ImageFile(metadata.carry_over(picture.source, data, known), picture.suffix, tuple(notices))
+    return _with_metadata(picture, data, notices)
 
 
 def _square_error(some: Array, others: Array) -> float:
@@ -246,7 +255,19 @@ def _square_error(some: Array, others: Array) -> float:
     )
 
 
-def _with_metadata(spec: Any, name: str) -> bytes:
+def _with_metadata(picture: Picture, encoded: bytes, notices: list[str]) -> ImageFile:
+    """Return pixels, encoded in the format that a picture has, with its metadata, and a notice of what is lost."""
+    data = encoded
+    try:
+        data = metadata.carry_over(picture.source, encoded, picture.format, picture.part or 0)
+    except metadata.DAMAGED as error:
+        if len(picture.parts) > 1:
+            cause = "the table of its parts is damaged"
+            raise InputError(picture.name, cause, "export it anew") from error
+    return ImageFile(data, picture.suffix, (*notices, *lost_metadata(picture, data, picture.format)))
+
+
+def _one_pixel(spec: Any, name: str) -> bytes:
     import OpenImageIO
 
     bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
@@ -278,7 +299,7 @@ def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, a
     data = extra_codecs.encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
     again = extra_codecs.decoded(data, known, picture.name)[0]
     cost = extra_codecs.encoding_cost(known, values, again, picture.name)
-    return ImageFile(data, FORMATS[known].suffixes[0], (cost,))
+    return ImageFile(data, FORMATS[known].suffixes[0], (cost, *lost_metadata(picture, data, known)))
 
 
 def _bare_spec(picture: Picture) -> Any:
@@ -296,9 +317,13 @@ def _bare_spec(picture: Picture) -> Any:
 
 def _kept_spec(picture: Picture) -> Any:
     spec = picture.spec.copy()
+    is_tiff = picture.format == "tiff"  # whose tags are copied from the source
     for attribute in list(spec.extra_attribs):
-        if attribute.name.startswith(_NOT_KEPT):
+        is_copied = is_tiff and not attribute.name.startswith(_STORAGE_IN_TIFF)
+        if is_copied or attribute.name.startswith(_NOT_KEPT):
             spec.erase_attribute(attribute.name)
+    if is_tiff and tiff_tags.is_big(picture.source):
+        spec.attribute("tiff:bigtiff", 1)
     if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)
     return spec

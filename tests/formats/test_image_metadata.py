@@ -1,0 +1,315 @@
+"""Every tag, chunk, segment and attribute of an image is in the file that is written from it, or named as lost."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+import OpenImageIO
+import pytest
+from PIL import Image
+
+from beltrami_cli import smooth_file
+from beltrami_cli.formats.image import read_image, write_image
+from formats.image_files import SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, riff, riff_chunks
+from formats.tiff_files import described, exr_attributes, exr_file, tiff_file, tiff_tags
+
+_TEXT = [*b"some words\0"]
+# What GDAL writes: scale, tie point, keys with their numbers and texts, and what stands for no data.
+_GEOREFERENCE = {
+    33550: (12, [0.5, 0.5, 0.0]), 33922: (12, [0, 0, 0, 500000.0, 4649776.25, 0]),
+    34735: (3, [1, 1, 0, 1, 1024, 0, 1, 1]),
+    34736: (12, [6378137.0, 298.257]), 34737: (2, [*b"WGS 84|\0"]), 42112: (2, [*b"<GDALMetadata/>\0"]),
+    42113: (2, [*b"-9999\0"]),
+}  # fmt: skip
+_TEXTS = {
+    270: (2, _TEXT),
+    274: (3, [6]),
+    282: (5, [72, 1]),
+    283: (5, [300, 7]),
+    296: (3, [3]),
+    315: (2, _TEXT),
+}
+_BLOCKS = {
+    700: (1, [*b"<x:xmpmeta/>"]),
+    33723: (7, [28, 2, 120, 0, 1, 65]),
+    34377: (1, [*b"8BIM"]),
+    34675: (7, [*icc_profile()]),
+}
+_PRIVATE = {
+    65000 + kind: (kind, values)
+    for kind, values in {
+        1: [1, 2, 3, 4, 5], 2: _TEXT, 3: [1, 65535, 7], 4: [1 << 31, 5], 5: [1, 3, 5, 7], 6: [-1, 2], 7: [9] * 9,
+        8: [-300, 5], 9: [-70000, 4], 10: [-1, 3], 11: [0.5, -2.0], 12: [1e300],
+    }.items()
+}  # fmt: skip
+_EXIF = {
+    33434: (5, [1, 100]),
+    36867: (2, _TEXT),
+    37500: (7, [*b"maker's own notes"]),
+    40965: (4, {1: (2, [*b"R98\0"])}),
+}
+_DIRECTORIES = {
+    34665: (4, _EXIF),
+    34853: (4, {1: (2, [78, 0]), 2: (5, [1, 1, 2, 1, 3, 1])}),
+    65100: (13, {5: (3, [7])}),
+}
+_ALL = {**_TEXTS, **_BLOCKS, **_GEOREFERENCE, **_PRIVATE, **_DIRECTORIES}
+
+
+def rewritten(data, name):
+    picture = read_image(data, name)
+    pixels = picture.pixels[::-1].copy()
+    file = write_image(picture, pixels)
+    np.testing.assert_array_equal(read_image(file.data, name).pixels, pixels)
+    assert file.data == write_image(picture, pixels).data
+    return file
+
+
+@pytest.mark.parametrize("is_big", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_every_tag_of_a_tiff_is_kept(order, is_big):
+    kinds = {65016: (16, [1 << 40, 3]), 65017: (17, [-1])} if is_big else {}
+    source = tiff_file(noise("uint8", 3), {**_ALL, **kinds}, order, is_big=is_big)
+    file = rewritten(source, "x.tif")
+    assert described(file.data) == described(source)
+    assert not file.notices
+    assert (file.data[2:3] == b"+") == is_big
+
+
+@pytest.mark.parametrize("compression", ["none", "lzw", "zip"])
+def test_tags_do_not_depend_on_how_pixels_are_stored(compression):
+    source = encode(
+        noise("uint16", 4),
+        "tiff",
+        compression=compression,
+        ICCProfile=icc_profile(),
+        Artist="me",
+        DateTime="",
+    )
+    assert described(rewritten(source, "x.tif").data) == described(source)
+
+
+def _nested(depth):
+    return {34665: (4, _nested(depth - 1))} if depth else {1: (1, [1])}
+
+
+@pytest.mark.parametrize(
+    ("tags", "named"),
+    [
+        ({330: (4, {256: (4, [1]), 273: (4, [8])})}, "TIFF tag 330 (further images)"),
+        ({37724: (7, [1, 2, 3, 4, 5])}, "TIFF tag 37724 (layers of Photoshop)"),
+        ({65000: (99, [1, 2, 3])}, "TIFF tag 65000"),
+        ({65000: (16, [1])}, "TIFF tag 65000"),
+        ({34665: (4, [1 << 30])}, "TIFF tag 34665 (EXIF)"),
+        ({34665: (4, _nested(6))}, "TIFF tag 34665 (EXIF)"),
+    ],
+)  # fmt: skip
+def test_tags_that_cannot_be_kept_are_named(tags, named):
+    source = tiff_file(noise("uint8", 3), {**_GEOREFERENCE, **tags})
+    file = rewritten(source, "x.tif")
+    assert file.notices == (f"x.tif: these metadata are not kept in TIF: {named}.",)
+    assert described(file.data) == described(tiff_file(noise("uint8", 3), _GEOREFERENCE))
+
+
+def test_iptc_are_bytes_even_if_they_are_called_long_numbers():
+    iptc = b"\x1c\2\x78\0\1A\0\0"
+    source = tiff_file(noise("uint8", 3), {33723: (4, [*struct.unpack(">2I", iptc)])}, ">")
+    assert iptc in source
+    assert iptc in rewritten(source, "x.tif").data
+
+
+def test_a_directory_that_contains_itself_is_named():
+    source = bytearray(tiff_file(noise("uint8", 3), {34665: (4, {1: (1, [1])}), **_GEOREFERENCE}))
+    (first,) = struct.unpack_from("<I", source, 4)
+    entry = source.index(struct.pack("<HH", 34665, 4), first)
+    struct.pack_into("<I", source, entry + 8, first)
+    assert "34665" in rewritten(bytes(source), "x.tif").notices[0]
+
+
+def test_levels_that_tags_speak_of_stay_unless_samples_change():
+    ranges = {280: (3, [3]), 281: (3, [200])}
+    plain = tiff_file(noise("uint8", 1), ranges)
+    assert described(rewritten(plain, "x.tif").data) == described(plain)
+    bits = {**ranges, 258: (3, [1]), 279: (4, [5])}
+    few = tiff_file(noise("uint8", 1), bits)
+    file = rewritten(few, "x.tif")
+    assert file.notices == ("x.tif: these metadata are not kept in TIF: TIFF tag 280, TIFF tag 281.",)
+    assert not {280, 281} & tiff_tags(file.data).keys()
+
+
+def test_smoothing_a_georeferenced_image_keeps_its_place(tmp_path):
+    source = tmp_path / "ortho.tif"
+    source.write_bytes(tiff_file(noise("uint8", 3, 32, 32), _GEOREFERENCE))
+    report = smooth_file(source, tmp_path / "o.tif", iterations=1, beta=1.0, t=1.0)
+    assert described((tmp_path / "o.tif").read_bytes()) == described(source.read_bytes())
+    assert not report.warnings
+    report = smooth_file(source, tmp_path / "o.png", iterations=1, beta=1.0, t=1.0)
+    assert all(str(tag) in report.warnings[0] for tag in _GEOREFERENCE)
+
+
+_EXR = {
+    "owner": ("string", b"me"), "capDate": ("string", b"2003:06:12 00:00:00"), "an int": ("int", bytes(4)),
+    "double": ("double", bytes(8)), "rational": ("rational", struct.pack("<iI", 1, 24)),
+    "preview": ("preview", struct.pack("<ii", 1, 1) + bytes(4)), "box": ("box2f", bytes(16)),
+    "matrix": ("m33f", bytes(36)), "words": ("stringvector", struct.pack("<i", 2) + b"ab"),
+    "private": ("somebody's", bytes(range(40))), "latin": ("string", b"caf\xe9"), "empty": ("string", b""),
+    "a name of more than thirty-one characters": ("float", bytes(4)), "code": ("timecode", bytes(8)),
+}  # fmt: skip
+
+
+def planes(*names, kind=np.float16, size=(9, 7)):
+    rng = np.random.default_rng(len(names))
+    return {name: rng.random(size).astype(kind) for name in names}
+
+
+def test_every_attribute_of_an_exr_is_kept():
+    source = exr_file(planes("R", "G", "B"), _EXR)
+    file = rewritten(source, "x.exr")
+    before, after = (exr_attributes(data) for data in (source, file.data))
+    assert after == before
+    assert not file.notices
+
+
+def test_an_exr_without_a_date_gets_none():
+    assert (
+        exr_attributes(rewritten(exr_file(planes("R", "G", "B")), "x.exr").data).keys()
+        == exr_attributes(exr_file(planes("R", "G", "B"))).keys()
+    )
+
+
+def test_every_chunk_of_a_png_is_kept_or_named():
+    header, *others = png_chunks(encode(noise("uint8", 3), "png"))
+    chunks = [
+        (b"tEXt", b"Author\0me"),
+        (b"prVt", b"private"),
+        (b"sBIT", bytes([5, 6, 5])),
+        (b"eXIf", b"II*\0\x08\0\0\0" + bytes(6)),
+    ]
+    source = png_file([header, *chunks, *others])
+    assert [chunk for chunk in png_chunks(rewritten(source, "x.png").data) if chunk in chunks] == chunks
+    file = write_image(read_image(source, "x.png"), noise("uint8", 3), suffix=".tif")
+    assert file.notices == ("x.png: these metadata are not kept in TIF: PNG chunk prVt, PNG chunk sBIT.",)
+
+
+def test_every_chunk_of_a_webp_is_kept():
+    plain = [chunk for chunk in riff_chunks(encode(noise("uint8", 3, 9, 12), "webp")) if chunk[0] != b"VP8X"]
+    metadata = [
+        (b"EXIF", b"II*\0\x08\0\0\0" + bytes(6)),
+        (b"XMP ", b"<x/>"),
+        (b"PRIV", b"some"),
+        (b"PRIV", b"more"),
+    ]
+    extended = (b"VP8X", bytes([0x0C, 0, 0, 0, 11, 0, 0, 8, 0, 0]))
+    source = riff([extended, *plain, *metadata])
+    file = rewritten(source, "x.webp")
+    assert [chunk for chunk in riff_chunks(file.data) if chunk in metadata] == metadata
+    assert not file.notices
+
+
+def segment(marker, payload):
+    return bytes([0xFF, marker]) + (2 + len(payload)).to_bytes(2) + payload
+
+
+def test_every_segment_of_a_jpeg_is_kept_or_named():
+    pixels = np.full((16, 16, 3), 99, np.uint8)
+    plain = encode(pixels, "jpeg", compression="jpeg:95")
+    payloads = {
+        0xE1: b"http://ns.adobe.com/xap/1.0/\0<x/>", 0xEB: b"JP\0\1jumb", 0xED: b"Photoshop 3.0\0", 0xFE: b"hi",
+    }  # fmt: skip
+    kept = [segment(marker, payload) for marker, payload in payloads.items()]
+    source = plain[:2] + b"".join(kept) + segment(0xE2, b"MPF\0" + bytes(9)) + plain[2:]
+    picture = read_image(source, "x.jpg")
+    file = write_image(picture, picture.pixels // 2)
+    assert all(each in file.data for each in kept)
+    assert file.notices == ("x.jpg: these metadata are not kept in JPG: JPEG segment MPF.",)
+
+
+@pytest.mark.parametrize(
+    ("name", "insert"),
+    [
+        ("x.hdr", lambda data: data.replace(b"\n\n", b"\n# a comment\nEXPOSURE=2\nVIEW= -vp 1 2 3\n\n", 1)),
+        ("x.ppm", lambda data: b"P6\n# a comment\n7 5 # another\n255\n" + data[-105:]),
+    ],
+)
+def test_comments_and_variables_in_text_headers_are_kept(name, insert):
+    known = {"x.hdr": "hdr", "x.ppm": "pnm"}[name]
+    source = insert(encode(noise("float" if known == "hdr" else "uint8", 3) ** 2, known))
+    lines = [
+        b"# a comment\n",
+        *([b"EXPOSURE=2\n", b"VIEW= -vp 1 2 3\n"] if known == "hdr" else [b"# another\n"]),
+    ]
+    file = rewritten(source, name)
+    assert all(line in file.data[:200] for line in lines)
+    assert not file.notices
+
+
+def exif_file(suffix):
+    exif = tiff_file(noise("uint8", 3), {**_TEXTS, **_DIRECTORIES})
+    image = Image.fromarray(noise("uint8", 3, 16, 16))
+    buffer, tags = io.BytesIO(), Image.Exif()
+    tags.load(exif)
+    options = {"lossless": True} if suffix == ".webp" else {}
+    if suffix == ".tif":
+        return exif
+    image.save(buffer, Image.registered_extensions()[suffix], exif=tags.tobytes(), **options)
+    return buffer.getvalue()
+
+
+def exif_in(data, suffix):
+    block = data if suffix == ".tif" else Image.open(io.BytesIO(data)).info["exif"].removeprefix(b"Exif\0\0")
+    return {tag: value for tag, value in tiff_tags(block).items() if tag in {*_TEXTS, 34665, 34853}}
+
+
+_WITH_EXIF = [".jpg", ".png", ".tif", ".webp"]
+
+
+@pytest.mark.parametrize("target", _WITH_EXIF)
+@pytest.mark.parametrize("source", _WITH_EXIF)
+def test_all_of_exif_goes_along_to_formats_that_have_a_place_for_it(source, target):
+    data = exif_file(source)
+    picture = read_image(data, f"x{source}")
+    file = write_image(picture, picture.pixels // 2, suffix=None if target == source else target)
+    assert exif_in(file.data, target).items() >= exif_in(data, source).items()
+    # TIFF may have directories that EXIF does not know.
+    others = [notice for notice in file.notices if "PSNR" not in notice]
+    assert all("TIFF tag 65100" in notice for notice in others)
+    assert bool(others) == (source == ".tif" != target)
+
+
+@pytest.mark.parametrize("target", sorted({*SUFFIXES.values(), ".jp2"} - {*_WITH_EXIF}))
+@pytest.mark.parametrize("source", _WITH_EXIF)
+def test_what_another_format_does_not_hold_is_named(source, target):
+    picture = read_image(exif_file(source), f"x{source}")
+    picture = (
+        read_image(encode(np.zeros((40, 40, 3), np.uint8), "png"), "x.png") if target == ".jp2" else picture
+    )
+    file = write_image(picture, picture.pixels, suffix=target)
+    names = {each.name.lower() for each in read_image(file.data, f"x{target}").spec.extra_attribs}
+    said = " ".join(file.notices)
+    texts = ("Artist", "ImageDescription", "Exif:DateTimeOriginal", "ExposureTime", "GPS:Latitude")
+    expected = [each for each in texts if picture.spec.getattribute(each) is not None]
+    assert target == ".jp2" or len(expected) >= 4
+    assert all((each.lower() in names) != (each in said) for each in expected)
+    assert target == ".jp2" or "37500" in said
+
+
+@pytest.mark.parametrize("target", sorted({*SUFFIXES.values()}))
+@pytest.mark.parametrize("known", sorted(SUFFIXES))
+def test_of_a_picture_without_metadata_none_are_said_to_be_lost(known, target):
+    kind = "float" if known in ("openexr", "hdr") else "uint8"
+    data = exr_file(planes("R", "G", "B")) if known == "openexr" else encode(noise(kind, 3) ** 2, known, kind)
+    if known == "tiff":
+        data = tiff_file(noise("uint8", 3), {})
+    picture = read_image(data, "x" + SUFFIXES[known])
+    file = write_image(picture, picture.pixels, suffix=target)
+    assert not [notice for notice in file.notices if "metadata" in notice]
+
+
+def test_damaged_metadata_are_reported():
+    source = bytearray(tiff_file(noise("uint8", 3), _GEOREFERENCE))
+    picture = read_image(bytes(source), "x.tif")
+    object.__setattr__(picture, "source", bytes(source[:20]))
+    assert "damaged" in write_image(picture, picture.pixels // 2).notices[0]
+    assert OpenImageIO.geterror() == ""
