@@ -17,7 +17,7 @@ from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.samples import Change, store
 from beltrami_cli.samples.settings import TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Indices, fill_gutter, within
+from beltrami_cli.surface.atlas import ROWS, Indices, fill_gutter, nearest_covered, within
 from beltrami_cli.surface.records import Texture, TexturedSurface
 
 
@@ -45,8 +45,6 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
 _BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats
 # A step between two texels has the noise of both; beyond this many deviations of what smoothing took away it is real.
 _REAL_STEP = 3.0
-# The neighbours of a texel, row and column, in the order in which `fill_gutter` takes their colours.
-_AROUND = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1))
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class Repainting:
     pictures: Sequence[Picture]
     colours: PictureColours
     texture_offsets: Int64s
-    looked_up: tuple[Indices, Indices]  # uncovered texels that faces look up: beside charts, and lone ones
+    lone: Indices  # uncovered texels that faces without texels of their own look up
     gutter: int | None
     threads: int
     is_dithered: bool = False  # so that smooth changes of colours are no bands in 8 bits
@@ -71,8 +69,7 @@ class Repainting:
             chosen, values = new.beyond_places[rows], new.beyond[rows]
             self._paint(pixels, index, chosen, lambda block, inside: values[block][inside])
             refilled = Refilled(picture.pixels, pixels, covered, known, partial(self.colours.shown, picture))
-            border, lone = (self._of_texture(texels, index)[1] for texels in self.looked_up)
-            keep_others(refilled, border, lone)
+            keep_others(refilled, self.gutter, self._of_texture(self.lone, index)[1], self.threads)
             opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
             fill_gutter(pixels, covered, self.gutter, known, self.threads, columns, opacity)
         return pixels, change
@@ -164,57 +161,65 @@ class Refilled:
         return self.shown(_rows(self.new)[texels])
 
     def restore(self, texels: Indices) -> None:
-        """Give texels, in place, the colours that they had, which they keep."""
+        """Give texels, in place, the colours that they had."""
         _rows(self.new)[texels] = _rows(self.old)[texels]
-        self.known.reshape(-1)[texels] = True
 
 
-def keep_others(refilled: Refilled, border: Indices, lone: Indices) -> None:
-    """Let texels that faces look up, but that do not continue the chart beside them, keep their colours, in place.
+def keep_others(refilled: Refilled, width: int, lone: Indices, threads: int) -> None:
+    """Let texels around charts that do not continue the chart beside them keep their colours, in place.
 
-    A texel continues its chart if the step to the covered texel beside it was, but for noise, what it is now; or if
-    there was none, and then it is left to be filled from there. Others are painted otherwise: the edge of a colour that
-    lies on the chart's border, or of another chart. Of lone texels it is not known which part of the surface they show.
+    A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
+    was none, and then it is left to be filled from there. All else is background, or painted by another chart, another
+    material or another model: single texels of such paint may resemble the chart, so half of the uncovered texels around
+    must continue it, too. Of lone texels it is not known which part of the surface they show.
     """
-    refilled.restore(lone)
-    beside = _covered_beside(refilled.covered, border)
-    border, beside = border[beside >= 0], beside[beside >= 0]
-    limit = _REAL_STEP * _taken_away(refilled, beside)
-    for block in large_arrays.blocks(len(border), large_arrays.SCATTERED):
-        texels, nearest = border[block], beside[block]
-        step = refilled.before(texels) - refilled.before(nearest)
-        now = refilled.after(texels) - refilled.after(nearest)
-        has_halo = refilled.known.reshape(-1)[texels]
-        continues = has_halo & (_size(step - now) <= limit)
-        is_alike = _size(step) <= limit
-        refilled.known.reshape(-1)[texels[~continues & is_alike]] = False
-        refilled.restore(texels[~continues & ~is_alike])
+    limit, known = _REAL_STEP * _taken_away(refilled), refilled.known.reshape(-1)
+    painted, continues = np.flatnonzero(known), np.zeros(refilled.covered.shape, bool)
+    for texels, nearest in nearest_covered(refilled.covered, width + 1 if width else 0, threads=threads):
+        for block in large_arrays.blocks(len(texels), _BLOCK):
+            here, there = texels[block], nearest[block]
+            step = refilled.before(here) - refilled.before(there)
+            is_halo = known[here]
+            halo, beside = here[is_halo], there[is_halo]
+            now = refilled.after(halo) - refilled.after(beside)
+            follows = _size(step[is_halo] - now) <= limit
+            known[halo] = follows
+            alike = _size(step) <= limit
+            alike[is_halo] |= follows
+            continues.reshape(-1)[here] = alike
+    continues &= _is_half(continues, ~refilled.covered)
+    continues.reshape(-1)[lone] = False
+    stays = ~(continues | refilled.covered)
+    refilled.restore(painted[stays.reshape(-1)[painted]])
+    refilled.known[stays] = True
+
+
+def _is_half(marked: Bools, counted: Bools) -> Bools:
+    """Return where at least half of the texels that count, of 3 x 3 around, are marked; these count, too."""
+    from scipy.ndimage import uniform_filter  # which takes long to be imported
+
+    found = np.empty(marked.shape, bool)
+    for rows in large_arrays.blocks(len(marked), ROWS):
+        first = max(0, rows.start - 1)
+        balance = 2 * marked[first : rows.stop + 1].astype(np.float32) - counted[first : rows.stop + 1]
+        # Sums of nine small integers are exact up to the division.
+        mean = uniform_filter(balance, 3, mode="constant")
+        found[rows] = mean[rows.start - first :][: rows.stop - rows.start] > -0.5 / 9
+    return found
 
 
 def _rows(pixels: Array) -> Array:
     return pixels.reshape(-1, pixels.shape[2])
 
 
-def _covered_beside(covered: Bools, texels: Indices) -> Int64s:
-    """Return a covered neighbour of each texel, the nearest; -1 where there is none."""
-    height, width = covered.shape
-    rows, columns = np.divmod(texels, width)
-    found = np.full(len(texels), -1, np.int64)
-    for down, right in _AROUND:
-        row, column = rows + down, columns + right
-        inside = (found < 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        inside[inside] = covered[row[inside], column[inside]]
-        found[inside] = row[inside] * np.int64(width) + column[inside]
-    return found
-
-
-def _taken_away(refilled: Refilled, texels: Indices) -> float:
-    """Return the root mean square by which texels changed."""
+def _taken_away(refilled: Refilled) -> float:
+    """Return the root mean square by which the texels at the borders of charts changed."""
+    edge = np.flatnonzero(refilled.covered & within(~refilled.covered, 1))
     total = 0.0
-    for block in large_arrays.blocks(len(texels), large_arrays.SCATTERED):
-        change = refilled.after(texels[block]) - refilled.before(texels[block])
+    for block in large_arrays.blocks(len(edge), _BLOCK):
+        change = refilled.after(edge[block]) - refilled.before(edge[block])
         total += float(np.square(_size(change)).sum())
-    return float(np.sqrt(total / max(1, len(texels))))
+    return float(np.sqrt(total / max(1, len(edge))))
 
 
 def _size(differences: Float32s) -> Float64s:

@@ -315,7 +315,7 @@ class TexelSamples(samples.Samples):
 
     def _painter(self, gutter: int | None) -> Repainting:
         atlas, threads = self.atlas, self.settings.kernel.thread_count
-        places = atlas.texture_offsets, (atlas.border_texels, atlas.lone_texels)
+        places = atlas.texture_offsets, atlas.lone_texels
         return Repainting(self.pictures, self.colours, *places, gutter, threads, self._is_dithered)
 
 

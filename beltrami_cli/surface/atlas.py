@@ -285,25 +285,32 @@ def fill_gutter(
     # `width`: the largest distance, in texels; None: any. `known`: uncovered texels that have their colours already, as
     # from beyond a seam, and keep them. `opacity`: what is multiplied into the colours, which are given that of the
     # texel that they go to; not 0 where covered.
+    table = pixels.reshape(-1, pixels.shape[2])
+    visible = None if opacity is None else opacity.reshape(-1)
+    for texels, nearest in nearest_covered(covered, width, known, threads):
+        share = None if visible is None else visible[texels] / visible[nearest]
+        for channel in range(pixels.shape[2]) if channels is None else channels:
+            found = table[nearest, channel]
+            table[texels, channel] = found if share is None else _scaled(found, share)
+
+
+def nearest_covered(
+    covered: Bools, width: int | None, left_out: Bools | None = None, threads: int = 1
+) -> Iterator[tuple[Int64s, Int64s]]:
+    """Yield uncovered texels, band by band, and the nearest covered texel of each, which is within the width."""
     reach = sum(covered.shape) if width is None else width
     for band in large_arrays.blocks(len(covered), max(ROWS, reach)):
         target = ~covered[band]
-        if known is not None:
-            target &= ~known[band]
+        if left_out is not None:
+            target &= ~left_out[band]
         if not target.any():
             continue
         first, last = max(0, band.start - reach), band.stop + reach
         wanted = np.zeros(covered[first:last].shape, bool)
         wanted[band.start - first : band.stop - first] = target
         texels, nearest = nearest_marked(np.ascontiguousarray(covered[first:last]), wanted, reach, threads)
-        table = pixels[first:last].reshape(-1, pixels.shape[2])
-        share = None
-        if opacity is not None:
-            visible = opacity[first:last].reshape(-1)
-            share = visible[texels] / visible[nearest]
-        for channel in range(pixels.shape[2]) if channels is None else channels:
-            found = table[nearest, channel]
-            table[texels, channel] = found if share is None else _scaled(found, share)
+        offset = first * covered.shape[1]
+        yield texels + offset, nearest + offset
 
 
 def _scaled(colours: Array, share: Float32s) -> Array:
