@@ -29,6 +29,7 @@ from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.shared_files import shared_files
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.samples import Repainted, Samples
 from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
@@ -101,6 +102,8 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
             }
             written = replace(written, sidecars={**written.sidecars, **copied})
             if output is not None:
+                if output.folder is not None and output.overwrite:
+                    beside += shared_files(output.folder, output.path, written.sidecars)
                 output.write(written)
     names = [] if output is None else [target, *written.sidecars]
     notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]

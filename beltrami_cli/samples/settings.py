@@ -84,8 +84,8 @@ class TextureSettings(Checked):
     )  # fmt: skip
     gutter: int | None = parameter(
         16,
-        "Change this many texels around every chart too, so that lookups across its border see no old "
-        "colours; or keep them.",
+        "Change up to this many texels around every chart too, where they continue its colours, so that lookups "
+        "across its border see no old ones; or keep them.",
         optional=True, low=0, high=_WIDEST_GUTTER, unit="texels", metavar="N|keep", parse=_gutter,
         show=lambda width: "keep" if width is None else str(width),
     )  # fmt: skip

@@ -169,9 +169,10 @@ def keep_others(refilled: Refilled, width: int, lone: Indices, threads: int) -> 
     """Let texels around charts that do not continue the chart beside them keep their colours, in place.
 
     A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
-    was none, and then it is left to be filled from there. All else is background, or painted by another chart, another
-    material or another model: single texels of such paint may resemble the chart, so half of the uncovered texels around
-    must continue it, too. Of lone texels it is not known which part of the surface they show.
+    was none, and then it is left to be filled from there. All else is background, or the edge of a colour that lies on
+    the chart's border, or paint of another chart, material or model. Single texels of such paint may resemble the
+    chart, so half of the uncovered texels around must continue it, too. Of lone texels it is not known which part of
+    the surface they show.
     """
     limit, known = _REAL_STEP * _taken_away(refilled), refilled.known.reshape(-1)
     painted, continues = np.flatnonzero(known), np.zeros(refilled.covered.shape, bool)

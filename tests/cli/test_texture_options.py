@@ -82,6 +82,50 @@ def test_the_gutter_is_kept_or_refilled_as_far_as_asked(square, tmp_path):
     assert not changed["8"][:, :beyond].any()
 
 
+def kit(folder):
+    """Write two models, each with its half of an atlas without a gap between them; return the atlas."""
+    random = np.random.default_rng(2)
+    atlas = np.full((SIDE, SIDE, 3), (200.0, 60.0, 50.0))
+    atlas[:, SIDE // 2 :] = 40, 90, 200
+    noisy = np.clip(np.rint(atlas + random.normal(0, 12, atlas.shape)), 0, 255).astype(np.uint8)
+    (folder / "atlas.png").write_bytes(encode(noisy, "png"))
+    (folder / "kit.mtl").write_text("newmtl paint\nmap_Kd atlas.png\n")
+    for name, first in (("wall", 0.0), ("roof", 0.5)):
+        lines = ["mtllib kit.mtl", "usemtl paint"]
+        lines += [f"v {x} {y} 0\nvt {first + x / 2} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        (folder / f"{name}.obj").write_text("\n".join([*lines, "f 1/1 2/2 3/3 4/4", ""]))
+    return atlas
+
+
+@pytest.mark.slow
+def test_models_that_share_an_atlas_are_smoothed_in_place_one_after_the_other(tmp_path):
+    truth = kit(tmp_path)
+    said = ""
+    for name, half in (("wall", slice(0, SIDE // 2)), ("roof", slice(SIDE // 2, SIDE))):
+        before = pixels(tmp_path / f"{name}.obj")
+        said = beltrami("smooth", f"{name}.obj", f"{name}.obj", "--overwrite", cwd=tmp_path, text=True).stderr
+        changed = np.any(pixels(tmp_path / f"{name}.obj") != before, axis=2)
+        assert changed[:, half].mean() > 0.9
+        changed[:, half] = False
+        assert not changed.any()
+        other = {"wall": "roof", "roof": "wall"}[name]
+        assert [line for line in said.splitlines() if "atlas.png" in line and f"{other}.obj" in line]
+    error = pixels(tmp_path / "roof.obj") - truth
+    assert np.sqrt((error**2).mean()) < 12 / 3
+
+
+@pytest.mark.slow
+def test_nothing_is_said_of_files_that_no_other_model_shows(tmp_path):
+    kit(tmp_path)
+    (tmp_path / "roof.obj").unlink()
+    (tmp_path / "own.obj").write_text("v 0 0 0\n# myatlas.png atlas.png2\n")
+    (tmp_path / "notes.txt").write_text("atlas.png\n")
+    assert (
+        "folder"
+        not in beltrami("smooth", "wall.obj", "wall.obj", "--overwrite", cwd=tmp_path, text=True).stderr
+    )
+
+
 def test_a_wider_window_smooths_a_large_time_step_further(square, tmp_path):
     source = square(noise())
     left = [

@@ -87,6 +87,37 @@ def test_a_border_that_is_painted_otherwise_stays(tmp_path):
     assert (found[TOP:BOTTOM, LEFT[0] - 3] < 200).all()
 
 
+# What lies close around charts, and is none of theirs.
+OTHER_PAINT = {
+    "another colour": lambda random: noisy(90.0),
+    "flat paint": lambda random: np.full((HEIGHT, WIDTH, 3), 90.0),
+    "a dark background": lambda random: np.zeros((HEIGHT, WIDTH, 3)),
+    "stripes through the colour of the charts": lambda random: noisy(
+        128 + 60 * np.sin(np.arange(WIDTH))[:, None]
+    ),
+    "texture around the colour of the charts": lambda random: np.clip(
+        random.normal(128, 10 * SIGMA, (HEIGHT, WIDTH, 3)), 0, 255
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", OTHER_PAINT)
+def test_paint_of_others_around_charts_stays(tmp_path, kind):
+    """At open borders, and where halos continue the chart over it."""
+    outside = np.ones((HEIGHT, WIDTH), bool)
+    for first, last in (LEFT, RIGHT):
+        outside[TOP:BOTTOM, first:last] = False
+    pixels = noisy()
+    pixels[outside] = np.rint(OTHER_PAINT[kind](np.random.default_rng(5)))[outside]
+    found = smoothed(halves(tmp_path, pixels))
+    assert (found != pixels)[~outside].mean() > 0.5
+    # Paint that passes through the colour of the chart is within three deviations of it here and there, and only then
+    # becomes that colour.
+    changed = np.abs(found - pixels)[outside].max(axis=1)
+    assert np.mean(changed > 0) < 0.05
+    assert changed.max() < 6 * SIGMA
+
+
 def test_at_a_seam_between_two_colours_each_chart_keeps_its_own(tmp_path):
     """The texels beyond the seam had the colour of their chart, and get it again without its noise."""
     pixels = noisy()
