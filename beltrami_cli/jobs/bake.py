@@ -82,7 +82,7 @@ def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str,
     pictures = [read_texture(texture) for texture in surface.textures]
     corners, textured = surface.faces.ravel(), np.repeat(surface.texture_of >= 0, 3)
     values, noise = _seen(surface, pictures)
-    place = group_places(surface.positions, surface.space_of)[0][corners]
+    place = group_places(surface.positions, surface.space_of, surface.faces)[0][corners]
     uv = np.where(textured[:, None], surface.uv.reshape(-1, 2), 0.0)
     side, _ = group_equal_rows(place, np.repeat(surface.texture_of, 3), *uv.T)
     split = (_spread(values, place, textured) > _ALIKE + _SIGMAS * noise).any(axis=1)[place]

@@ -124,7 +124,7 @@ def _describe_under_textures(
         facts = vertex_samples(document, plain, access).describe()
         return {key: facts[key] for key in facts if key != "smooth"}
     surface = document.textured(slot)
-    place_of, first = group_places(surface.positions, surface.space_of)
+    place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
     positions = surface.positions[first]
     counts = {
         "vertices": len(surface.positions),

@@ -121,7 +121,7 @@ class Borders:
 
     @classmethod
     def of(cls, surface: TexturedSurface) -> Borders:
-        place_of, first = group_places(surface.positions, surface.space_of)
+        place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
         faces = np.flatnonzero(surface.texture_of >= 0)
         places = place_of[surface.faces[faces]]
         pairs = np.sort(np.stack([places, np.roll(places, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)

@@ -163,7 +163,7 @@ def build_atlas(
     surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int = 1
 ) -> Atlas:
     """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
-    place_of, first = group_places(surface.positions, surface.space_of)
+    place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
     wraps = ([_WRAP_CODES[mode] for mode in texture.wrap] for texture in surface.textures)
     rows = [(*size, *wrap) for size, wrap in zip(sizes, wraps, strict=True)]
     grids = np.array(rows, np.int32).reshape(-1, 4)

@@ -1,11 +1,11 @@
 """Equal rows found by hashing: what is at one place, and vertex colours as samples.
 
-Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at exactly one place with
-one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its own, and
-bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright strip between the edge's
-two copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does not depend on
-the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the order of
-their colours.
+Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at one place, but for
+rounding, with one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its
+own, and bridges join them: on the image manifold (X, beta I) a colour jump along an edge is an upright strip between
+the edge's two copies, with no extent in X and the jump in I. Both of its diagonals are laid, so that the result does
+not depend on the order of vertices. More than two copies of one edge (non-manifold edges) are joined in a chain, by the
+order of their colours.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-from beltrami_cli.surface.records import PaintedVertices, SampledSurface
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.surface.records import PaintedVertices, SampledSurface, typical_edge
 
 # Odd constants of the splitmix64 generator (Steele, Lea, Flood 2014): each step is a bijection of 64-bit words.
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
@@ -60,9 +60,99 @@ def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
     return new
 
 
-def group_places(positions: Float64s, space_of: Int32s | None) -> tuple[Int32s, Int32s]:
-    """Find the distinct positions, each in its space, as `group_equal_rows` does."""
-    return group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
+# Copies of a vertex differ by so many units in the last place of the largest coordinate, in every coordinate: each of
+# the two may be rounded by half a unit in four operations, such as those of a rotation and an offset.
+_ROUNDED_UNITS = 4
+# A typical edge is so many times longer, or units in the last place are the detail of the mesh, and not its rounding.
+_EDGE_OF_TOLERANCE = 4
+# Neighbours of a vertex among which copies are found: more than its triangles. Of a larger cluster each has eight.
+_MOST_COPIES = 8
+_SINGLE = np.finfo(np.float32).eps
+_ENOUGH_VALUES = 10_000  # coordinates of which the digits are counted
+_MOST_DECIMALS = 9  # of coordinates in text, with which programs write single precision
+
+
+def group_places(
+    positions: Float64s, space_of: Int32s | None, faces: Int32s | None = None
+) -> tuple[Int32s, Int32s]:
+    """Find the distinct positions, each in its space, as `group_equal_rows` does.
+
+    Vertices at open borders of faces count as one, too, if they differ by no more than rounding, unless an edge joins
+    any two of them.
+    """
+    place_of, first = group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
+    if faces is None or not len(faces):
+        return place_of, first
+    tolerance = _ROUNDED_UNITS * _rounding(positions)
+    if not tolerance * _EDGE_OF_TOLERANCE <= typical_edge(positions, faces):
+        return place_of, first
+    corners = place_of[faces]
+    border = _open_places(corners, len(first))
+    if not len(border):
+        return place_of, first
+    pairs = border[_near(positions[first[border]], tolerance)]
+    if space_of is not None:
+        pairs = pairs[space_of[first[pairs[:, 0]]] == space_of[first[pairs[:, 1]]]]
+    return _joined(place_of, first, corners, pairs) if len(pairs) else (place_of, first)
+
+
+def _rounding(positions: Float64s) -> float:
+    """Return a unit in the last place of positions: of single precision, or of text if that has fewer digits."""
+    with np.errstate(over="ignore"):
+        if (positions.astype(np.float32) == positions).all():
+            return float(np.spacing(np.float32(np.abs(positions).max())))
+        # In double precision an offset may have been added, or a node of a scene turned the mesh, but most programs
+        # compute a mesh in single precision.
+        step = float(_SINGLE * np.ptp(positions, axis=0).max())
+        values = positions.ravel()[:: 1 + positions.size // _ENOUGH_VALUES]
+        for decimals in range(_MOST_DECIMALS):
+            scaled = np.abs(values * 10.0**decimals)
+            if (np.abs(scaled - np.rint(scaled)) <= np.spacing(scaled)).all():
+                return max(step, 10.0**-decimals)
+    return step
+
+
+def _open_places(corners: Int32s, count: int) -> Int64s:
+    """Return the places around which triangles are no closed fan."""
+    # Around a closed fan every neighbour is once before and once behind the place. Numbers are scattered, so that no
+    # others have the same sum, and their sums are exact.
+    number = (mix_bits(np.arange(count, dtype=np.uint64)) >> np.uint64(34)).astype(np.float64)
+    balance = np.zeros(count)
+    for corner in range(3):
+        steps = number[corners[:, (corner + 1) % 3]] - number[corners[:, (corner + 2) % 3]]
+        balance += np.bincount(corners[:, corner], steps, count)
+    return np.flatnonzero(balance)
+
+
+def _near(points: Float64s, tolerance: float) -> Int64s:
+    """Return pairs of points, shape (K, 2), that differ by at most a tolerance in every coordinate."""
+    from scipy.spatial import cKDTree  # which takes long to be imported
+
+    reach = np.nextafter(tolerance, np.inf)  # the bound itself is left out
+    _, others = cKDTree(points).query(points, _MOST_COPIES, p=np.inf, distance_upper_bound=reach)
+    one = np.repeat(np.arange(len(points)), _MOST_COPIES)
+    pairs = np.stack([one, others.ravel()], axis=1)
+    return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs[:, 1] < len(points))]
+
+
+def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:
+    """Join places that pairs connect, except where an edge joins two of those that would become one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    every, count = np.arange(len(first), dtype=np.int32), len(first)
+    graph = coo_array((np.ones(len(pairs), bool), pairs.T), (count, count))
+    _, label = connected_components(graph, directed=False)
+    _, least = np.unique(label, return_index=True)
+    joined = least[label].astype(np.int32)  # the first place of each
+    ends = joined[corners]
+    is_edge = (ends == np.roll(ends, 1, axis=1)) & (corners != np.roll(corners, 1, axis=1))
+    has_edge = np.zeros(count, bool)
+    has_edge[ends[is_edge]] = True
+    joined = np.where(has_edge[joined], every, joined)
+    kept = joined == every
+    number = (np.cumsum(kept) - 1).astype(np.int32)
+    return number[joined][place_of], first[kept]
 
 
 def _as_words(column: Array) -> NDArray[np.uint64]:
@@ -101,7 +191,7 @@ class VertexSampling:
 
 def sample_vertices(painted: PaintedVertices, colours: Float32s) -> tuple[SampledSurface, VertexSampling]:
     """Make samples of painted vertices whose colours in the working space are given."""
-    place_of, first_of_place = group_places(painted.positions, painted.space_of)
+    place_of, first_of_place = group_places(painted.positions, painted.space_of, painted.faces)
     if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)
         no_bridges = np.empty((0, 3), np.int32)

@@ -57,7 +57,7 @@ def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
     """Cut triangles of tiles, and those beside them alike, so that edges still fit, until none crosses a border."""
     most = 4 * len(surface.faces) + _MOST_NEW
     while True:
-        place_of, first = group_places(surface.positions, surface.space_of)
+        place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
         ends = place_of[np.stack([surface.faces, np.roll(surface.faces, -1, axis=1)], axis=2)]
         share = _crossings(surface.uv, ends)
         share[surface.texture_of > -2] = np.nan

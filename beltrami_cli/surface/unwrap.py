@@ -46,7 +46,7 @@ def unwrap(
     positions: Float64s, faces: Int32s, size: int | None, padding: int, name: str, *,
     texels: float = 0.0, space_of: Int32s | None = None, progress: Progress = None,
 ) -> Unwrapped:  # fmt: skip
-    """Lay a mesh out on a square. Vertices at exactly one place (and in one space) are one."""
+    """Lay a mesh out on a square. Vertices at one place (and in one space) are one."""
     # `size`: longest side of the texture, in texels; None: up to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
     # several times a second with the tenths of a second that went by and those that are expected.
@@ -56,7 +56,7 @@ def unwrap(
     whole = _with_area(unit, rows)
     if not len(whole):
         raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
-    place_of, first = group_places(positions[used], None if space_of is None else space_of[used])
+    place_of, first = group_places(positions[used], None if space_of is None else space_of[used], rows)
     # Edges of about one unit are what xatlas' fixed tolerances suit.
     scaled = (np.sqrt(len(whole)) * unit[first]).astype(np.float32)
     triangles = place_of[rows[whole]].astype(np.uint32)

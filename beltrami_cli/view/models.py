@@ -255,7 +255,7 @@ def displayed_colours(painted: PaintedVertices) -> NDArray[np.uint16]:
 def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     """Return the chart of each triangle, and the seams, (K, 2), as triangles and the corners they begin at."""
     count = len(surface.faces)
-    place_of, _ = group_places(surface.positions, surface.space_of)
+    place_of, _ = group_places(surface.positions, surface.space_of, surface.faces)
     starts = place_of[surface.faces]
     ends = np.roll(starts, -1, axis=1)
     uv = np.stack([surface.uv, np.roll(surface.uv, -1, axis=1)], axis=2).reshape(-1, 2, 2)
