@@ -165,7 +165,7 @@ class PixelSamples(Samples):
         """Return the picture's pixels with new colours, and how they changed; other numbers keep their bits."""
         nothing, offsets = np.zeros(0, np.int64), np.array([0, self.valid.size], np.int64)
         threads = self.settings.kernel.thread_count
-        painter = Repainting([self.picture], self.colours, offsets, (nothing, nothing), None, threads)
+        painter = Repainting([self.picture], self.colours, offsets, nothing, None, threads)
         return painter.repaint(0, new)
 
     def repaint(self, new: NewColours) -> Repainted:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,12 +64,13 @@ def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
 # Copies of a vertex differ by so many units in the last place of the largest coordinate, in every coordinate: each of
 # the two may be rounded by half a unit in four operations, such as those of a rotation and an offset.
 _ROUNDED_UNITS = 4
-# A typical edge is so many times longer, or units in the last place are the detail of the mesh, and not its rounding.
-_EDGE_OF_TOLERANCE = 4
-# Neighbours of a vertex among which copies are found: more than its triangles. Of a larger cluster each has eight.
-_MOST_COPIES = 8
+# A typical edge is so many times longer than the tolerance, or steps of rounding are as wide as details of the mesh.
+_EDGE_OF_TOLERANCE = 64
+_CELL_OF_TOLERANCE = (
+    4  # more than twice, so that in every direction one of two shifted grids has copies in one cell
+)
 _SINGLE = np.finfo(np.float32).eps
-_ENOUGH_VALUES = 10_000  # coordinates of which the digits are counted
+_ENOUGH_VALUES = 10_000  # coordinates of which digits are counted
 _MOST_DECIMALS = 9  # of coordinates in text, with which programs write single precision
 
 
@@ -80,36 +82,37 @@ def group_places(
     Vertices at open borders of faces count as one, too, if they differ by no more than rounding, unless an edge joins
     any two of them.
     """
-    place_of, first = group_equal_rows(*positions.T, *([] if space_of is None else [space_of]))
+    spaces = [] if space_of is None else [space_of]
+    place_of, first = group_equal_rows(*positions.T, *spaces)
     if faces is None or not len(faces):
         return place_of, first
-    tolerance = _ROUNDED_UNITS * _rounding(positions)
+    tolerance = _tolerance(positions)
     if not tolerance * _EDGE_OF_TOLERANCE <= typical_edge(positions, faces):
         return place_of, first
     corners = place_of[faces]
     border = _open_places(corners, len(first))
     if not len(border):
         return place_of, first
-    pairs = border[_near(positions[first[border]], tolerance)]
-    if space_of is not None:
-        pairs = pairs[space_of[first[pairs[:, 0]]] == space_of[first[pairs[:, 1]]]]
+    rows = first[border]
+    pairs = border[_near(positions[rows], tolerance, [each[rows] for each in spaces])]
     return _joined(place_of, first, corners, pairs) if len(pairs) else (place_of, first)
 
 
-def _rounding(positions: Float64s) -> float:
-    """Return a unit in the last place of positions: of single precision, or of text if that has fewer digits."""
+def _tolerance(positions: Float64s) -> float:
+    """Return by how much coordinates of copies differ at most: by units in the last place, as they are stored."""
     with np.errstate(over="ignore"):
         if (positions.astype(np.float32) == positions).all():
-            return float(np.spacing(np.float32(np.abs(positions).max())))
+            return _ROUNDED_UNITS * float(np.spacing(np.float32(np.abs(positions).max())))
         # In double precision an offset may have been added, or a node of a scene turned the mesh, but most programs
         # compute a mesh in single precision.
-        step = float(_SINGLE * np.ptp(positions, axis=0).max())
+        computed = _ROUNDED_UNITS * float(_SINGLE * np.ptp(positions, axis=0).max())
         values = positions.ravel()[:: 1 + positions.size // _ENOUGH_VALUES]
-        for decimals in range(_MOST_DECIMALS):
+        for decimals in range(_MOST_DECIMALS + 1):
             scaled = np.abs(values * 10.0**decimals)
             if (np.abs(scaled - np.rint(scaled)) <= np.spacing(scaled)).all():
-                return max(step, 10.0**-decimals)
-    return step
+                # In text copies differ by one in the last digit, where they lie on both sides of its half.
+                return max(computed, 1.5 * 10.0**-decimals)
+    return computed
 
 
 def _open_places(corners: Int32s, count: int) -> Int64s:
@@ -124,15 +127,18 @@ def _open_places(corners: Int32s, count: int) -> Int64s:
     return np.flatnonzero(balance)
 
 
-def _near(points: Float64s, tolerance: float) -> Int64s:
-    """Return pairs of points, shape (K, 2), that differ by at most a tolerance in every coordinate."""
-    from scipy.spatial import cKDTree  # which takes long to be imported
-
-    reach = np.nextafter(tolerance, np.inf)  # the bound itself is left out
-    _, others = cKDTree(points).query(points, _MOST_COPIES, p=np.inf, distance_upper_bound=reach)
-    one = np.repeat(np.arange(len(points)), _MOST_COPIES)
-    pairs = np.stack([one, others.ravel()], axis=1)
-    return pairs[(pairs[:, 0] != pairs[:, 1]) & (pairs[:, 1] < len(points))]
+def _near(points: Float64s, tolerance: float, further: Sequence[Array]) -> Int64s:
+    """Return pairs of points, (K, 2), that differ by at most a tolerance in every coordinate, and not in others."""
+    every, pairs = np.arange(len(points)), []
+    for shift in product((0, 0.5), repeat=points.shape[1]):
+        cells = np.floor(points / (_CELL_OF_TOLERANCE * tolerance) + shift)
+        number, first = group_equal_rows(*cells.T, *further)
+        if len(first) == len(points):
+            continue
+        others = first[number]
+        near = (np.abs(points - points[others]) <= tolerance).all(axis=1) & (others != every)
+        pairs.append(np.stack([others[near], every[near]], axis=1))
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2), np.int64)
 
 
 def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:

@@ -126,8 +126,8 @@ def cube(texels=16, gap=4):
     return textured(np.concatenate(positions), faces, corners, [(6 * (texels + gap) + gap, texels + 2 * gap)])
 
 
-def slit(surface, start, end, through=(False, False), gap=1e-9):
-    """Cut a flat surface open along a straight line of edges, and lift one of its sides by a little.
+def slit(surface, start, end, through=(False, False), gap=2**-10):
+    """Cut a flat surface open along a straight line of edges, and lift one of its sides by more than rounding.
 
     Parameters
     ----------
