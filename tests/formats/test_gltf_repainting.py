@@ -119,6 +119,52 @@ def test_a_slot_apart_gets_a_texture_and_an_image_of_its_own(tmp_path):
     assert tree["bufferViews"][-1]["byteOffset"] >= len(model.binary)
 
 
+# Where an object with an `index` stands, besides the texture of the base colour, and whether it is that of a texture.
+INDICES = {
+    ("extensions", "VRM", "blendShapeMaster", "blendShapeGroups", 0, "binds", 0): False,
+    ("extensions", "VRMC_vrm", "expressions", "preset", "aa", "morphTargetBinds", 0): False,
+    ("materials", 0, "extras", "order"): False,
+    ("meshes", 0, "extras"): False,
+    ("materials", 0, "extensions", "UNKNOWN_lightmap"): True,
+    ("materials", 0, "extensions", "UNKNOWN_sheen", "map"): True,
+    ("materials", 0, "extras", "lightTexture"): True,
+    ("extensions", "EXT_structural_metadata", "propertyTextures", 0, "properties", "height"): True,
+}
+
+
+def put(value, path, last):
+    """Return a value with another one at a path below it."""
+    if not path:
+        return last
+    key, *rest = path
+    if key == 0:
+        return [put(value[0] if value else {}, rest, last)]
+    return (value or {}) | {key: put((value or {}).get(key), rest, last)}
+
+
+@pytest.mark.parametrize("path", INDICES)
+def test_only_what_shows_a_texture_keeps_it_as_it_was(tmp_path, path):
+    model = Textured()
+    texture = model.texture(model.image(picture(1)))
+    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
+    model.tree = put(model.tree, path, {"index": texture, "weight": 1})
+    source = model.written_to(tmp_path)
+    written = open_document(str(source)).patch(
+        None, Naming("o", keeps=True), images={("baseColor", "image 0"): new_image(1, ".png")}
+    )
+    (tmp_path / "o.glb").write_bytes(joined(written))
+    tree, _ = unpacked(joined(written))
+    index = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"]
+    assert (index == texture) != INDICES[path]
+    assert len(tree["textures"]) == (2 if INDICES[path] else 1)
+    if not INDICES[path]:
+        assert tree["materials"] == model.tree["materials"]
+    assert (
+        open_document(str(tmp_path / "o.glb")).fingerprint().parts
+        == open_document(str(source)).fingerprint().parts
+    )
+
+
 @pytest.mark.parametrize("place", ["view", "data", "file"])
 @pytest.mark.parametrize("suffix", sorted(HEADS))
 def test_the_type_is_given_wherever_it_stands(tmp_path, place, suffix):

@@ -17,7 +17,7 @@ from beltrami_cli.formats.gltf.columns import used_otherwise
 from beltrami_cli.formats.gltf.compression import DRACO
 from beltrami_cli.formats.gltf.container import Container
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of
-from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images
+from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images, texture_infos
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.surface.records import Texture
 
@@ -58,30 +58,20 @@ def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]
 def _materials(images: Images, tree: Tree, paintings: dict[str, Texture]) -> dict[str, bytes]:
     """Return the materials with what their textures say of images and samplers, and note the images."""
     parts, shown = {}, set()
+    others = {key: value for key, value in tree.items() if key not in _SHARED or key == "meshes"}
+    elsewhere = {info["index"] for key, value in others.items() for _, info in texture_infos(value, key)}
     for index, material in enumerate(objects(tree.get("materials"))):
-        for place, info in _infos(material, f"materials[{index}]"):
+        for place, info in texture_infos(material, f"materials[{index}]"):
             number = info.pop("index")
             if 0 <= number < len(images.textures):
                 shown.add(number)
                 info["texture"] = _texture(images, tree, number, place, paintings)
         parts[f"materials[{index}]"] = _spelled(material)
     for number in range(len(images.textures)):
-        if number not in shown:
+        if number not in shown or number in elsewhere:
             place = f"textures[{number}]"
             parts[place] = _spelled(_texture(images, tree, number, place, paintings))
     return parts
-
-
-def _infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
-    """Find all textureInfos in a material, with their places."""
-    if isinstance(value, list):
-        for index, child in enumerate(value):
-            yield from _infos(child, f"{place}[{index}]")
-    elif isinstance(value, dict):
-        for key, child in list(value.items()):
-            yield from _infos(child, f"{place}.{key}")
-        if isinstance(value.get("index"), int):
-            yield place, value
 
 
 def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dict[str, Texture]) -> Tree:
@@ -107,6 +97,7 @@ def _meshes(tree: Tree) -> dict[str, bytes]:
             colour = primitive.get("attributes", {}).get("COLOR_0")
             if colour is not None and 0 <= colour < len(accessors):
                 kept = {k: v for k, v in accessors[colour].items() if k not in _NUMBERS_OF_COLOURS}
+                kept["bounds"] = [key for key in ("min", "max") if key in accessors[colour]]
                 parts[f"colours of meshes[{index}].primitives[{number}]"] = _spelled(kept)
             packed = primitive.get("extensions", {}).get(DRACO, {})
             for attributes in (primitive.get("attributes", {}), packed.get("attributes", {})):

@@ -15,7 +15,7 @@ from typing import Any
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.edit import Edit, ImageStorage
-from beltrami_cli.formats.gltf.json_tree import Tree, objects, objects_within
+from beltrami_cli.formats.gltf.json_tree import Tree, objects
 from beltrami_cli.formats.gltf.textures import (
     IMAGE_EXTENSIONS,
     MEDIA,
@@ -26,6 +26,7 @@ from beltrami_cli.formats.gltf.textures import (
     kind_of,
     media_type,
     named_images,
+    texture_infos,
 )
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import UnfitReferenceError
@@ -129,9 +130,10 @@ def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
                 for key in path:
                     holder = holder.get(key) if isinstance(holder, dict) else None
                 slots[id(holder)] = slot
-    for each in objects_within([value for key, value in tree.items() if key not in _WITHOUT_TEXTURES]):
-        if isinstance(each.get("index"), int):
-            yield each, slots.get(id(each))
+    for key, value in tree.items():
+        if key not in _WITHOUT_TEXTURES:
+            for _, info in texture_infos(value, key):
+                yield info, slots.get(id(info))
 
 
 def _used_elsewhere(tree: Tree, images: Images, image: int, changing: set[int]) -> bool:

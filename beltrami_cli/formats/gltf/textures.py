@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -165,6 +166,29 @@ def named_images(texture: Tree) -> set[int]:
     holders = [texture, *(extensions.values() if isinstance(extensions, dict) else ())]
     found = {holder.get("source") for holder in holders if isinstance(holder, dict)}
     return {index for index in found if isinstance(index, int)}
+
+
+def texture_infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
+    """Find the textureInfos in a part of the JSON, with their places."""
+    yield from _below(value, place, is_texture=_names_texture(place))
+
+
+def _below(value: Any, place: str, *, is_texture: bool) -> Iterator[tuple[str, Tree]]:
+    if isinstance(value, list):
+        for index, child in enumerate(value):
+            yield from _below(child, f"{place}[{index}]", is_texture=is_texture)
+    elif isinstance(value, dict):
+        for key, child in list(value.items()):
+            known = key != "extras" and (is_texture or _names_texture(key))
+            yield from _below(child, f"{place}.{key}", is_texture=known)
+        if is_texture and isinstance(value.get("index"), int):
+            yield place, value
+
+
+def _names_texture(name: str) -> bool:
+    # In materials every `index` is that of a texture. Elsewhere, and in data of applications, it may be that of
+    # anything, such as a morph target in VRM.
+    return name.startswith("materials") or "texture" in name.lower()
 
 
 @dataclass(frozen=True)
