@@ -106,7 +106,6 @@ def test_borders_that_are_further_apart_than_rounding_are_two():
 
 
 def test_a_surface_that_fell_apart_is_smoothed_like_the_whole(tmp_path):
-    """With the colours of exact copies, to the last bit."""
     settings = SmoothSettings(kernel=KernelParameters(iterations=3, t=4.0, beta=4.0, metric_steps=0, free=()))
     random = np.random.default_rng(3)
     colours = np.clip(random.normal(0.5, 0.05, (SIDE * SIDE, 3)), 0, 1)
@@ -121,5 +120,5 @@ def test_a_surface_that_fell_apart_is_smoothed_like_the_whole(tmp_path):
         smooth_file(source, tmp_path / f"{units}-out.obj", settings)
         found[units] = open_document(str(tmp_path / f"{units}-out.obj")).painted().colours
     assert np.abs(found[0] - colours[number]).mean() > 0.01
-    # Kernels are measured between positions that differ by rounding.
+    # Lengths are measured between positions that differ by rounding.
     assert np.abs(found[1] - found[0]).max() < 1e-4
