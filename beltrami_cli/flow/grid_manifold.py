@@ -102,7 +102,12 @@ def grid_manifold(
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
     noise = estimate_noise(
-        NoisyCanvas(planes, atlas.kind == OWNED), parameters, measured=measured, known=known
+        NoisyCanvas(planes, atlas.kind == OWNED),
+        parameters.given_noise,
+        varies=parameters.evens_noise,
+        least=parameters.least_noise,
+        measured=measured,
+        known=known,
     )
     different = np.zeros(max(1, atlas.seams), bool)
     # Where colours do not count as distance, a jump in colour is not an edge.

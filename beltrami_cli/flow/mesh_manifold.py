@@ -54,7 +54,13 @@ def mesh_manifold(
     """Make the image manifold of a sampled surface; with `geometry`, positions are smoothed, too."""
     made = MeshManifold(surface, parameters, metric_channels)
     measured = None if deviations is None else relative_to_mean(deviations[made.order])
-    made.noise = estimate_noise(made, parameters, measured=measured, is_searched=geometry is None)
+    made.noise = estimate_noise(
+        made,
+        parameters.given_noise,
+        varies=parameters.evens_noise and geometry is None,
+        least=parameters.least_noise,
+        measured=measured,
+    )
     made.lay_out_guides([dataclasses.replace(guide, values=guide.values[made.order]) for guide in guides])
     if geometry is not None:
         places = GeometryParameters(geometry.places[made.order], geometry.normal_beta)

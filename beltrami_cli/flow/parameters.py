@@ -37,6 +37,9 @@ _SEGMENTS_REACH = 14
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 _SMALLEST_SCALE = 0.05
 
+# Noise that is assumed at least where colours are to be smoothed strongly: a step of an 8-bit file.
+_LEAST_STRONG = 1 / 255
+
 _CHOSEN = "chosen from the data, else {default}"
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
@@ -214,6 +217,11 @@ class KernelParameters:
     def evens_noise(self) -> bool:
         """Whether noise may be made the same at all levels of colour, which beta then counts in units of."""
         return self.is_open and self.beta is None and "beta" in self.free
+
+    @property
+    def least_noise(self) -> float:
+        """Standard deviation that is assumed at least of noise that is estimated."""
+        return _LEAST_STRONG if self.strength == "strong" else 0.0
 
     @property
     def takes_patches(self) -> bool:

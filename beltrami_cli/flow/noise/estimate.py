@@ -10,13 +10,10 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.given import GivenNoise
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.stabilising import COLOURS, VarianceStabiliser
-from beltrami_cli.flow.parameters import KernelParameters
-
-# Noise that is assumed at least where colours are to be smoothed strongly: a step of an 8-bit file.
-_LEAST_STRONG = 1 / 255
 
 
 @dataclass(frozen=True)
@@ -44,56 +41,53 @@ class NoisySamples(Protocol):
 
 def estimate_noise(
     samples: NoisySamples,
-    parameters: KernelParameters,
+    given: GivenNoise | None,
     *,
+    varies: bool,
+    least: float = 0.0,
     measured: tuple[Float32s, Float64s] | None = None,
     known: FoundNoise | None = None,
-    is_searched: bool = True,
 ) -> NoiseModel:
     """Estimate what is not given of the noise, and stabilise the colours, in place.
 
-    `measured` is noise given for each sample: relative variances and sigma by channel; `known` is that of the surface
-    that the samples are a part of. If it `is_searched`, noise that differs by level or place is looked for.
+    If it `varies`, its dependence on level and place is estimated, too; the standard deviation that is assumed is at
+    least `least`. `measured` is noise given for each sample: relative variances, and sigma by channel. `known` is the
+    noise of the surface that the samples are a part of.
     """
-    given, place, found = parameters.given_noise, NoiseByPlace(), known or FoundNoise()
+    place, found = NoiseByPlace(), known or FoundNoise()
     if known is None and measured is not None:
         place = NoiseByPlace(measured[0])
     elif known is None and given is not None:
         found = FoundNoise(given.stabiliser() if given.is_by_level else None)
     elif known is None:
-        evens = parameters.evens_noise and is_searched
-        place = samples.noise_by_place() if evens else place
-        found = samples.noise_by_scale(place.relative, by_level=evens)
+        place = samples.noise_by_place() if varies else place
+        found = samples.noise_by_scale(place.relative, by_level=varies)
     if found.stabiliser is not None:
         samples.stabilise(found.stabiliser)
     sigma = samples.sigma(place.relative) if found.sigma is None else found.sigma
     if known is None:
         sigma = np.minimum(sigma, place.most) * place.scale
         colours = np.minimum(sigma[:COLOURS], found.most)
-        sigma[:COLOURS] = _noise_to_assume(
-            parameters, colours, None if measured is None else measured[1], found.stabiliser
-        )
+        if measured is not None:
+            sigma[:COLOURS] = _checked(measured[1], len(colours))
+        elif given is not None:
+            sigma[:COLOURS] = _sigma_of(given, found.stabiliser)
+        else:
+            sigma[:COLOURS] = np.maximum(colours, least)
         if found.covariances is not None:
             sigma = sigma_of_covariances(found.covariances)
     return NoiseModel(sigma, found.covariances, found.stabiliser, place.relative, found.doubt)
 
 
-def _noise_to_assume(
-    parameters: KernelParameters,
-    estimated: Float64s,
-    measured: Float64s | None,
-    stabiliser: VarianceStabiliser | None,
-) -> Float64s | float:
-    """Return the noise of colours that smoothing assumes: measured or given, or else estimated."""
-    given = parameters.given_noise
-    if measured is not None:
-        if len(measured) not in (1, len(estimated)):
-            cause = f"noise has {len(measured)} channels, but must have one, or one for each colour"
-            raise UsageError(cause)
-        return measured
-    if given is not None and given.source:
+def _checked(sigma: Float64s, channels: int) -> Float64s:
+    if len(sigma) not in (1, channels):
+        cause = f"noise has {len(sigma)} channels, but must have one, or one for each colour"
+        raise UsageError(cause)
+    return sigma
+
+
+def _sigma_of(given: GivenNoise, stabiliser: VarianceStabiliser | None) -> float:
+    if given.source:
         cause = f"noise is {given.source}, but several textures have no such file in common; choose one"
         raise UsageError(cause)
-    if given is not None:
-        return given.sigma if stabiliser is None else stabiliser.scale
-    return np.maximum(estimated, _LEAST_STRONG) if parameters.strength == "strong" else estimated
+    return given.sigma if stabiliser is None else stabiliser.scale
