@@ -38,6 +38,7 @@ class Item:
     noise: NoiseSettings | None = None  # that is added to the colours, which are not smoothed then
     outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
+    columns: tuple[str, ...] = ()  # names of those of points in text files
     # Whether an attempt that was cut off may have written files: those that are there must be the same.
     again: bool = False
 
@@ -50,6 +51,8 @@ class Item:
         everything = [version("beltrami-cli"), settings, unwrap, self.outside]
         if self.noise is not None:
             everything.append(dataclasses.asdict(self.noise))
+        if self.columns:
+            everything.append({"columns": self.columns})
         return hashlib.sha256(json.dumps(everything, sort_keys=True).encode()).hexdigest()
 
 
@@ -120,7 +123,8 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
             overwrite=item.overwrite or to_url, again=item.again and not to_url,
         )  # fmt: skip
         try:
-            report = _made(copy, stage.access(item.outside, memory), progress)
+            access = dataclasses.replace(stage.access(item.outside, memory), columns=item.columns)
+            report = _made(copy, access, progress)
         except BeltramiError as error:
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
             raise

@@ -23,9 +23,12 @@ from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, rea
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.samples.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
-# What a folder stands for: models and points. Its images may be their textures, and are named by themselves.
-MODEL_SUFFIXES = tuple(f".{name}" for name in OUTPUT_FORMATS)
-_WRITABLE = {*MODEL_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
+# What a folder stands for: models and points. Its images may be their textures, and its texts and tables anything: both
+# are named by themselves.
+_ANYTHING = (".txt", ".csv")
+_SUFFIXES = tuple(f".{name}" for name in OUTPUT_FORMATS)
+MODEL_SUFFIXES = tuple(suffix for suffix in _SUFFIXES if suffix not in _ANYTHING)
+_WRITABLE = {*_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"
 
 
@@ -51,7 +54,8 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
-        if Path(text).suffix.lower() in _READERS:  # a manifest
+        is_glob = has_magic(text) and not is_there(Path(text))
+        if Path(text).suffix.lower() in _READERS and not is_glob:  # a manifest
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:
             requests += [
@@ -204,7 +208,8 @@ def _from_toml(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
 def _from_csv(text: str) -> Iterator[tuple[str, dict[str, Any]]]:
     table = csv.DictReader(io.StringIO(require_text(text), newline=""), strict=True)
     if "input" not in (table.fieldnames or ()):
-        raise ValueError("the first line has no column called input")
+        cause = "the first line has no column called input"
+        raise ValueError(f"{cause}; points in .csv are named by a glob in quotes, or in a manifest")
     for entry in table:
         if None in entry:
             raise ValueError(f"line {table.line_num} has more columns than the first")

@@ -17,7 +17,7 @@ from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_
 from beltrami_cli.cli.console import Messages, printable
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
-from beltrami_cli.formats.access import is_file
+from beltrami_cli.formats.access import Access, is_file
 from beltrami_cli.jobs.output import Overwrite
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.samples.settings import SmoothSettings
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Executor
 
-    Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None]
+    Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None, tuple[str, ...]]
 
 EPILOG = """\b
 Examples:
@@ -70,8 +70,10 @@ def _adding_noise(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 # The options that concern a single file: those of `smooth` that change its result, and those of `noise`.
-_LIKE_SMOOTH = click.command("file")(options.smoothing(options.unwrapping(lambda **_: None)))
-_OF_A_FILE = click.command("file")(options.smoothing(options.unwrapping(_adding_noise(lambda **_: None))))
+_LIKE_SMOOTH = click.command("file")(options.smoothing(options.unwrapping(options.columns(lambda **_: None))))
+_OF_A_FILE = click.command("file")(
+    options.smoothing(options.unwrapping(options.columns(_adding_noise(lambda **_: None))))
+)
 SHARED_WITH_SMOOTH = tuple(option.name for option in _LIKE_SMOOTH.params if option.name)
 
 
@@ -210,12 +212,13 @@ def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite:
     jobs = []
     for request in requests:
         try:
-            settings, unwrap, noise = _settings(request, given) if request.options else common
+            settings, unwrap, noise, columns = _settings(request, given) if request.options else common
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
         ends = request.source, request.target
-        jobs.append(Item(*ends, settings, unwrap, noise, values["allow_outside"], overwrite))
+        how = {"outside": values["allow_outside"], "overwrite": overwrite}
+        jobs.append(Item(*ends, settings, unwrap, noise, columns=columns, **how))
     return jobs
 
 
@@ -225,7 +228,8 @@ def _settings_from(values: dict[str, Any]) -> Settings:
         noise = options.record_from(NoiseSettings, values)
     elif given := [name for name in _OF_NOISE if options.is_given(name)]:
         raise UsageError(f"--{given[0]} is of noise; say --add-noise, which is then all that is done")
-    return options.settings_from(values), options.unwrapping_from(values), noise
+    columns = options.record_from(Access, values).columns
+    return options.settings_from(values), options.unwrapping_from(values), noise, columns
 
 
 def _settings(request: Request, given: dict[str, Any]) -> Settings:

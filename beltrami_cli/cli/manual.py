@@ -17,6 +17,7 @@ from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.options import flags_of
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.samples.settings import (
     EmbeddingSettings,
@@ -49,7 +50,7 @@ What is "chosen from the data" is explained in [Tuning](tuning.md), and what sui
 """
 _SECTIONS = (
     KernelParameters, SmoothSettings, TextureSettings, ImageSettings, LevelSetSettings, EmbeddingSettings,
-    BakeSettings, LevelSettings, NoiseSettings, Limits, RenderSettings,
+    BakeSettings, LevelSettings, NoiseSettings, Limits, RenderSettings, Access,
 )  # fmt: skip
 
 

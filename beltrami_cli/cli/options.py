@@ -312,9 +312,14 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
     return reading(overwrite(messages(command)))
 
 
+def columns(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the option that says what the columns of points are."""
+    return options_of(Access)(command)
+
+
 def reading(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add all options that `reading_from` takes."""
-    return allow_outside(max_memory(command))
+    return allow_outside(max_memory(columns(command)))
 
 
 @contextmanager
@@ -322,7 +327,7 @@ def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
     """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds."""
     size = values["max_memory"] or default_memory()
     with limited_memory(size, source):
-        yield Access(outside=values["allow_outside"], memory=size)
+        yield record_from(Access, values, outside=values["allow_outside"], memory=size)
 
 
 @contextmanager

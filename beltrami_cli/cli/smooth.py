@@ -169,14 +169,16 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
 def command(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
-    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .pts, .npz), images (PNG, JPEG, TIFF, EXR and what
-    else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours. With another
-    extension it is converted, and what the other format cannot hold is said: vertex colours go to any format, textures
-    with their materials to glTF, GLB, OBJ and PLY, images to any image format. -n 0 converts and smooths nothing.
+    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .asc, .txt, .csv, .pts, .npz), images (PNG, JPEG,
+    TIFF, EXR and what else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours.
+    With another extension it is converted, and what the other format cannot hold is said: vertex colours go to any
+    format, textures with their materials to glTF, GLB, OBJ and PLY, images to any image format. -n 0 converts and
+    smooths nothing.
 
     Points without faces are smoothed on the surface that they lie on; those far from all others stay as they are. In
-    .xyz and .pts the columns are x y z r g b, x y z intensity, or x y z intensity r g b, or what a first line calls
-    them; in .npz the arrays are positions (P, 3), or (H, W, 3) for a range image, and colours (P, C) or intensity (P).
+    .xyz, .asc, .txt, .csv and .pts the columns are what --columns or a first line calls them, or else found by their
+    values; in .npz the arrays are positions (P, 3), or (H, W, 3) for a range image, and colours (P, C) or intensity
+    (P).
 
     INPUT may also be a level set on a grid, which becomes a mesh with a vertex for each voxel on the surface: NRRD, or
     .npz with the arrays values (X, Y, Z) and colours (X, Y, Z, C), or points (P, 3) and point_colours (P, C) near the

@@ -47,6 +47,8 @@ def command(source: str, no_open: bool, messages: Messages, **smoothing: Any) ->
     def typed(settings: SmoothSettings, target: str) -> str:
         words = options.words_of(settings, smoothing["preset"])
         words += ["--allow-outside"] if smoothing["allow_outside"] else []
+        columns = smoothing["columns"]
+        words += ["--columns", columns] if columns else []
         words += ["--max-memory", str(smoothing["max_memory"])] if smoothing["max_memory"] else []
         return shlex.join(["beltrami", "smooth", source, target, *words])
 

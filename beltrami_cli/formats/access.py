@@ -10,8 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
+from typing import ClassVar
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.fields import Checked, names_in, parameter
 
 # Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
 _OPENING = (
@@ -25,7 +27,7 @@ _BLOCK = 1 << 24  # bytes of standard input read at a time: a larger request is 
 
 
 @dataclass(frozen=True)
-class Access:
+class Access(Checked):
     """What a job may read.
 
     Attributes
@@ -40,13 +42,23 @@ class Access:
         Called with the path of every sidecar before it is opened, so that it can be fetched from elsewhere.
     instead : mapping of Path to Path
         Files that are read instead of others, by their resolved path: new files that are not in place yet.
+    columns : tuple of str
+        Of points in text files: the names of all columns, where neither names in the file nor values decide.
     """
+
+    group: ClassVar[str] = "Files and memory"
 
     outside: bool = False
     memory: int | None = None
     note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
     bring: Callable[[Path], None] | None = field(default=None, compare=False)
     instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
+    columns: tuple[str, ...] = parameter(
+        (),
+        "Of points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. Those that "
+        "mean nothing here stay as they are.",
+        unset="those in the file, or by the values", metavar="LIST", parse=names_in, show=",".join,
+    )  # fmt: skip
 
     def found_at(self, path: Path) -> Path:
         """Return where a file is read."""

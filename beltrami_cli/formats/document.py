@@ -177,6 +177,10 @@ class Document(ABC):
     def _attribute(self, name: str) -> Float64s:
         raise NotImplementedError
 
+    def access_to_copies(self) -> Access:
+        """Return how to open copies with other colours, so that these are found where they are here."""
+        return self.access
+
     def has_normals_by_vertex(self) -> bool:
         """Whether `patch` puts normals into the document when vertices move."""
         return "normal" in self.attributes()

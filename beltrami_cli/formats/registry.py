@@ -41,11 +41,12 @@ _ARCHIVES = {
 }
 _CLOUDS = {"LAS or LAZ": (b"LASF", 0), "PCD": (b"# .PCD", 0), "E57": (b"ASTM-E57", 0)}
 _READABLE = (
-    "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .pts and .npz, and the colours of "
-    "OFF, STL, 3MF and DAE files"
+    "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .asc, .txt, .csv, .pts and .npz, and "
+    "the colours of OFF, STL, 3MF and DAE files"
 )
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _COMMON = (".png", ".jpg", ".jpeg")
+_TEXTS = ("xyzrgb", "asc", "txt")
 _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 
@@ -121,8 +122,9 @@ FORMATS = (
     _textured("usdc", _starts(rb"PXR-USDC"), "usd.UsdDocument", textured_sidecars=".*"),
     # It is of one of the two forms before.
     _textured("usd", _starts(rb"(?!)"), "usd.UsdDocument", form="usdc", textured_sidecars=".*"),
-    Format("xyz", _BY_NAME, "points.text_document", "TextPointsDocument", "write_xyz", aliases=("xyzrgb",)),
+    Format("xyz", _BY_NAME, "points.text_document", "TextPointsDocument", "write_xyz", aliases=_TEXTS),
     Format("pts", _BY_NAME, "points.text_document", "TextPointsDocument", "write_pts"),
+    Format("csv", _BY_NAME, "points.text_document", "TextPointsDocument", "write_csv"),
     Format("npz", _asks("archives.is_npz", _ZIP), "points.archive", "NpzPointsDocument", "write_npz"),
     Format("foreign", _asks("read_only.document.kind_of"), "read_only", "document.ReadOnlyDocument"),
 )  # fmt: skip

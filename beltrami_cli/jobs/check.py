@@ -49,7 +49,8 @@ def check_files(
     before: str | os.PathLike[str], after: str | os.PathLike[str], access: Access = EVERYTHING_INSIDE
 ) -> CheckReport:
     """Compare a file with what was made of it, in the same format."""
-    documents = [open_document(os.fspath(source), access) for source in (before, after)]
+    original = open_document(os.fspath(before), access)
+    documents = [original, open_document(os.fspath(after), original.access_to_copies())]
     formats = [document.format for document in documents]
     if formats[0] != formats[1]:
         kinds = [f"{document.name} is {document.format}" for document in documents]

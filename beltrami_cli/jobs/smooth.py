@@ -46,9 +46,10 @@ def smooth_file(
     Parameters
     ----------
     source, target : path
-        PLY, OBJ, glTF or GLB, points (.xyz, .pts, .npz) or an image; "-" for standard input or output. If the
-        extension of `target` is that of another format, the file is converted. `source` may also be a mesh format that
-        is read only (OFF, STL, 3MF, COLLADA), or a level set on a grid (.npz, .nrrd), which is written as a mesh.
+        PLY, OBJ, glTF or GLB, points (.xyz, .asc, .txt, .csv, .pts, .npz) or an image; "-" for standard input or
+        output. If the extension of `target` is that of another format, the file is converted. `source` may also be a
+        mesh format that is read only (OFF, STL, 3MF, COLLADA), or a level set on a grid (.npz, .nrrd), which is
+        written as a mesh.
     parameters : SmoothSettings
         The kernel's parameters, the working space, and what is smoothed. By default the parameters of the kernel are
         chosen from the data, by the estimated error of the result.

@@ -65,7 +65,8 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
             raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")
         table = archive.read(archive.names[0], _MOST_NUMBERS)
     else:
-        table = document_of(data, path, access).painted().colours
+        # Columns that are given are those of the points that are smoothed.
+        table = document_of(data, path, dataclasses.replace(access, columns=())).painted().colours
     if table.ndim == 1:
         table = table[:, None]
     if table.ndim != 2 or table.shape[0] != rows or not table.shape[1]:

@@ -29,14 +29,13 @@ def opened(text, name="cloud.xyz"):
         (b"1 2 3 0.25", ("intensity",), [0.25]),
         (b"1 2 3 51", ("intensity",), [0.2]),
         (b"1 2 3 -1024 \n 1 2 3 2048", ("intensity",), [-0.5]),
-        (b"1 2 3 77 0 51 255", RGB, [0, 0.2, 1]),
+        (b"1 2 3 977 0 51 255", RGB, [0, 0.2, 1]),
         (b"1 2 3 0 51 255 0 0.6 -0.8", RGB, [0, 0.2, 1]),
         (b"1 2 3 0 51 255 0 0 1", RGB, [0, 0.2, 1]),
         (b"1 2 3 0 0 1 0 51 255", RGB, [0, 0.2, 1]),
         (b"1 2 3 1 0 0 0 0.6 0.8", RGB, [1, 0, 0]),
-        (b"1 2 3 0 0 1 1 0 0", RGB, [0, 0, 1]),
         (b"1 2 3 0 0.6 -0.8 0 51 255", RGB, [0, 0.2, 1]),
-        (b"1 2 3 77 0 51 255 0 0.6 -0.8", RGB, [0, 0.2, 1]),
+        (b"1 2 3 977 0 51 255 0 0.6 -0.8", RGB, [0, 0.2, 1]),
         (b"# x y z b g r\n1 2 3 255 51 0", RGB, [0, 0.2, 1]),
         (b"//X;Y;Z;R;G;B;Intensity\n1;2;3;0;51;255;9", RGB, [0, 0.2, 1]),
         (b"x y z i nx ny nz\n1 2 3 0.25 0 0 1", ("intensity",), [0.25]),
@@ -56,7 +55,7 @@ def test_columns_are_recognised_by_their_names_or_by_how_many_there_are(text, ch
 
 def test_what_is_not_obvious_is_said():
     assert opened(PLAIN).painted()
-    document = opened(b"1 2 3 77 0 51 255")
+    document = opened(b"1 2 3 977 0 51 255")
     document.painted()
     assert document.notices == ["Its 7 columns are taken for x y z intensity red green blue."]
     document = opened(b"1 2 3 -1024.5")
@@ -69,7 +68,13 @@ def test_what_is_not_obvious_is_said():
     [
         (b"1 2 3", UnpaintedError, "no colours"),
         (b"1 2 3 0 0.6 -0.8\n1 2 3 1 0 0", InputError, "normals"),
-        (b"1 2 3 4 5 6 7 8", InputError, "8 numbers each.*x y z r g b"),
+        (
+            b"1 2 3 4 5 6 7 8",
+            InputError,
+            "columns 4 to 6 or 5 to 7 or 6 to 8; .*--columns.*x,y,z,r,g,b,scalar",
+        ),
+        (b"1 2 3 -4 5 -6 7 8", InputError, "8 numbers each, and it is not clear which are colours"),
+        (b"1 2 3 0 0 1 1 0 0", InputError, "columns 4 to 6 or .* or 7 to 9"),
         (b"1 2 3 4 5 6\n1 2 3 4 5\n", InputError, "line 2: 5 numbers, but the first point has 6"),
         (b"\n1 2 3 4 5 6\n1 2 3 four 5 6\n", InputError, "line 3: 'four' is no number"),
         (b"C 0 0 0\n", InputError, "line 1: 'C' is no number"),
@@ -96,7 +101,7 @@ def test_what_cannot_be_read_is_refused_in_one_line(text, error, said):
 
 
 def test_counts_may_head_several_scans():
-    document = opened(b"2\n0 0 0 1 2 3 4\n1 0 0 1 2 3 4\n1\n0 1 0 1 2 3 4\n", "scan.pts")
+    document = opened(b"2\n0 0 0 1 2 3 4\n1 0 0 5 6 7 8\n1\n0 1 0 1 2 3 4\n", "scan.pts")
     assert len(document.painted().positions) == 3
     assert document.facts()["announced"] == [2, 1]
     assert document.facts()["columns"] == ["x", "y", "z", "intensity", "red", "green", "blue"]
@@ -132,7 +137,7 @@ def test_colours_that_stay_keep_their_bytes_to_the_last():
         (b"0 0 0 127.5 0 255", [0.5, 0.125, 1], b"0 0 0 127.5 31.8750 255"),
         (b"0 0 0 -1024\n0 0 1 2048", [[-0.25], [1]], b"0 0 0 -512\n0 0 1 2048"),
         (b"0 0 0 -1024\n0 0 1 2048", [[-1e-5], [1]], b"0 0 0 0\n0 0 1 2048"),
-        (b"0 0 0 9 1 2 3\n0 0 0 9 4 5 6", [[1, 0, 0], [0, 1, 0]], b"0 0 0 9 255 0 0\n0 0 0 9 0 255 0"),
+        (b"0 0 0 -9 1 2 3\n0 0 0 9 4 5 6", [[1, 0, 0], [0, 1, 0]], b"0 0 0 -9 255 0 0\n0 0 0 9 0 255 0"),
         (b"x y z b g r\n0 0 0 1 2 3", [1, 2 / 255, 0], b"x y z b g r\n0 0 0 0 2 255"),
         (b"0 0 0 200 0 7", [1.5, -1, 0.5], b"0 0 0 255 0 128"),
     ],
@@ -163,9 +168,9 @@ def test_new_whole_colours_are_read_back_and_the_rest_is_as_it_was(rows, blank, 
 
 
 def test_other_columns_are_attributes():
-    document = opened(b"1 2 3 7 1 2 3 0 0 1\n4 5 6 8 1 2 3 0 0 1\n")
+    document = opened(b"1 2 3 -7 1 2 3 0 0 1\n4 5 6 8 1 2 4 0 0 1\n")
     assert document.attributes() == ("normal", "intensity")
-    assert document.attribute("Intensity").tolist() == [[7], [8]]
+    assert document.attribute("Intensity").tolist() == [[-7], [8]]
     assert document.attribute("normal").tolist() == [[0, 0, 1], [0, 0, 1]]
     with pytest.raises(InputError, match="no depth"):
         document.attribute("depth")

@@ -1,24 +1,26 @@
 """Text files of points whose colours can be replaced, every other byte staying as it is.
 
-Points are lines of numbers. What the columns are is said by their names, or else by how many there are: 6 are x y z r g
-b, 4 are x y z intensity and 7 are x y z intensity r g b. 9 and 10 have normals as well, before or behind the colours,
-which are recognised by their length.
+Points are lines of numbers between blanks, tabs, commas or semicolons; `columns` says which columns are the colours.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.colours import display_colours, intensity_scale, point_colour_scale, quantised
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
+from beltrami_cli.formats.points.columns import NORMAL, RGB, Columns, example_of, find_columns, is_header
 from beltrami_cli.formats.tokens import (
     Lines,
     new_colours,
@@ -35,25 +37,7 @@ _SEPARATORS = bytes.maketrans(b",;", b"  ")
 _COMMENT = re.compile(rb"(?:#|//)([^\r\n]*)")
 _HEAD = 4096  # bytes in which a comment may name the columns
 _MOST_SHOWN = 40  # characters of a token in a message
-_COLOURS = (
-    ("r", "g", "b"),
-    ("red", "green", "blue"),
-    ("rf", "gf", "bf"),
-    ("diffuse_red", "diffuse_green", "diffuse_blue"),
-)
-_NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
-_INTENSITIES = ("intensity", "i", "scalar_intensity", "reflectance", "grey", "gray")
-_RGB, _NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
-_KNOWN = {
-    4: (("intensity",),),
-    6: (_RGB,),
-    7: (("intensity", *_RGB),),
-    9: ((*_RGB, *_NORMAL), (*_NORMAL, *_RGB)),
-    10: (("intensity", *_RGB, *_NORMAL),),
-}
-"""What follows x, y and z, by the number of all columns; the first that can be is taken."""
-_UNIT = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
-_REMEDY = "name them in a first line, such as: # x y z r g b"
+_NO_TABLE = "is no number, so this is no table of points"
 
 
 @dataclass(frozen=True)
@@ -73,26 +57,33 @@ class _Reader(Lines):
     def __init__(self, data: bytes, name: str) -> None:
         if b"\0" in data[:_HEAD]:
             raise InputError(name, "it is no plain text", "export its points as lines of numbers, or as PLY")
-        head = data[:_HEAD].translate(_SEPARATORS)
-        self._comments = [found.split() for found in _COMMENT.findall(head)]
+        self._comments = _COMMENT.findall(data[:_HEAD])
         super().__init__(data, without_comments(data.translate(_SEPARATORS), b"#", b"//"), name)
 
-    def read(self) -> _Table:
+    def read(self, given: Sequence[str]) -> _Table:
+        """Read the points; the names of columns that are given count in the place of those in the file."""
         names = self._take_names()
         sizes = self.stops - self.heads
         # Where every line has one number, that is what the points have.
         announcing = (sizes == 1) & bool((sizes > 1).any() or len(sizes) == 1)
         points = np.flatnonzero(~announcing)
         width = int(sizes[points[0]]) if len(points) else 0
+        if width:
+            self._require_numbers(int(points[0]))
         if (uneven := sizes[points] != width).any():
             row = points[int(np.argmax(uneven))]
             raise self._error(row, f"{sizes[row]} numbers, but the first point has {width}")
         tokens = self.heads[points][:, None] + np.arange(width)
         counts = self._counts(np.flatnonzero(announcing), len(points))
         values = self.numbers(tokens.ravel()).reshape(tokens.shape)
-        if not names:
-            fits = [words for words in self._comments if len(words) == width and width > 0]
-            names = _column_names(fits[0]) if fits else ()
+        if given and width:
+            if len(given) != width:
+                cause = f"its points have {width} numbers each, but --columns has {len(given)} names"
+                raise InputError(self.name, cause, example_of(width))
+            names = tuple(known.lower() for known in given)
+        elif not names:
+            said = map(_column_names, self._comments)
+            names = next((words for words in said if len(words) == width and is_header(words)), ())
         elif width not in (0, len(names)):
             raise InputError(self.name, f"the first line names {len(names)} columns, but there are {width}")
         return _Table(names, counts, values, self.starts[tokens], self.ends[tokens])
@@ -102,9 +93,21 @@ class _Reader(Lines):
         for row in range(min(2, len(self.heads))):
             words = [self.word(token) for token in range(self.heads[row], self.stops[row])]
             if not any(len(read_numbers(word)) for word in words):
+                line = self.data[self.starts[self.heads[row]] : self.ends[self.stops[row] - 1]]
                 self.heads, self.stops = np.delete(self.heads, row), np.delete(self.stops, row)
-                return _column_names(words)
+                return _column_names(line)
         return ()
+
+    def _require_numbers(self, row: int) -> None:
+        """Raise InputError if a line is none of a table: it has words, or commas within its numbers."""
+        tokens = range(self.heads[row], self.stops[row])
+        for token in tokens:
+            if not len(read_numbers(self.word(token))):
+                raise self.error(token, _NO_TABLE)
+        gaps = [self.data[self.ends[token] : self.starts[token + 1]] for token in tokens[:-1]]
+        if b"," in gaps and not all(b"," in gap for gap in gaps):
+            cause = f"line {self.line(tokens[0])}: commas stand in some places and other separators in others"
+            raise InputError(self.name, cause, "write decimals with a point, and use one separator")
 
     def _counts(self, rows: NDArray[np.intp], points: int) -> tuple[int, ...]:
         if not len(rows):
@@ -124,87 +127,21 @@ class _Reader(Lines):
         return InputError(self.name, f"line {self.line(self.heads[row])}: {cause}")
 
 
-def _column_names(words: list[bytes]) -> tuple[str, ...]:
-    shown = (word[:_MOST_SHOWN].decode("ascii", "replace").lower() for word in words)
+def _column_names(line: bytes) -> tuple[str, ...]:
+    """Return the names in a line, which may have blanks and quotes where something else separates them."""
+    separator = next((each for each in (b";", b",", b"\t") if each in line), None)
+    words = (word.strip(b" \t\"'")[:_MOST_SHOWN] for word in line.strip().split(separator))
+    shown = (word.decode("ascii", "replace").lower() for word in words)
     return tuple("".join(c if c.isprintable() else "?" for c in word) for word in shown)
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """Which columns are what: three of the position, three colours or one intensity, three of the normal or none."""
-
-    position: tuple[int, ...]
-    colours: tuple[int, ...]
-    normal: tuple[int, ...]
-    others: dict[str, int]  # the rest that has a name
-    names: tuple[str, ...]  # of all columns, or what they were taken for
-    notice: str
-
-
-def _find_columns(table: _Table, name: str) -> _Columns:
-    if table.names:
-        return _by_name(table.names, name, "")
-    width = table.values.shape[1]
-    if width == 3:
-        cause = "its points have 3 numbers each, so there are no colours"
-        raise UnpaintedError(name, cause, "add r g b to each line")
-    if width not in _KNOWN:
-        cause = f"its points have {width} numbers each, and it is not clear which are colours"
-        raise InputError(name, cause, _REMEDY)
-    layouts = [layout for layout in _KNOWN[width] if _fits(layout, table.values)]
-    if not layouts:
-        unclear = "the normals cannot be distinguished from colours"
-        cause = "columns 4 to 6 are normals, and no colours" if width == 6 else unclear
-        raise InputError(name, cause, _REMEDY)
-    names = ("x", "y", "z", *layouts[0])
-    notice = "" if width == 6 else f"Its {width} columns are taken for {' '.join(names)}."
-    return _by_name(names, name, notice)
-
-
-def _by_name(names: tuple[str, ...], name: str, notice: str) -> _Columns:
-    position = _together(names, (("x", "y", "z"),))
-    if not position:
-        raise InputError(name, f"the columns {' '.join(names)[:200]} have no x, y and z", _REMEDY)
-    intensity = next(((names.index(known),) for known in _INTENSITIES if known in names), ())
-    colours = _together(names, _COLOURS) or intensity
-    if not colours:
-        raise UnpaintedError(name, f"the columns {' '.join(names)[:200]} have no colours", _REMEDY)
-    normal = _together(names, _NORMALS)
-    used = {*position, *colours, *normal}
-    others = {known: column for column, known in enumerate(names) if column not in used}
-    return _Columns(position, colours, normal, others, names, notice)
-
-
-def _together(names: tuple[str, ...], triples: tuple[tuple[str, ...], ...]) -> tuple[int, ...]:
-    found = next((triple for triple in triples if {*triple} <= {*names}), ())
-    return tuple(names.index(known) for known in found)
-
-
-def _fits(layout: tuple[str, ...], values: Float64s) -> bool:
-    """Whether the numbers can be normals where a layout has these, and colours where it has them."""
-    for first, known in enumerate(layout):
-        triple = values[:, 3 + first : 6 + first]
-        triple = triple[np.isfinite(triple).all(axis=1)]
-        if known == "nx" and not _are_unit(triple):
-            return False
-        # Pure red, green and blue have length 1 as well.
-        if known == "red" and _are_unit(triple) and ((triple < 0) | (triple % 1 != 0)).any():
-            return False
-    return True
-
-
-def _are_unit(values: Float64s) -> bool:
-    """Whether all vectors have length 1, or 0 where none is known."""
-    lengths = np.linalg.norm(values, axis=1)
-    return bool(((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all())
-
-
 class TextPointsDocument(Document):
-    """Lines of coordinates and colours, or intensities: .pts or .xyz, which differ in what is usual only."""
+    """Lines of coordinates and colours, or intensities, under any of their suffixes."""
 
     @property
     def format(self) -> str:  # type: ignore[override]
-        return "pts" if self.name.lower().endswith(".pts") else "xyz"
+        suffix = Path(self.name).suffix.lower()
+        return suffix[1:] if suffix in (".pts", ".csv") else "xyz"
 
     @cached_property
     def _mesh(self) -> MeshContents:
@@ -214,7 +151,7 @@ class TextPointsDocument(Document):
 
     @property
     def _channels(self) -> tuple[str, ...]:
-        return _RGB if len(self._columns.colours) == 3 else ("intensity",)
+        return RGB if len(self._columns.colours) == 3 else ("intensity",)
 
     def attributes(self) -> tuple[str, ...]:
         return (*(("normal",) if self._columns.normal else ()), *self._columns.others)
@@ -239,7 +176,7 @@ class TextPointsDocument(Document):
         return dataclasses.replace(self._mesh, normals=normals, left_out=tuple(dropped))
 
     def fingerprint(self) -> Fingerprint:
-        if not self.has_vertex_colours():
+        if not self._has_colours():
             return Fingerprint({"lines": self.data})
         starts, ends = (np.sort(places.ravel()) for places in self._places())
         lines = without_tokens(self.data, starts, ends)
@@ -253,16 +190,29 @@ class TextPointsDocument(Document):
             "announced": list(self._table.counts),
         }
 
+    def access_to_copies(self) -> Access:
+        # What other colours look like must not decide which columns they are in.
+        known = self._columns.names if self._has_colours() else self.access.columns
+        return dataclasses.replace(self.access, columns=known)
+
+    def _has_colours(self) -> bool:
+        """Whether there are colours that can be used; InputError if it is not clear which these are."""
+        try:
+            return bool(self._columns.colours) and self.has_vertex_colours()
+        except UnpaintedError:
+            return False
+
     @cached_property
     def _table(self) -> _Table:
-        table = _Reader(self.data, self.name).read()
+        table = _Reader(self.data, self.name).read(self.access.columns)
         if not len(table.values):
             raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
         return table
 
     @cached_property
-    def _columns(self) -> _Columns:
-        columns = _find_columns(self._table, self.name)
+    def _columns(self) -> Columns:
+        table = self._table
+        columns = find_columns(table.names, table.values, self.name, is_pts=bool(table.counts))
         self.notices += [columns.notice] if columns.notice else []
         return columns
 
@@ -312,7 +262,13 @@ def write_pts(contents: MeshContents, stem: str) -> Written:
     return _lines(contents, [f"{len(contents.positions)}\n".encode()])
 
 
-def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
+def write_csv(contents: MeshContents, stem: str) -> Written:
+    """Write points as `write_xyz` does, with commas between the numbers, below a line with the names of columns."""
+    names = ("x", "y", "z", *RGB, *(() if contents.normals is None else NORMAL))
+    return _lines(contents, [f"{','.join(names)}\n".encode()], ",")
+
+
+def _lines(contents: MeshContents, pieces: list[bytes], separator: str = " ") -> Written:
     colours, notices = display_colours(contents)
     if contents.alpha is not None:
         notices.append("Opacity is dropped: a line has red, green and blue only.")
@@ -324,5 +280,5 @@ def _lines(contents: MeshContents, pieces: list[bytes]) -> Written:
     style = "%s %s %s " + " ".join(["%d" if whole else "%.6f"] * 3)
     if contents.normals is not None:
         tables, style = [*tables, contents.normals], style + " %s %s %s"
-    pieces += number_lines(style + "\n", *tables)
+    pieces += number_lines(style.replace(" ", separator) + "\n", *tables)
     return Written(pieces, notices=(*notices, *not_converted(contents)))
