@@ -288,8 +288,8 @@ allow_outside = click.option(
 )  # fmt: skip
 max_memory = click.option(
     "--max-memory", callback=_size, metavar="SIZE", cls=GroupedOption, group=_FILES,
-    help="Take no more memory, such as 500M or 4G: smooth keeps textures that need more in files meanwhile, and all "
-    "else that does is refused.  [default: half of what is available]",
+    help="Take no more memory, such as 500M or 4G: smooth keeps textures and images that need more in files "
+    "meanwhile, and all else that does is refused.  [default: half of what is available]",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 verbose = click.option(

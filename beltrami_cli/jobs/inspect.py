@@ -62,7 +62,8 @@ def inspect_file(
     notices, textures = [*document.notices, *selection.notices], list[dict[str, object]]()
     in_groups = settings.fits_parts
     memory, rest = memory_beside(document, access) if in_groups else None, list[Slot]()
-    with checked_memory(document, selection.slots, settings.textures, access, None, in_groups=in_groups):
+    how = {"image": selection.image, "in_groups": in_groups}
+    with checked_memory(document, selection.slots, settings.textures, access, None, **how):
         for slot in selection.slots:
             surface = choose_textures(document.textured(slot), settings.textures)
             many = too_many_together(surface.textures, memory)

@@ -92,7 +92,9 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         beside = [f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name."]
     place = None if output is None else target
     use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
-    with checked_memory(document, selection.slots, settings.textures, access, place, **use):
+    with checked_memory(
+        document, selection.slots, settings.textures, access, place, image=selection.image, **use
+    ):
         with watch.stage("smooth"):
             painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
         with watch.stage("write"):
@@ -119,7 +121,9 @@ def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Pa
     selection = select(document, settings) if painter.changes else NOTHING
     painter.check(document, selection, OutputFormat(document.format, is_own=True))
     use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
-    with checked_memory(document, selection.slots, settings.textures, job.access, None, **use):
+    with checked_memory(
+        document, selection.slots, settings.textures, job.access, None, image=selection.image, **use
+    ):
         return with_painted(document, _paint(document, selection, settings, painter, job, None))
 
 

@@ -23,6 +23,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
+from beltrami_cli.samples.memory_check import require_memory
 from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
@@ -79,7 +80,9 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
 
 def read_map(path: str, access: Access) -> Float32s:
     """Read numbers of texels or pixels, shape (H, W, G)."""
-    picture = read_image(read_source(path, access), path, finite=False)
+    data = read_source(path, access)
+    require_memory([(path, data)], access)
+    picture = read_image(data, path, finite=False)
     channels = [i for i in range(picture.pixels.shape[2]) if i != picture.alpha]
     return np.asarray(full_scale_one(picture.pixels[..., channels]), np.float32)
 
@@ -224,7 +227,7 @@ _AROUND = 17
 
 
 def noise_of_pixels(
-    kernel: KernelParameters, pictures: Sequence[Picture], pixels: Int64s, access: Access
+    kernel: KernelParameters, pictures: Sequence[Picture], pixels: Int64s | Bools, access: Access
 ) -> Float32s | None:
     """Read the standard deviations of all pixels, shape (H, W, K), checked at some; None if no file has them."""
     given = kernel.given_noise

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.flow.beltrami_flow import Plan
-from beltrami_cli.flow.canvas import canvas_margin, painted
+from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
@@ -24,6 +24,7 @@ from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.samples.coded_pictures import plan_on_pictures
 from beltrami_cli.samples.guides import require_size
+from beltrami_cli.samples.memory_check import MAPPED_PIXEL_BYTES, require_memory
 from beltrami_cli.samples.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import grid_atlas
 from beltrami_cli.surface.records import check_scale
@@ -92,7 +93,9 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
 
 def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Picture:
     """Read an image of the size of the picture, and add notices about it as a map."""
-    read = read_image(read_source(path, access), path, finite=False)
+    data = read_source(path, access)
+    require_memory([(path, data)], access, MAPPED_PIXEL_BYTES)
+    read = read_image(data, path, finite=False)
     require_size(read.pixels, picture.pixels.shape[:2], path, picture.name)
     notices += read.notices
     if read.stored == _COARSE:
@@ -171,7 +174,8 @@ def plan_on_image(
 
     def manifold(planes: NDArray[np.float32] | None, found: FoundNoise | None) -> GridManifold:
         if planes is None:
-            planes = painted(atlas, colours_of(atlas.owned_texels), kernel.thread_count)
+            channels, texels = colours_of(atlas.owned_texels[:0]).shape[1], atlas.owned_texels
+            planes = painted_by(atlas, channels, lambda block: colours_of(texels[block]), kernel.thread_count)
         return grid_manifold(
             atlas,
             planes,

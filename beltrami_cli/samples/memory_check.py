@@ -17,22 +17,39 @@ from beltrami_cli.surface.records import Slot, Texture
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
 
+# Bytes per pixel and per sample that a job on an image needs in memory at least, besides the decoded image: the least
+# of `beltrami info` and `beltrami noise`, from their peaks on noise of 1536 x 1536 pixels with one channel and three
+# (41 + 13, 40 + 15).
+PIXEL_BYTES = 40, 13
+
+# The same of comparing two images (131 + 19).
+COMPARED_PIXEL_BYTES = 130, 17
+
+# The same of an image with heights or positions: coordinates in double precision, as read and for each pixel.
+MAPPED_PIXEL_BYTES = 3 * 8, 8
+
 # Image files that are not read anew stay in memory as they are, and as they are written.
 _FILES = 2
 
-# Bytes per texel of all textures that smoothing needs besides the images, at most: with large arrays in memory, and in
-# files.
+# Bytes per texel of all textures, or per pixel of an image, that smoothing needs besides the images, at most: with
+# large arrays in memory, for up to four channels, and in files.
 TEXEL_BYTES, TEXEL_BYTES_ON_DISK = 195, 8
+_CHANNELS = 4
 
 
-def require_memory(images: Iterable[tuple[str, bytes]], access: Access) -> None:
-    """Raise InputError if images cannot fit into memory: all as stored, and one of them twice as floats."""
+def require_memory(
+    images: Iterable[tuple[str, bytes]], access: Access, pixel_bytes: tuple[int, int] = (0, _FLOATS)
+) -> None:
+    """Raise InputError if images cannot fit into memory: all as stored, and one of them as it is worked on.
+
+    `pixel_bytes`: what that takes per pixel and per sample, by default that it is twice there as floats.
+    """
     if access.memory is None:
         return
     decoded, working = 0, 0
     for name, size in _measured(images):
         decoded += size.decoded
-        working = max(working, size.samples * _FLOATS)
+        working = max(working, pixel_bytes[0] * size.texels + pixel_bytes[1] * size.samples)
         if decoded + working > access.memory:
             raise too_large(name, size)
 
@@ -49,9 +66,12 @@ def require_memory_for_textures(
 @contextlib.contextmanager
 def checked_memory(
     document: Document, slots: Sequence[Slot], wanted: TextureSettings, access: Access, target: str | None,
-    *, on_disk: bool = True, in_groups: bool,
+    *, image: bool, on_disk: bool = True, in_groups: bool,
 ) -> Iterator[None]:  # fmt: skip
-    """Keep large arrays in files where memory is too small; `in_groups`: some textures can be painted at a time."""
+    """Keep large arrays in files where memory is too small, for textures of some slots, or the `image` that it is.
+
+    `in_groups`: some textures can be painted at a time.
+    """
     if not on_disk:
         require_memory_for_textures(document, slots, wanted, access)
         yield
@@ -65,6 +85,9 @@ def checked_memory(
             sizes = list(_measured((texture.name, texture.data) for texture in textures))
             left = memory - held_by_files(textures)
             is_too_much |= _is_too_much(sizes, left, in_groups=in_groups)
+        if image:
+            sizes = list(_measured([(document.name, document.data)]))
+            is_too_much = _is_too_much(sizes, memory, in_groups=False)
     if not is_too_much:
         yield
         return
@@ -81,8 +104,8 @@ def _is_too_much(sizes: Sequence[tuple[str, ImageSize]], memory: int, *, in_grou
         for number, (name, size) in enumerate(sizes):
             if not fit_in_files([size] if in_groups else every[: number + 1], memory):
                 raise too_large(name, size)
-    decoded, texels = sum(size.decoded for size in every), sum(size.texels for size in every)
-    return 2 * decoded + TEXEL_BYTES * texels > memory
+    working = sum(TEXEL_BYTES * max(size.texels, size.samples / _CHANNELS) for size in every)
+    return 2 * sum(size.decoded for size in every) + working > memory
 
 
 def fit_in_files(sizes: Iterable[ImageSize], memory: int) -> bool:

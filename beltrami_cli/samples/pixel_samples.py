@@ -24,7 +24,7 @@ from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses, upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import plan_on_image, read_surface, refuse_options_of_meshes
-from beltrami_cli.samples.memory_check import require_memory
+from beltrami_cli.samples.memory_check import PIXEL_BYTES, require_memory
 from beltrami_cli.samples.picture_colours import PictureColours, with_chosen_layer
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
@@ -39,6 +39,7 @@ from beltrami_cli.samples.samples import (
 )
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
@@ -59,7 +60,8 @@ class PixelSamples(Samples):
         colours_only: bool = False,
     ) -> None:
         refuse_options_of_meshes(settings, document.name)
-        require_memory([(document.name, document.data)], access)
+        if not large_arrays.is_on_disk():  # for which `checked_memory` has seen to it
+            require_memory([(document.name, document.data)], access, PIXEL_BYTES)
         self.settings, self._suffix = settings, suffix
         self.picture, self._chosen = with_chosen_layer(document.picture(), settings)
         self._colours_only = colours_only or self.picture.is_layered
@@ -74,8 +76,7 @@ class PixelSamples(Samples):
         self.surface = dataclasses.replace(surface, valid=self.valid)
         self._unfit = usable.size - int(np.count_nonzero(usable))
         self._guides = read_guide_images(self.picture, self.valid, settings, access)
-        pixels = np.flatnonzero(self.valid)
-        self._noise = noise_of_pixels(settings.kernel, [self.picture], pixels, access)
+        self._noise = noise_of_pixels(settings.kernel, [self.picture], self.valid.reshape(-1), access)
         self._is_noted = settings.channels is None and not colours_only
 
     def _colours_of(self, picture: Picture) -> PictureColours:

@@ -185,6 +185,8 @@ def build_atlas(
     return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]).astype(np.int64), **made)
 
 
+_ROWS = 256  # of an image, laid out at a time
+
 # Row and column of the neighbours whose distances an atlas keeps: right, below, below right, below left.
 STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
@@ -195,25 +197,31 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
     # Positions, shape (H, W, M), that are not finite are holes, as pixels that are not valid are; without positions
     # pixels lie on the plane, 1 apart. Nothing crosses a hole, and holes that touch at corners are a closed barrier.
     filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
-    kind = np.pad(np.where(filled, np.uint8(OWNED), np.uint8(EMPTY)), margin)
-    lengths = np.full((len(STEPS), *kind.shape), np.inf, np.float32)
-    image = lengths[:, margin : margin + shape[0], margin : margin + shape[1]]
-    for plane, step in zip(image, STEPS, strict=True):
-        _measure(plane, step, filled, positions)
-    owned = np.flatnonzero(kind).astype(np.int64, copy=False)
+    kind = large_arrays.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin), np.uint8)
+    lengths = large_arrays.empty((len(STEPS), *kind.shape), np.float32)
+    for rows in large_arrays.blocks(len(kind), _ROWS):
+        lengths[:, rows] = np.inf
+    inside = slice(margin, margin + shape[0]), slice(margin, margin + shape[1])
+    for rows in large_arrays.blocks(shape[0], _ROWS):
+        kind[inside][rows][filled[rows]] = OWNED
+        below = slice(rows.start, rows.stop + 1)  # the row that edges of the last one end in
+        places = None if positions is None else positions[below]
+        for plane, step in zip(lengths[:, *inside][:, below], STEPS, strict=True):
+            _measure(plane, step, filled[below], places)
+    owned = large_arrays.flatnonzero(kind)
     nothing = np.zeros(0, np.int64)
     return Atlas(
         kind=kind,
         squared_lengths=lengths,
         owned_cells=owned,
-        owned_texels=np.flatnonzero(filled).astype(np.int64, copy=False),
+        owned_texels=large_arrays.flatnonzero(filled),
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
         cut_cells=nothing, halo_cells=nothing,
         gutter_cells=nothing, gutter_texels=nothing, border_texels=nothing, lone_texels=nothing,
         halo_taps=np.zeros((0, 4), np.int64),
         halo_weights=np.zeros((0, 4), np.float32),
         halo_seams=np.zeros(0, np.int32),
-        chart_of=np.zeros(len(owned), np.int32),
+        chart_of=large_arrays.zeros(len(owned), np.int32),
         charts=1, seams=0, seam_edges=0, covered=len(owned), overlapped=0,
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
-from beltrami_cli.arrays import Array, Int8s
+from beltrami_cli.arrays import Array, Int8s, Int64s
 from beltrami_cli.errors import ProcessingError
 
 BLOCK = 1 << 20
@@ -104,6 +104,17 @@ def copy_of(array: Array, smallest: int | None = None) -> Array:
     for block in blocks(len(source)):
         target[block] = source[block]
     return copy
+
+
+def flatnonzero(mask: Array) -> Int64s:
+    """Return the flat indices of what is not 0, like `numpy.flatnonzero`, found block by block."""
+    flat, at = mask.reshape(-1), 0
+    found: Int64s = empty(int(np.count_nonzero(flat)), np.int64)
+    for block in blocks(len(flat)):
+        places = np.flatnonzero(flat[block])
+        found[at : at + len(places)] = places + block.start
+        at += len(places)
+    return found
 
 
 def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:

@@ -42,7 +42,8 @@ from beltrami_cli.view.parameters import (
 )
 from beltrami_cli.view.preview import Focus, NoPreviewError, Previewer
 from beltrami_cli.view.server import Events, RefusedError
-from beltrami_cli.view.views import image_files
+from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.views import image_files, require_memory_to_draw
 
 Command = Callable[[SmoothSettings, str], str]
 
@@ -88,6 +89,7 @@ class Live:
         self._plain = plain_settings(settings)
         self._document = open_input(source, settings, job.access)
         select(self._document, settings)  # raises if nothing is coloured
+        require_memory_to_draw([self._document], RenderSettings(), job.access)
         self._layers = Layers(self._document)
         self._previewers: dict[int, Previewer] = {}
         self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}

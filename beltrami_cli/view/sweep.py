@@ -31,7 +31,7 @@ from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.sheet import Background, Panel, arranged
-from beltrami_cli.view.views import Drawable, image_files, view_of
+from beltrami_cli.view.views import Drawable, image_files, require_memory_to_draw, view_of
 
 Tried = tuple[dict[str, float], SmoothSettings]
 
@@ -70,6 +70,8 @@ def sweep_file(
     opened = _opened(source, reference, trials[0][1], job)
     document, truth = opened["before"], opened.get("reference")
     drawing = None if kind else _Drawing(looks, job.progress)
+    if drawing is not None:
+        require_memory_to_draw([*opened.values()], looks, job.access)
     done: list[Trial] = []
     labels = [Trial(parameters, {}).label for parameters, _ in trials]
     page = SweepPage(source, output, labels, looks) if is_page and drawing is not None else None

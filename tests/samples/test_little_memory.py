@@ -61,8 +61,12 @@ def on_disk(monkeypatch):
 # Seams, several images, mirrored charts, floats, JPEG with guides for noise: each with chosen parameters.
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "model", ["head-tex-noisy.obj", "torus-two-noisy.gltf", "mirrored-noisy.obj", "scan-noisy.glb"]
-)
+    "model",
+    [
+        "head-tex-noisy.obj", "torus-two-noisy.gltf", "mirrored-noisy.obj", "scan-noisy.glb", "head-tex-noisy.png",
+        "scan-noisy.jpg", "sphere-exr-noisy.exr",
+    ],
+)  # fmt: skip
 def test_the_result_is_the_same(model, tmp_path, monkeypatch, on_disk):
     in_memory = smoothed(model, tmp_path / "memory", None)
     assert not on_disk

@@ -25,7 +25,7 @@ from beltrami_cli.jobs.compare.figures import (
     structural_similarity,
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
-from beltrami_cli.samples.memory_check import require_memory
+from beltrami_cli.samples.memory_check import COMPARED_PIXEL_BYTES, require_memory
 from beltrami_cli.samples.painted_samples import coloured_rows, columns_of, only_rows
 from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.pixel_samples import PixelSamples
@@ -158,7 +158,8 @@ def compare_images(
 ) -> ComparedColours:
     """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
     names = [document.name for document in documents]
-    require_memory([(document.name, document.data) for document in documents], access)
+    both = [(document.name, document.data) for document in documents]
+    require_memory(both, access, COMPARED_PIXEL_BYTES)
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
     samples = [PixelSamples(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
