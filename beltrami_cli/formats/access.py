@@ -84,9 +84,14 @@ def is_there(path: str | os.PathLike[str]) -> bool:
     return os.path.exists(path)  # noqa: PTH110
 
 
+def most_unpacked(packed: int) -> int:
+    """Return to how many bytes those of a real model are unpacked at most."""
+    return max(_LEAST_UNPACKED, _MOST_RATIO * packed)
+
+
 def is_too_dense(packed: int, unpacked: int) -> bool:
     """Whether some bytes would be unpacked to more times their number than those of any real model."""
-    return unpacked > max(_LEAST_UNPACKED, _MOST_RATIO * packed)
+    return unpacked > most_unpacked(packed)
 
 
 def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:

@@ -11,11 +11,16 @@ from typing import Any
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import most_unpacked
 from beltrami_cli.surface.worker_process import Message, serve, working
 
 _PATIENCE = 60  # seconds
-_MISSING = 77  # exit code where a package is not installed
+_MISSING, _EXHAUSTED = 77, 78  # exit codes where a package is not installed, and where memory is used up
 _LIBRARIES = 512 << 20  # bytes that they take
+_PER_PROCESSOR = 24 << 20  # bytes: the stack of a thread, and what is set aside for its allocations
+# Of what a file is unpacked to at most: what the library holds of it, and what is made of that for the answer. Meshes
+# of 90,000 and 1,000,000 vertices in .usdc take 72 and 53 bytes a byte of the file, of the 400 that this allows.
+_COPIES = 4
 
 
 @dataclass(frozen=True)
@@ -28,17 +33,22 @@ class ForeignLibrary:
     advice: str  # where it cannot read a file
 
     def ask(self, question: Message, name: str, size: int, memory: int | None) -> Message:
-        """Return its answer about a file of a size in bytes, with so much memory; InputError if there is none."""
-        seconds = _PATIENCE + self.per_mebibyte * (size >> 20)
-        with working(self.module, question, seconds, memory or 0) as worker:
+        """Return its answer about a file of a size in bytes, with so much memory; InputError if there is none.
+
+        A damaged file may ask for any memory, so it gets no more than a file of its size can need.
+        """
+        seconds, most = _PATIENCE + self.per_mebibyte * (size >> 20), _COPIES * most_unpacked(size)
+        is_limited = memory is not None and memory < most
+        with working(self.module, question, seconds, memory if is_limited else most) as worker:
             try:
                 worker.process.wait(seconds)
             except subprocess.TimeoutExpired:
                 raise InputError(name, f"it could not be read within {seconds} s", self.advice) from None
             if (cause := worker.failure()) is not None:
-                is_missing = worker.process.returncode == _MISSING
                 install = f"install it with: pip install 'beltrami-cli[{self.extra}]'"
-                raise InputError(name, cause[:300], install if is_missing else self.advice)
+                exhausted = "raise --max-memory" if is_limited else self.advice
+                remedies = {_MISSING: install, _EXHAUSTED: exhausted}
+                raise InputError(name, cause[:300], remedies.get(worker.process.returncode, self.advice))
             return worker.answer()
 
 
@@ -52,7 +62,8 @@ def serve_files(answer: Callable[[Any, dict[str, Array]], Message], files: str, 
         sys.stderr.write(f"to read {files} files, the package {package} is needed ({error.name})\n")
         sys.exit(_MISSING)
     except MemoryError:
-        sys.exit("it needs more memory than it may take")
+        sys.stderr.write("it needs more memory than it may take, so it is large or damaged\n")
+        sys.exit(_EXHAUSTED)
     except Exception as error:  # whatever the library makes of a damaged file
         said = " ".join(f"{type(error).__name__}: {error}".split())
         sys.exit(f"it is damaged, or not understood ({said[:200]})")
@@ -60,11 +71,10 @@ def serve_files(answer: Callable[[Any, dict[str, Array]], Message], files: str, 
 
 
 def _limit_memory(memory: int) -> None:
-    if memory:
-        try:
-            import resource
-        except ImportError:
-            return
-        most = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        wanted = memory + _LIBRARIES
-        resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
+    try:
+        import resource
+    except ImportError:
+        return
+    most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    wanted = memory + _LIBRARIES + _PER_PROCESSOR * (os.cpu_count() or 1)
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))

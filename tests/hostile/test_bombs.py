@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from beltrami_cli.formats.usd.layers import layer_from
 from cli.commands import COMMAND
 from formats.image_files import png_chunk
 from hostile.textured_models import PICTURE, write_model
@@ -138,6 +139,32 @@ def package(relationships):
     return content.getvalue()
 
 
+def crate(section):
+    """A binary USD layer in which a section claims to have 2^28 entries, of 4 to 24 bytes in memory each."""
+
+    def make():
+        pytest.importorskip("pxr", reason="usd-core is not installed")
+        layer = bytearray(layer_from(SCENE, ".usdc", "a.usdc"))
+        (contents,) = struct.unpack_from("<Q", layer, 16)
+        (count,) = struct.unpack_from("<Q", layer, contents)
+        sections = (struct.unpack_from("<16sQQ", layer, contents + 8 + 32 * i) for i in range(count))
+        starts = {name.rstrip(b"\0").decode(): start for name, start, _ in sections}
+        struct.pack_into("<Q", layer, starts[section], 1 << 28)
+        return bytes(layer)
+
+    return make
+
+
+SCENE = b"""#usda 1.0
+def Mesh "a"
+{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0), (0, 0, 1)] (interpolation = "vertex")
+}
+"""
+SECTIONS = ("TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS")
 MANY = 1_000_000
 CROWD = {"nodes": [{"children": [i + 1]} if i < 19_999 else {} for i in range(20_000)]}
 NESTED = b'{"asset":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
@@ -272,13 +299,14 @@ BOMBS = {
     "text": with_texture(lambda: png(4, 4, b"", png_chunk(b"zTXt", b"a\0\0" + zeros(1 << 28)))),
     "archive": file("a.obj", b"PK\x03\x04" + bytes(100)),
     "compressed": file("a.ply", lambda: gzip.compress(bytes(1 << 24))),
+    **{f"entries of {section}": file("a.usdc", crate(section)) for section in SECTIONS},
 }
 
 
 # What the longest line and the largest ratio of archives keep out also where memory is not limited.
 UNLIMITED = [
     "points in one place", "a line of corners", "a line of coordinates", "continued lines", "a line of points",
-    "a line of OFF", "a member of blanks", "packed elements",
+    "a line of OFF", "a member of blanks", "packed elements", *(f"entries of {section}" for section in SECTIONS),
 ]  # fmt: skip
 
 

@@ -118,6 +118,7 @@ _EXPORT = "open and save it with a program for USD"
 _USD_CORE = ForeignLibrary("beltrami_cli.formats.usd.layers", "usd", 5, _EXPORT)
 _MOST_LAYERS = 2000
 _CRATE = b"PXR-USDC"
+_NO_MEMORY = "std::bad_alloc"  # in messages of usd-core
 _UNFIT = re.compile(r"[^\w .()+-]")
 
 
@@ -234,6 +235,8 @@ def _carry_out(order: dict[str, Any], arrays: dict[str, Array]) -> Message:
     try:
         return task(order, arrays)
     except Tf.ErrorException as error:
+        if _NO_MEMORY in str(error):
+            raise MemoryError from error
         raise UsdError(_said(str(error), order["folder"])) from error
 
 
