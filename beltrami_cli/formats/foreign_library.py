@@ -38,15 +38,15 @@ class ForeignLibrary:
         A damaged file may ask for any memory, so it gets no more than a file of its size can need.
         """
         seconds, most = _PATIENCE + self.per_mebibyte * (size >> 20), _COPIES * most_unpacked(size)
-        is_limited = memory is not None and memory < most
-        with working(self.module, question, seconds, memory if is_limited else most) as worker:
+        allowed = most if memory is None else min(most, memory)
+        with working(self.module, question, seconds, allowed) as worker:
             try:
                 worker.process.wait(seconds)
             except subprocess.TimeoutExpired:
                 raise InputError(name, f"it could not be read within {seconds} s", self.advice) from None
             if (cause := worker.failure()) is not None:
                 install = f"install it with: pip install 'beltrami-cli[{self.extra}]'"
-                exhausted = "raise --max-memory" if is_limited else self.advice
+                exhausted = "raise --max-memory" if allowed < most else self.advice
                 remedies = {_MISSING: install, _EXHAUSTED: exhausted}
                 raise InputError(name, cause[:300], remedies.get(worker.process.returncode, self.advice))
             return worker.answer()

@@ -33,6 +33,7 @@ _INTENSITIES = ("intensity", "i", "scalar_intensity", "reflectance", "grey", "gr
 _UNIT = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
 # Different values: the classes of LAS have 5 bits (ASPRS, LAS 1.4, table 8), and its other codes fewer.
 _CODES = 32
+_SAMPLE = 1 << 12  # values that are counted first, since sorting all takes a second per ten million
 _REMEDY = "give --columns with all of their names, such as {}, or the names in a first line"
 
 
@@ -98,15 +99,12 @@ class _Values:
     """What the values of columns can be."""
 
     def __init__(self, values: Float64s) -> None:
-        self._values = values[np.isfinite(values[:, :3]).all(axis=1)]
+        measured = np.isfinite(values[:, :3]).all(axis=1)
+        self._values = values if measured.all() else values[measured]
         self._width = values.shape[1]
-        columns = [column[np.isfinite(column)] for column in self._values[:, 3:].T]
-        self._low, self._high = (
-            np.array([pick(column) if column.size else np.nan for column in columns])
-            for pick in (np.min, np.max)
-        )
-        self._is_whole = np.array([bool((column % 1 == 0).all()) for column in columns])
-        self._count = np.array([len(np.unique(column)) for column in columns])
+        ranges = [_range_of(column) for column in self._values[:, 3:].T]
+        self._low, self._high, is_whole, count = np.array(ranges).reshape(-1, 4).T
+        self._is_whole, self._count = is_whole > 0, count
         # Where there are no more points than codes, few values say nothing.
         self._is_code = (
             self._is_whole & (self._count <= _CODES) & (len(self._values) > _CODES)
@@ -164,8 +162,12 @@ class _Values:
 
     def _is_normal(self, start: int) -> bool:
         """Whether all vectors have length 1, or 0 where none is known."""
-        lengths = np.linalg.norm(self._triple(start), axis=1)
-        return bool(((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all() and lengths.any())
+        triple = self._triple(start)
+        for vectors in (triple[:_SAMPLE], triple):
+            lengths = np.linalg.norm(vectors, axis=1)
+            if not ((np.abs(lengths - 1) < _UNIT) | (lengths == 0)).all():
+                return False
+        return bool(lengths.any())
 
     def _is_signed_normal(self, start: int) -> bool:
         # Pure red, green and blue have length 1 as well.
@@ -179,6 +181,17 @@ class _Values:
     def normal_beside(self, colours: int) -> int | None:
         """Return the first column of normals that are no colours of some."""
         return next((start for start in self.normals if abs(start - colours) >= 3), None)
+
+
+def _range_of(column: Float64s) -> tuple[float, float, bool, int]:
+    """Return the extremes of the finite values, whether they are integers, and how many differ, of some if many."""
+    finite = column[np.isfinite(column)]
+    if not finite.size:
+        return np.nan, np.nan, False, 0
+    count = len(np.unique(finite[:_SAMPLE]))
+    if count <= _CODES:
+        count = len(np.unique(finite))
+    return float(finite.min()), float(finite.max()), bool((np.rint(finite) == finite).all()), count
 
 
 def _by_name(names: tuple[str, ...], name: str, notice: str) -> Columns:
