@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
@@ -30,6 +30,9 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import PaintedVertices
+
+if TYPE_CHECKING:
+    from beltrami_cli.formats.image.picture import Picture
 
 NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
 
@@ -109,6 +112,9 @@ class Document(ABC):
     format: ClassVar[str]
     """The name of its line in the registry."""
 
+    kind: ClassVar[str] = "model"
+    """What it holds: a "model", an "image", or a "volume"."""
+
     forms: tuple[str, ...] = ()
     """Formats in which `patch` can write it with all that it holds."""
 
@@ -145,6 +151,10 @@ class Document(ABC):
     @property
     def _channels(self) -> tuple[str, ...]:
         return ("red", "green", "blue")
+
+    def picture(self) -> Picture:
+        """Return the image that it holds, always the same record; InputError if it is none."""
+        raise InputError(self.name, "it is a model, and no image")
 
     def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -59,7 +59,7 @@ class Format:
         Recogniser | None
     )  # whether a file's bytes (and, if need be, its name) are of it; None: its suffix decides
     module: str
-    reader: str  # for models a `Document`, for images and volumes a function that returns a `Picture` or a `Volume`
+    reader: str  # a `Document`; of volumes a function that returns a `Volume`
     writer: str = ""  # (MeshContents, stem) -> Written; empty: there is none
     textured_writer: str = ""  # (TexturedMesh, stem) -> Written
     sidecars: str = ""  # suffixes of the files that the writers put beside the main one
@@ -109,7 +109,7 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
 _is_image = _asks("image.picture.is_image")
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
-    Format("image", _is_image, "image", "read_image", kind="image"),
+    Format("image", _is_image, "image", "ImageDocument", kind="image"),
     Format("volume", _asks("volume.arrays.is_volume", *_VOLUMES), "volume.arrays", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*"),
     _textured("obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*"),
@@ -150,20 +150,20 @@ def document_of(data: bytes, source: str, access: Access = EVERYTHING_INSIDE) ->
 
 def open_bytes(data: bytes, name: str, folder: Path | None, access: Access = EVERYTHING_INSIDE) -> Document:
     """Open the bytes of a model whose sidecars lie in a folder (None: nowhere); InputError as `open_document`."""
-    line = _recognised(data, name, [line for line in FORMATS if line.kind == "model"])
+    return open_as(recognised(data, name, models_only=True), data, name, folder, access)
+
+
+def open_as(line: Format | None, data: bytes, name: str, folder: Path | None, access: Access) -> Document:
+    """Open the bytes of a model or an image of a recognised format; InputError if there is none."""
     if line is None:
         raise _refusal(data, name)
     document: Document = line.load(line.reader)(data, name, folder, access)
     return document
 
 
-def kind_of(data: bytes, name: str) -> Kind:
-    """Return what a file holds; a model if it is of no known format, so that opening it says what is wrong."""
-    line = _recognised(data, name, FORMATS)
-    return "model" if line is None else line.kind
-
-
-def _recognised(data: bytes, name: str, lines: Sequence[Format]) -> Format | None:
+def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format | None:
+    """Return the format of a file by its bytes, or else by its name; None if it is unknown."""
+    lines = [line for line in FORMATS if line.kind == "model" or not models_only]
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
     if marked is not None or not data or _marked(_ARCHIVES | _CLOUDS, data) is not None:
         return marked

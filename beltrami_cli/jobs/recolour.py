@@ -171,22 +171,20 @@ def open_input(source: str, settings: SmoothSettings, access: Access) -> Documen
 def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
     """Open a source whose bytes have been read already; see `open_input`."""
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
-    kind = registry.kind_of(data, name)
-    if kind == "volume":
+    line = registry.recognised(data, name)
+    if line is not None and line.kind == "volume":
         from beltrami_cli.samples.voxels import LevelSetDocument
 
         return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
     if wrong := given_options(settings.level_set):
         raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
-    if kind == "image":
-        return ImageDocument(data, name, folder, access)
-    return registry.document_of(data, source, access)
+    return registry.open_as(line, data, name, folder, access)
 
 
 def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
     """Return a document that looks like one with other colours, for reading only: it has no bytes of its own."""
     images = {key: image.data for each in painted for key, image in each.images.items()}
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         data = images.get(("baseColor", ""), document.data)
         return document if data == document.data else ImageDocument(data, document.name)
 

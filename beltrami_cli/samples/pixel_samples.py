@@ -19,7 +19,8 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image import ImageDocument, Picture, check_writable, is_exact, label_of
+from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.image import Picture, check_writable, is_exact, label_of
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.writing import noise_losses, upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
@@ -52,7 +53,7 @@ class PixelSamples(Samples):
 
     def __init__(
         self,
-        document: ImageDocument,
+        document: Document,
         settings: SmoothSettings,
         access: Access,
         suffix: str | None = None,

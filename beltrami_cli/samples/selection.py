@@ -11,8 +11,7 @@ from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument
-from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix
+from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
 from beltrami_cli.samples.image_surface import refuse_options_of_meshes
@@ -53,7 +52,7 @@ class OutputFormat:
 
 def select(document: Document, settings: SmoothSettings) -> Selection:
     """Choose what is painted, by the settings and the document; errors if there is nothing, or for unfit options."""
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)
     if wrong := given_options(settings.image):
@@ -92,7 +91,7 @@ def samples_of(
 ) -> Iterator[Samples]:
     """Take the samples of what is selected; `in_groups`: textures that do not touch, or do not fit, separately."""
     # For the other parameters see `PixelSamples`.
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         if selection.image:
             yield PixelSamples(document, settings, access, suffix, colours_only=colours_only)
         return
@@ -121,15 +120,13 @@ def vertex_samples(document: Document, settings: SmoothSettings, access: Access)
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.samples.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.samples.vertex_samples import RangeSamples, VertexSamples
-    from beltrami_cli.samples.voxels import LevelSetDocument
 
     painted, grid = document.painted(), document.grid()
     guides = vertex_guides(document, settings, access)
     noise = noise_of_vertices(settings.kernel, document, access)
     if grid is not None:
         return RangeSamples(painted, grid, settings, guides, noise)
-    is_level_set = isinstance(document, LevelSetDocument)
-    return VertexSamples(painted, settings, guides, noise, in_triangles=is_level_set)
+    return VertexSamples(painted, settings, guides, noise, in_triangles=document.kind == "volume")
 
 
 def require_geometry(
@@ -205,7 +202,7 @@ def _with_chosen_textures(
 
 def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
     """Choose the format to write, by option, by the output's name, or as the source; UsageError if it is unknown."""
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         return _image_format(document, target, chosen)
     wanted = chosen or Path(target).suffix.lower().lstrip(".")
     if wanted in OUTPUT_FORMATS:
@@ -222,13 +219,15 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
     return OutputFormat(name, name == document.format)
 
 
-def _image_format(document: ImageDocument, target: str, chosen: str | None) -> OutputFormat:
+def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
     suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
     known = format_of_suffix(suffix) if suffix else None
     if suffix and known is None:
         raise UsageError(
             f"{target}: no image format is known for {suffix}; end the name in {', '.join(WRITABLE)}, or say --format"
         )
-    if not suffix or known == format_of(document.data, document.name):
-        return OutputFormat(document.suffix.lower()[1:], is_own=True)
+    own = format_of(document.data, document.name)
+    if not suffix or known == own:
+        own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"
+        return OutputFormat(own_suffix.lower()[1:], is_own=True)
     return OutputFormat(suffix.lower()[1:], is_own=False, suffix=suffix)

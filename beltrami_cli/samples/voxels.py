@@ -88,6 +88,7 @@ class LevelSetDocument(Document):
     """The triangulated surface of a volume; vertices without a known colour are white and stay as they are."""
 
     format: ClassVar[str] = "level set"
+    kind: ClassVar[str] = "volume"
 
     def __init__(
         self,

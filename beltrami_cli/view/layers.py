@@ -8,7 +8,6 @@ import numpy as np
 
 from beltrami_cli.arrays import Int64s, Uint8s
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.records import Slot, Texture
 from beltrami_cli.view.models import (
@@ -32,7 +31,7 @@ class Layers:
 
     def __init__(self, document: Document) -> None:
         self.document = document
-        self._is_image = isinstance(document, ImageDocument)
+        self._is_image = document.kind == "image"
         slots: list[Slot | None] = [] if self._is_image else [*document.slots()]
         self.slots = [*slots, None] if self._is_image or document.has_vertex_colours() else slots
         self._row_of: Int64s | None = None
@@ -43,7 +42,7 @@ class Layers:
         """Return the document for the viewer, with the same before and after."""
         packer = ModelPacker()
         for slot in self.slots:
-            if isinstance(self.document, ImageDocument):
+            if self.document.kind == "image":
                 packer.add_image((self.document, self.document))
             else:
                 packer.add((self.document, self.document), slot)
@@ -117,7 +116,7 @@ class Layers:
 
 def _textures_of(document: Document, slot: Slot | None) -> tuple[Texture, ...]:
     """Return the textures of a layer; an image is one."""
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         return (Texture("", document.name, document.data),)
     assert slot is not None
     return document.textured(slot).textures

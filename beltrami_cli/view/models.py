@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument, Picture
+from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
@@ -79,7 +79,7 @@ class ModelPacker:
             }
         )  # fmt: skip
 
-    def add_image(self, documents: tuple[ImageDocument, ImageDocument]) -> None:
+    def add_image(self, documents: tuple[Document, Document]) -> None:
         numbers = [
             self.texture(Texture("", each.name, each.data), "baseColor", sheet_of(each.picture()))
             for each in documents

@@ -16,7 +16,6 @@ from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_texture
 from beltrami_cli.samples.guides import vertex_guides
@@ -88,7 +87,7 @@ class Previewer:
         self._pixels: PixelSamples | None = None
         self._guides: tuple[EmbeddingSettings, list[Guide]] | None = None
         self._order: tuple[bytes, Int64s] | None = None  # where somebody looked last, and what is near
-        if isinstance(document, ImageDocument):
+        if document.kind == "image":
             return
         if slot is None:
             self._painted = document.painted()
@@ -114,7 +113,7 @@ class Previewer:
         """Smooth about as many samples as `budget` says, around where somebody looks."""
         if settings.level_seams:
             raise NoPreviewError("exposure steps are levelled over the whole model")
-        if isinstance(self._document, ImageDocument):
+        if self._document.kind == "image":
             return self._of_image(settings, focus, budget, progress)
         if self._painted is None:
             return self._of_textures(settings, focus, budget, progress)
@@ -127,7 +126,6 @@ class Previewer:
     ) -> list[Patch]:
         kernel = settings.kernel
         if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
-            assert isinstance(self._document, ImageDocument)
             self._pixels = PixelSamples(self._document, settings, self._access)
         rows, columns = self._pixels.valid.shape
         around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)

@@ -16,7 +16,6 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.data_text import REPORT, parse_json, text_in
 from beltrami_cli.formats.document import Document, Written
-from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.jobs.compare.figures import ComparedColours, figures
 from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
 from beltrami_cli.jobs.compare.models import EVERYTHING
@@ -77,7 +76,7 @@ def _models(
     compared: Compared, documents: tuple[Document, Document], progress: Progress | None
 ) -> dict[str, Any]:
     packer, (one, other) = ModelPacker(), documents
-    if isinstance(one, ImageDocument) and isinstance(other, ImageDocument):
+    if one.kind == "image":
         packer.add_image((one, other))
     else:
         slots: list[Slot | None] = [*compared.slots]

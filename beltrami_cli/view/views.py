@@ -11,7 +11,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument, Picture, read_texture, to_float, without_alpha
+from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha
 from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.job import Progress, tracked
@@ -132,7 +132,7 @@ def require_memory_to_draw(
 
 def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:
     """Return what is seen of a document; `like`: a view of the same with other colours, whose tracer serves again."""
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         return ImageView(sheet_of(document.picture()))
     slot: Slot = settings.slot  # type: ignore[assignment]
     has_texture = slot in document.slots()
@@ -156,7 +156,7 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
 
 def image_files(document: Document, slots: Collection[str] = SLOTS) -> list[tuple[bytes, str]]:
     """Return the image files of a document, with their names; of a model those of some slots."""
-    if isinstance(document, ImageDocument):
+    if document.kind == "image":
         return [(document.data, document.name)]
     readable = document.readable(slot for slot in document.slots() if slot in slots)
     textures = [texture for slot in readable for texture in document.textured(slot).textures]

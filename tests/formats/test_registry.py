@@ -11,8 +11,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.registry import (
     FORMATS,
     OUTPUT_FORMATS,
-    kind_of,
     open_bytes,
+    recognised,
     sidecar_names,
     write_textured,
 )
@@ -47,12 +47,12 @@ def test_formats_of_output_are_those_with_a_writer():
 )
 def test_content_counts_before_the_name(data, name, format_name):
     assert open_bytes(data, name, None).format == format_name
-    assert kind_of(data, name) == "model"
+    assert recognised(data, name).kind == "model"
 
 
 def test_images_and_volumes_are_no_models():
     image, volume = encode(noise("uint8", 3), "png"), npz(values=np.ones((2, 2, 2)))
-    assert (kind_of(image, "x.png"), kind_of(volume, "v.npz")) == ("image", "volume")
+    assert (recognised(image, "x.png").kind, recognised(volume, "v.npz").kind) == ("image", "volume")
     with pytest.raises(InputError, match="it is an image"):
         open_bytes(image, "x.png", None)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from pathlib import Path
 from typing import ClassVar, NoReturn
 
 from beltrami_cli.errors import InputError
@@ -34,6 +33,7 @@ class ImageDocument(Document):
     """An image, which is decoded when its picture is asked for."""
 
     format: ClassVar[str] = "image"
+    kind: ClassVar[str] = "image"
 
     @cached_property
     def _picture(self) -> Picture:
@@ -41,11 +41,6 @@ class ImageDocument(Document):
 
     def picture(self) -> Picture:
         return self._picture
-
-    @property
-    def suffix(self) -> str:
-        """The extension that its name has, or else one of its format, with the dot."""
-        return Path(self.name).suffix or f".{label_of(format_of(self.data, self.name) or '')}"
 
     @property
     def _mesh(self) -> NoReturn:

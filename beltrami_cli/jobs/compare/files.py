@@ -19,10 +19,10 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Document, Written
-from beltrami_cli.formats.image import ImageDocument, write_image
+from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.formats.registry import kind_of
+from beltrami_cli.formats.registry import recognised
 from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
@@ -159,7 +159,7 @@ def compare_documents(
     documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, job: Job = PLAIN_JOB
 ) -> Compared:
     """Bring the colours of two models, or of two images, together."""
-    images = [document for document in documents if isinstance(document, ImageDocument)]
+    images = [document for document in documents if document.kind == "image"]
     if len(images) == 1:
         kinds = ["an image" if document in images else "a model" for document in documents]
         raise InputError(
@@ -191,7 +191,8 @@ def compare_documents(
 def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tuple[Document, Document]:
     """Open both; one may be a level set, and the other the mesh that was made of it."""
     data = [read_source(name, job.access) for name in names]
-    volumes = [kind_of(each, name) == "volume" for each, name in zip(data, names, strict=True)]
+    formats = [recognised(each, name) for each, name in zip(data, names, strict=True)]
+    volumes = [line is not None and line.kind == "volume" for line in formats]
     plain = dataclasses.replace(settings, level_set=LevelSetSettings()) if any(volumes) else settings
     sources = [*zip(data, names, volumes, strict=True)]
     one, other = (

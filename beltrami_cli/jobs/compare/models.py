@@ -13,7 +13,6 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.samples.selection import Selection, select
 from beltrami_cli.samples.settings import DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures
-from beltrami_cli.samples.voxels import LevelSetDocument
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
 Pair = tuple[Document, Document]
@@ -149,7 +148,7 @@ def require_one_model(documents: Pair, painted: tuple[PaintedVertices, PaintedVe
 
 def _triangles(document: Document) -> Int32s:
     """Return the triangles of a model, shape (F, 3); of a level set those without colours too."""
-    if isinstance(document, LevelSetDocument):
+    if document.kind == "volume":
         return document.contents().corners.reshape(-1, 3)
     return document.painted().faces
 

@@ -16,7 +16,7 @@ from beltrami_cli.flow.embedding import to_space
 from beltrami_cli.flow.parameters import Space, Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import ImageDocument, Picture, read_texture
+from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import (
     ComparedColours,
@@ -33,7 +33,6 @@ from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import with_surface
-from beltrami_cli.samples.voxels import LevelSetDocument
 from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
@@ -98,9 +97,7 @@ def compare_vertices(
     """Bring the vertex colours of two models together; `is_extra`: beside textures."""
     one, other = (document.painted() for document in documents)
     require_one_model(documents, (one, other))
-    held = [
-        coloured_rows(each.painted(), in_triangles=isinstance(each, LevelSetDocument)) for each in documents
-    ]
+    held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
     channels, space = columns_of(one, settings).changing, settings.space
     reference, test = (
@@ -112,7 +109,7 @@ def compare_vertices(
     place, _ = group_places(one.positions[rows], None if one.space_of is None else one.space_of[rows])
     split = np.bincount(place)[place] > 1 if len(place) else np.zeros(0, bool)
     counted = _areas(one, rows, settings) if weights == "area" else np.ones(len(rows))
-    opacities = (None if isinstance(each, LevelSetDocument) else each.contents().alpha for each in documents)
+    opacities = (None if each.kind == "volume" else each.contents().alpha for each in documents)
     return ComparedColours(
         "vertex colours", "vertices", reference, test, rows.astype(np.int64), counted,
         colour_differences(reference, test, space),
@@ -154,7 +151,7 @@ def _jumps(colours: list[Float32s], place: Int32s) -> tuple[Float64s, Float64s]:
 
 
 def compare_images(
-    documents: Sequence[ImageDocument], settings: SmoothSettings, access: Access
+    documents: Sequence[Document], settings: SmoothSettings, access: Access
 ) -> ComparedColours:
     """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
     names = [document.name for document in documents]
