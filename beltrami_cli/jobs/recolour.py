@@ -24,8 +24,8 @@ from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, read_regular, read_source
 from beltrami_cli.formats.document import Document, Naming, Written
-from beltrami_cli.formats.image import ImageDocument
 from beltrami_cli.formats.image.picture import suffix_for
+from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
