@@ -10,11 +10,8 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -25,10 +22,10 @@ from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access, read_regular, read_source
 from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
 from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.repainted_document import with_new_colours
 from beltrami_cli.jobs.shared_files import shared_files
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.samples import Repainted, Samples
@@ -37,7 +34,7 @@ from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import ImageFile, MovedVertices, PaintedVertices, Slot, TexturedSurface
+from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
 
 class Painter(ABC):
@@ -124,7 +121,7 @@ def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Pa
     with checked_memory(
         document, selection.slots, settings.textures, job.access, None, image=selection.image, **use
     ):
-        return with_painted(document, _paint(document, selection, settings, painter, job, None))
+        return with_new_colours(document, _paint(document, selection, settings, painter, job, None))
 
 
 def _paint(
@@ -179,39 +176,6 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
     if wrong := given_options(settings.level_set):
         raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
     return registry.open_as(line, data, name, folder, access)
-
-
-def with_painted(document: Document, painted: Sequence[Repainted]) -> Document:
-    """Return a document that looks like one with other colours, for reading only: it has no bytes of its own."""
-    images = {key: image.data for each in painted for key, image in each.images.items()}
-    if document.kind == "image":
-        data = images.get(("baseColor", ""), document.data)
-        return document if data == document.data else ImageDocument(data, document.name)
-
-    def textured(slot: Slot) -> TexturedSurface:
-        surface = document.textured(slot)
-        textures = [
-            replace(each, content=images.get((slot, each.key), each.content)) for each in surface.textures
-        ]
-        return replace(surface, textures=tuple(textures))
-
-    made = copy(document)
-    for each in painted:
-        if each.colours is not None:
-            made.painted = partial(_with_colours, document, each)  # type: ignore[method-assign]
-    if images:
-        made.textured = textured  # type: ignore[method-assign]
-    return made
-
-
-def _with_colours(document: Document, new: Repainted) -> PaintedVertices:
-    """Return the vertices of a document with new colours, rounded to what a file holds of them."""
-    painted, colours = document.painted(), cast("Float32s", new.colours)
-    if painted.stored.startswith("uint"):
-        full = np.float32(np.iinfo(painted.stored).max)
-        colours = np.asarray(np.rint(np.clip(colours, 0, 1) * full) / full, np.float32)
-    places = painted.positions if new.positions is None else new.positions
-    return replace(painted, colours=colours, positions=places)
 
 
 def make_files(
