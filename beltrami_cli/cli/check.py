@@ -33,7 +33,7 @@ def command(before: str, after: str, as_json: bool, quiet: bool, verbose: int, *
     """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours.
 
     Colours and the pixels of images may differ. Anything else is an error: positions, faces, materials, names,
-    comments, whatever the format holds.
+    comments, whatever the format holds. So is an image whose colours under an alpha of 0 were cleared.
     """
     from beltrami_cli.jobs.check import check_files
 

@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
-from beltrami_cli.formats.image import read_image
+from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.samples.memory_check import require_memory
@@ -108,11 +108,22 @@ def _of_images(old: Texture, new: Texture, access: Access) -> tuple[str, bool] |
     sizes = [f"{len(p.pixels[0])} x {len(p.pixels)} pixels" for p in (before, after)]
     if sizes[0] != sizes[1]:
         return f"{names}: {sizes[0]} became {sizes[1]}", False
+    if cleared := _cleared(before, after):
+        return f"{names}: {cleared} pixels under an alpha of 0 lost their colours, which became 0", False
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
         return f"{names}: {kinds[0]} became {kinds[1]}", True
     amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
     return f"{names}: pixels, {amount}", True
+
+
+def _cleared(before: Picture, after: Picture) -> int:
+    """Count the pixels under an alpha of 0 whose colours are gone, as encoders clear them: without exception."""
+    if before.alpha is None or after.alpha is None:
+        return 0
+    hidden = (before.pixels[..., before.alpha] == 0) & (after.pixels[..., after.alpha] == 0)
+    old, new = (picture.pixels[hidden][:, list(picture.colour)] for picture in (before, after))
+    return 0 if new.any() else int(np.count_nonzero(old.any(axis=1)))
 
 
 def _of_parts(old: bytes, new: bytes) -> tuple[str, bool] | None:

@@ -43,7 +43,7 @@ RARER_SUFFIXES = {
 
 
 def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int = 0) -> NDArray[Any]:
-    """Random pixels, alpha 0 in one of them (not in WebP, which loses what is under it)."""
+    """Random pixels, of which none has an alpha of 0 in integers."""
     rng = np.random.default_rng(seed)
     if kind in ("uint8", "uint16"):
         return rng.integers(1, np.iinfo(kind).max + 1, (height, width, channels)).astype(kind)

@@ -58,16 +58,6 @@ def test_every_value_is_read_as_it_was_and_written_back_so(known, kind, channels
         assert written.suffix == suffix
 
 
-@pytest.mark.parametrize("known", ["png", "tiff", "targa", "bmp"])
-def test_colours_under_alpha_0_keep_their_values(known):
-    pixels = noise("uint8", 4)
-    pixels[::2, :, 3] = 0
-    picture = read_image(encode(pixels, known), "x" + SUFFIXES[known])
-    np.testing.assert_array_equal(picture.pixels, pixels)
-    again = read_image(write_image(picture, pixels).data, "x" + SUFFIXES[known])
-    np.testing.assert_array_equal(again.pixels, pixels)
-
-
 def test_multiplied_alpha_in_tiff_stays_multiplied():
     pixels = noise("uint8", 4)
     picture = read_image(encode(pixels, "tiff", oiio__UnassociatedAlpha=0), "x.tif")

@@ -1,4 +1,4 @@
-"""KTX2 and AVIF, which OpenImageIO does not have: Basis Universal textures by alktx2, AVIF by Pillow.
+"""What OpenImageIO does not write: Basis Universal textures (KTX2) by alktx2, AVIF and exact WebP by Pillow.
 
 References
 ----------
@@ -33,7 +33,8 @@ _HIGH_BITDEPTH, _TWELVE_BIT = 0x40, 0x20
 _TGA_HEADER = 18  # bytes
 _BEST = 100
 _ZSTANDARD_LEVEL = 9
-_REFUSALS = (OSError, ValueError, RuntimeError, SyntaxError, MemoryError)  # by Pillow, of damaged files
+FAILURES = (OSError, ValueError, RuntimeError)  # of encoders
+_REFUSALS = (*FAILURES, SyntaxError, MemoryError)  # by Pillow, of damaged files
 _FASTEST_EFFORT, _SLOWEST_SPEED = 2, 6
 
 
@@ -84,10 +85,10 @@ def encoded(known: str, pixels: Uint8s, quality: int, source: bytes, *, as_data:
 
 
 def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> str:
-    """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of colours that are seen, full scale 255."""
-    seen = (pixels[..., 3:] > 0).all(axis=2)
-    differences = again[seen, :3].astype(np.float32) - pixels[seen, :3]
-    error = float(np.square(differences).mean()) if seen.any() else 0.0
+    """Say what the encoding of pixels, shape (H, W, C), has cost: the PSNR of their colours, full scale 255."""
+    # Also of those under an alpha of 0, which opaque materials show.
+    differences = again[..., :3].astype(np.float32) - pixels[..., :3]
+    error = float(np.square(differences).mean())
     psnr = 10 * math.log10(255**2 / error) if error else math.inf
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
     return f"{inexact}: what is written has a PSNR of {psnr:.1f} dB."
@@ -183,6 +184,16 @@ def ktx2_keys(data: bytes) -> set[str]:
         keys.add(data[at + 4 : at + 4 + length].partition(b"\0")[0].decode("utf-8", "replace"))
         at += 4 + length + -length % 4
     return keys - {"KTXwriter"}
+
+
+def encoded_webp(pixels: Uint8s, *, quality: int, method: int, lossless: bool, profile: bytes) -> bytes:
+    """Encode pixels as WebP together with the colours under an alpha of 0, which OpenImageIO lets libwebp clear."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    options = {"quality": quality, "method": method, "lossless": lossless, "icc_profile": profile}
+    Image.fromarray(pixels).save(buffer, "WEBP", exact=True, **options)
+    return buffer.getvalue()
 
 
 def _opened_avif(data: bytes, name: str) -> Any:

@@ -19,6 +19,7 @@ from beltrami_cli.formats.image.picture import (
     as_stored,
     format_of_suffix,
     full_scale_one,
+    is_associated,
     label_of,
     without_alpha,
 )
@@ -56,6 +57,8 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
         found.append(
             f"{name}: {label} holds one part only; all but {picture.parts[picture.part or 0]} are dropped."
         )
+    if known == "openexr" and _has_hidden_colours(picture):
+        found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
     if _needs_three(picture, known):
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if picture.encoding == "linear" and stored.startswith("uint"):
@@ -171,12 +174,15 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
 
     height, width, channels = shape
     spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
-    spec.channelnames = tuple(names)
+    # Those of an EXR file need not be UTF-8.
+    spec.channelnames = tuple(
+        name.encode(errors="surrogateescape").decode(errors="replace") for name in names
+    )
     # Copied one by one from Python, integers of 16 bits are lost, and texts that are no UTF-8 cannot be.
     spec.extra_attribs = picture.spec.extra_attribs
-    for attribute in picture.spec.extra_attribs:
-        if attribute.name.startswith(_TECHNICAL) or attribute.name in _ALSO_TECHNICAL:
-            spec.erase_attribute(attribute.name)
+    # By patterns: names that are no UTF-8 cannot be given from Python.
+    for pattern in (*(f"{prefix}.*" for prefix in _TECHNICAL), *_ALSO_TECHNICAL):
+        spec.erase_attribute(pattern)
     if known not in _TURNED_BY_TAGS:
         spec.erase_attribute("Orientation")
     profile = picture.spec.getattribute("ICCProfile")
@@ -213,15 +219,15 @@ def write_image(
     as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
     """Encode pixels like those of a picture as the file that it came from, or in another format."""
-    # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value; in WebP, colours under an alpha of 0 are lost.
-    # What came as lossy WebP stays so, since lossless files are several times as large.
+    # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
+    # stays so, since lossless files are several times as large.
     known = check_writable(picture, suffix)
     if known in extra_codecs.EXTRA_CODECS:
         return _write_extra(picture, pixels, known, jpeg_quality, as_data=as_data)
     if known != picture.format:
         values, spec = converted(picture, pixels, known, as_data=as_data)
-        _set_options(spec, known, "", jpeg_quality, small=small)
-        data = metadata.without_additions(_encode(spec, values, known, picture.name), known)
+        data = _encode(spec, values, known, picture.name, jpeg_quality, small=small)
+        data = metadata.without_additions(data, known)
         if known in FORMATS_WITH_EXIF:  # of which OpenImageIO writes some, to WebP files none
             is_webp = known == "webp"
             made = exif_of(_one_pixel(spec, picture.name), "jpeg") if is_webp else exif_of(data, known)
@@ -234,10 +240,9 @@ def write_image(
             return _with_metadata(picture, kept, [])
         notices = [f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."]
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
-    compression = "lossless" if known == "webp" and metadata.is_lossless_webp(picture.source) else ""
-    _set_options(spec, known, compression, jpeg_quality, small=small)
-    data = _encode(spec, pixels, known, picture.name)
-    if not is_exact(picture):
+    exact = is_exact(picture)
+    data = _encode(spec, pixels, known, picture.name, jpeg_quality, small=small, lossless=exact)
+    if not exact:
         again = read_image(data, picture.name).pixels
         if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:
             what = f"coded as {label_of(known)} anew, it would be further from the result than it is"
@@ -246,6 +251,14 @@ def write_image(
         if known == "webp":
             notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
     return _with_metadata(picture, data, notices)
+
+
+def _has_hidden_colours(picture: Picture) -> bool:
+    """Whether there are colours under an alpha of 0 that is not multiplied into them."""
+    if picture.alpha is None or is_associated(picture):
+        return False
+    parts = (picture.pixels[rows] for rows in large_arrays.blocks(len(picture.pixels), _ROWS))
+    return any(bool(part[part[..., picture.alpha] == 0][:, list(picture.colour)].any()) for part in parts)
 
 
 def _square_error(some: Array, others: Array) -> float:
@@ -273,7 +286,7 @@ def _one_pixel(spec: Any, name: str) -> bytes:
     bare = OpenImageIO.ImageSpec(1, 1, 3, "uint8")
     bare.extra_attribs = spec.extra_attribs
     bare.attribute("compression", "jpeg:90")
-    return _encode(bare, np.zeros((1, 1, 3), np.uint8), "jpeg", name)
+    return _encode_by_openimageio(bare, np.zeros((1, 1, 3), np.uint8), "jpeg", name)
 
 
 def check_writable(picture: Picture, suffix: str | None) -> str:
@@ -292,11 +305,14 @@ def check_writable(picture: Picture, suffix: str | None) -> str:
 
 
 def _write_extra(picture: Picture, pixels: Array, known: str, quality: int, *, as_data: bool) -> ImageFile:
-    is_new, values = known != picture.format, pixels
-    if is_new:
-        values, _ = converted(picture, pixels, known, as_data=as_data)
+    source, values = picture.source, pixels
+    if known != picture.format:
+        source, values = b"", converted(picture, pixels, known, as_data=as_data)[0]
     quality = min(max(quality, 1), 100)
-    data = extra_codecs.encoded(known, values, quality, b"" if is_new else picture.source, as_data=as_data)
+    try:
+        data = extra_codecs.encoded(known, values, quality, source, as_data=as_data)
+    except extra_codecs.FAILURES as error:
+        raise _unwritten(picture.name, known, str(error)) from None
     again = extra_codecs.decoded(data, known, picture.name)[0]
     cost = extra_codecs.encoding_cost(known, values, again, picture.name)
     return ImageFile(data, FORMATS[known].suffixes[0], (cost, *lost_metadata(picture, data, known)))
@@ -317,20 +333,46 @@ def _bare_spec(picture: Picture) -> Any:
 
 def _kept_spec(picture: Picture) -> Any:
     spec = picture.spec.copy()
-    is_tiff = picture.format == "tiff"  # whose tags are copied from the source
-    for attribute in list(spec.extra_attribs):
-        is_copied = is_tiff and not attribute.name.startswith(_STORAGE_IN_TIFF)
-        if is_copied or attribute.name.startswith(_NOT_KEPT):
-            spec.erase_attribute(attribute.name)
-    if is_tiff and tiff_tags.is_big(picture.source):
-        spec.attribute("tiff:bigtiff", 1)
+    for prefix in _NOT_KEPT:
+        spec.erase_attribute(f"{prefix}.*")
+    if picture.format == "tiff":  # whose tags are copied from the source
+        for attribute in list(spec.extra_attribs):
+            if not attribute.name.startswith(_STORAGE_IN_TIFF):
+                spec.erase_attribute(attribute.name)
+        if tiff_tags.is_big(picture.source):
+            spec.attribute("tiff:bigtiff", 1)
     if picture.format not in ("tiff", "openexr"):  # Those two store, and say, whether alpha is multiplied in.
         spec.attribute("oiio:UnassociatedAlpha", 1)
     return spec
 
 
-def _set_options(spec: Any, known: str, compression: str, quality: int, *, small: bool) -> None:
+def _encode(
+    spec: Any, pixels: Array, known: str, name: str, quality: int, *, small: bool, lossless: bool = False
+) -> bytes:
+    """Encode pixels by their spec; of lossy WebP and JPEG with a quality, and WebP without loss if asked to."""
     quality = min(max(quality, 1), 100)
+    if known != "webp":
+        _set_options(spec, known, quality, small=small)
+        return _encode_by_openimageio(spec, pixels, known, name)
+    profile = spec.getattribute("ICCProfile")
+    try:
+        return extra_codecs.encoded_webp(
+            pixels,
+            quality=(100 if small else 50) if lossless else quality,
+            method=6 if small else 3 if lossless else 4,
+            lossless=lossless,
+            profile=b"" if profile is None else bytes(np.asarray(profile, np.uint8)),
+        )
+    except extra_codecs.FAILURES as error:
+        raise _unwritten(name, known, str(error)) from None
+
+
+def _unwritten(name: str, known: str, error: str) -> ProcessingError:
+    cause = error.strip() or "no reason given"
+    return ProcessingError(f"{name}: the {label_of(known)} image cannot be written ({cause})")
+
+
+def _set_options(spec: Any, known: str, quality: int, *, small: bool) -> None:
     match known:
         case "png":
             spec.attribute("png:compressionLevel", 9 if small else 1)
@@ -341,12 +383,6 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
                 spec.attribute("png:filter", _PNG_FILTER_UP)
         case "jpeg":
             spec.attribute("compression", f"jpeg:{quality}")
-        case "webp" if compression == "lossless":
-            spec.attribute("compression", "lossless:100" if small else "lossless:50")
-            spec.attribute("webp:method", 6 if small else 3)
-        case "webp":
-            spec.attribute("compression", f"webp:{quality}")
-            spec.attribute("webp:method", 6 if small else 4)
         case "jpegxl":  # without loss
             spec.attribute("compression", "jpegxl:100")
         case "tiff":
@@ -357,7 +393,7 @@ def _set_options(spec: Any, known: str, compression: str, quality: int, *, small
         spec.attribute("DateTime", *nothing)
 
 
-def _encode(spec: Any, pixels: Array, known: str, name: str) -> bytes:
+def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> bytes:
     import OpenImageIO
 
     file = OpenImageIO.ImageOutput.create(known)
@@ -371,6 +407,5 @@ def _encode(spec: Any, pixels: Array, known: str, name: str) -> bytes:
         error = file.geterror()  # TIFF reports a missing EXIF directory though all is written.
         OpenImageIO.geterror()
         if not (written and closed):
-            cause = error.replace(str(path), "it").strip() or "no reason given"
-            raise ProcessingError(f"{name}: the {known} image cannot be written ({cause})")
+            raise _unwritten(name, known, error.replace(str(path), "it"))
         return path.read_bytes()
