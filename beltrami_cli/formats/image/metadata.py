@@ -5,10 +5,12 @@ References
 .. [1] PNG (Portable Network Graphics) Specification, third edition, W3C 2025, sections 5, 9 and 11.
 .. [2] ITU-T T.81 (JPEG), annex B: marker segments and tables.
 .. [3] WebP Container Specification, Google: RIFF chunks.
+.. [4] CIPA DC-007, Multi-Picture Format, section 5.2: MP Index IFD.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -24,7 +26,7 @@ from beltrami_cli.surface.large_arrays import blocks
 DAMAGED = (ValueError, LookupError, struct.error)
 """Errors that damaged metadata raise."""
 
-PNG_START = b"\x89PNG\r\n\x1a\n"
+PNG_START, _JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
 _OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # PNG chunks that depend on the type of the samples
 _OF_OLD_ENTRIES = (b"tRNS", b"hIST")  # which come with a new palette, or fit the old one alone
@@ -34,7 +36,7 @@ _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
 _WEBP_STRUCTURE = (b"VP8X", b"ANIM", b"ANMF", *_WEBP_PIXELS)
-_START_OF_SCAN = 0xDA
+_START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
 _METADATA = (
     0xFE,
     *range(0xE0, 0xEE),
@@ -43,6 +45,9 @@ _METADATA = (
 _FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 _PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
 _MOST_BITS_OF_A_PALETTE = 8
+_MPF = b"MPF\0"  # the mark of an index of pictures
+_MP_ENTRIES = 0xB002  # tag of its entries
+_MP_ENTRY = 16  # bytes of one
 _PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
 _MOST = 256  # entries
 _ROWS = 64  # looked at together
@@ -139,6 +144,39 @@ def jpeg_segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memor
         at = end
 
 
+_END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker but those of restarts within a scan
+
+
+def _jpeg_end(data: bytes) -> int:
+    """Return where the first picture of a JPEG file ends."""
+    at = 2
+    while data[at : at + 1] == b"\xff" and at + 2 <= len(data):
+        marker = data[at + 1]
+        if marker == _END_OF_IMAGE:
+            return at + 2
+        if marker == 0xFF:  # a fill byte
+            at += 1
+        elif marker in _PLAIN_MARKERS:
+            at += 2
+        else:
+            at += 2 + int.from_bytes(data[at + 2 : at + 4])
+        if marker == _START_OF_SCAN:
+            found = _END_OF_SCAN.search(data, at)
+            at = found.start() if found else len(data)
+    return len(data)
+
+
+def first_jpeg(data: bytes) -> bytes:
+    """Return a JPEG file without what follows its first picture: a gain map, previews, a video; others as they are."""
+    # With a gain map, OpenImageIO would read the brighter picture that HDR displays make of both, in floats.
+    return data[: _jpeg_end(data)] if data.startswith(_JPEG_START) else data
+
+
+def further_pictures(data: bytes) -> bytes:
+    """Return what follows the first picture of a JPEG file, padding aside; of other files nothing."""
+    return data[_jpeg_end(data) :].strip(b"\0") if data.startswith(_JPEG_START) else b""
+
+
 def _carry_png(source: bytes, encoded: bytes) -> bytes:
     has_entries = has_palette(encoded, "png")
     same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
@@ -165,12 +203,33 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
 
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
-    found = [segment for marker, segment in jpeg_segments(source) if marker in _METADATA]
-    metadata = [
-        segment for segment in found if segment[4:8] != b"MPF\0"
-    ]  # places of further images in the file
+    metadata = [bytes(segment) for marker, segment in jpeg_segments(source) if marker in _METADATA]
     pixels = [segment for marker, segment in jpeg_segments(encoded) if marker not in _METADATA]
-    return encoded[:2] + b"".join([*metadata, *pixels])
+    picture, end = encoded[:2] + b"".join([*metadata, *pixels]), _jpeg_end(source)
+    growth = len(picture) - end
+    for index in metadata:
+        if index[4 : 4 + len(_MPF)] == _MPF:
+            shift = growth + source.index(index) - picture.index(index)
+            picture = picture.replace(index, _index_of_pictures(index, shift, growth), 1)
+    return picture + source[end:]
+
+
+def _index_of_pictures(segment: bytes, shift: int, growth: int) -> bytes:
+    """Return the index of the pictures in a JPEG file [4] whose first one has grown, with the others shifted."""
+    tiff, order = bytearray(segment[4 + len(_MPF) :]), "<" if segment[8:10] == b"II" else ">"
+    try:
+        at = struct.unpack_from(f"{order}I", tiff, 4)[0]
+        (count,) = struct.unpack_from(f"{order}H", tiff, at)
+        fields = [struct.unpack_from(f"{order}HHII", tiff, at + 2 + 12 * i) for i in range(count)]
+        entries = next((size, place) for tag, _, size, place in fields if tag == _MP_ENTRIES)
+        for at in range(entries[1], entries[1] + entries[0], _MP_ENTRY):
+            length, offset = struct.unpack_from(f"{order}II", tiff, at + 4)
+            # Offsets count from the head of the index; that of the first picture is 0.
+            moved = (length, offset + shift) if offset else (length + growth, 0)
+            struct.pack_into(f"{order}II", tiff, at + 4, *moved)
+    except (struct.error, StopIteration):  # no index that a program could follow
+        return segment
+    return segment[: 4 + len(_MPF)] + bytes(tiff)
 
 
 def webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -282,7 +341,7 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-_JPEG_START, _TABLES, _ADOBE = b"\xff\xd8", 0xDB, 0xEE
+_TABLES, _ADOBE = 0xDB, 0xEE
 
 # Frames of 8-bit samples that are coded by Huffman's code: baseline, extended and progressive ones.
 _HUFFMAN_FRAMES = 0xC0, 0xC1, 0xC2

@@ -15,7 +15,7 @@ import numpy as np
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
 from beltrami_cli.formats.image.layers import colour_part
-from beltrami_cli.formats.image.metadata import has_palette, is_animated, is_cmyk_jpeg, png_chunks
+from beltrami_cli.formats.image.metadata import first_jpeg, has_palette, is_animated, is_cmyk_jpeg, png_chunks
 from beltrami_cli.formats.image.picture import READABLE, STORED, Picture, described, format_of, label_of
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 from beltrami_cli.surface.records import Texture
@@ -254,7 +254,7 @@ def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tu
     """Open an image file; give an OpenImageIO.ImageInput, or None if that fails, and its path, which errors name."""
     import OpenImageIO
 
-    with scratch_file(data, name=name) as path:
+    with scratch_file(first_jpeg(data), name=name) as path:
         arguments = (str(path),) if config is None else (str(path), config)
         file = OpenImageIO.ImageInput.open(*arguments)
         if file is None:

@@ -35,6 +35,7 @@ _LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF i
 _TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
     "rla:", "gif:", "psd:",
+    "hdrgm:", "Container:", "Item:", "rdf:",  # of a gain map, which stays behind
 )  # fmt: skip
 _ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "textureformat")
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
@@ -59,6 +60,11 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
         )
     if known == "openexr" and _has_hidden_colours(picture):
         found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
+    if metadata.further_pictures(picture.source):
+        dropped = (
+            "what follows it in the JPEG file is dropped (a gain map for HDR displays, previews, a video)"
+        )
+        found.append(f"{name}: {label} holds one picture; {dropped}.")
     if _needs_three(picture, known):
         found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
     if picture.encoding == "linear" and stored.startswith("uint"):
