@@ -132,6 +132,36 @@ def test_texts_that_are_no_utf_8_do_not_bar_a_conversion():
     assert b"Zo\xeb" in write_image(picture, picture.pixels, suffix=".jpg").data
 
 
+LATIN_1 = {
+    "channel": (b"Z\0", b"\xeb\0"),
+    "name": (b"title\0", b"titl\xeb\0"),
+    "name that is left out": (b"title\0", b"gif:\xeb\0"),
+    "value": (b"Zoe", b"Zo\xeb"),
+}
+
+
+def latin_1_exr(what):
+    """Return an EXR with a letter of Latin-1 in the name of a channel or of an attribute, or in its value."""
+    pixels = np.random.default_rng(0).random((8, 8, 5), np.float32)
+    data = encode(pixels, "openexr", "float", compression="none", title="Zoe")
+    old, new = LATIN_1[what]
+    assert old in data
+    return data.replace(old, new)
+
+
+@pytest.mark.parametrize("suffix", [None, ".tif", ".png", ".jpg", ".webp", ".rla"])
+@pytest.mark.parametrize("what", LATIN_1)
+def test_exr_files_whose_texts_are_no_utf_8_are_written_in_every_format(what, suffix):
+    picture = read_image(latin_1_exr(what), "x.exr")
+    written = write_image(picture, picture.pixels, suffix=suffix)
+    again = read_image(written.data, f"x{suffix or '.exr'}")
+    assert again.pixels.shape[:2] == (8, 8)
+    if suffix is None:
+        np.testing.assert_array_equal(again.pixels, picture.pixels)
+        assert again.channels == picture.channels
+        assert LATIN_1[what][1] in written.data or what == "name that is left out"
+
+
 def test_an_unknown_extension_is_refused():
     picture = picture_of("png", "uint8", 3)
     with pytest.raises(UsageError, match=r"\.xyz"):
