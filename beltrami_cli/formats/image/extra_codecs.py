@@ -12,6 +12,7 @@ from __future__ import annotations
 import importlib
 import io
 import math
+import os
 import struct
 import warnings
 from typing import Any
@@ -36,6 +37,12 @@ _ZSTANDARD_LEVEL = 9
 FAILURES = (OSError, ValueError, RuntimeError)  # of encoders
 _REFUSALS = (*FAILURES, SyntaxError, MemoryError)  # by Pillow, of damaged files
 _FASTEST_EFFORT, _SLOWEST_SPEED = 2, 6
+# Bytes per texel that encoders and decoders take at most: the growth of VmHWM of a process, on slopes and on noise of
+# 256 to 2048 texels a side. With less memory alktx2 aborts the process, and Pillow calls sound files damaged.
+_UASTC_BYTES, _AVIF_BYTES = 40, 64
+_TO_DECODE = {"ktx2": 16, "avif": 25}
+# Bytes for each thread of theirs, one per processor: a stack of 8 MiB, and as much for small arrays.
+_THREAD_BYTES = 16 << 20
 
 
 def missing_package(known: str) -> str | None:
@@ -62,6 +69,8 @@ def measured(data: bytes, known: str, name: str) -> tuple[int, int, int]:
 
 def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...], bytes | None]:
     """Decode an image whose header `measured` has accepted: pixels (H, W, 3 or 4), notices, and an ICC profile."""
+    width, height, _ = measured(data, known, name)
+    _require_memory(width * height * _TO_DECODE[known])
     if known == "ktx2":
         return _decoded_ktx2(data, name), (), None
     with _opened_avif(data, name) as image:
@@ -92,6 +101,17 @@ def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> str:
     psnr = 10 * math.log10(255**2 / error) if error else math.inf
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
     return f"{inexact}: what is written has a PSNR of {psnr:.1f} dB."
+
+
+def _require_memory(size: int) -> None:
+    """Raise MemoryError if a codec might run out of it."""
+    np.empty(size + _THREAD_BYTES * (os.cpu_count() or 1), np.uint8)
+
+
+def _etc1s_bytes(texels: int) -> int:
+    """Return how much memory encoding as ETC1S takes at most: in large images codebooks have a fixed size."""
+    # Measured as above: 23 MB for 256, 80 MB for 512, 259 MB for 1024, and 710 MB for 2048 texels of noise a side.
+    return min(352 * texels, 170 * texels + (96 << 20))
 
 
 def _damaged(name: str, label: str, error: object) -> InputError:
@@ -157,6 +177,7 @@ def _encoded_ktx2(pixels: Uint8s, quality: int, source: bytes, *, as_data: bool)
         about: Any = alktx2.inspect_ktx2(source)
         is_etc1s, is_srgb, has_levels = about["is_etc1s"], about["is_srgb"], about["levels"] > 1
         packed = _HEADER.unpack_from(source)[8] == _ZSTANDARD
+    _require_memory(_etc1s_bytes(width * height) if is_etc1s else width * height * _UASTC_BYTES)
     found: bytes = alktx2.encode_raw_rgba_to_ktx2(
         filled.tobytes(),
         width,
@@ -226,6 +247,7 @@ def _encoded_avif(pixels: Uint8s, quality: int, source: bytes) -> bytes:
     from PIL import Image
 
     kept = avif_metadata(source) if source else {}
+    _require_memory(pixels.shape[0] * pixels.shape[1] * _AVIF_BYTES)
     buffer = io.BytesIO()
     # Tiles that follow the number of processors would make the file depend on the machine.
     options = {"quality": quality, "subsampling": "4:4:4", "speed": _SLOWEST_SPEED, "autotiling": False}

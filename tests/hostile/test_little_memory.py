@@ -1,0 +1,69 @@
+"""Where memory is short, codecs do not end the process or call a sound file damaged."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from formats.test_extra_codecs import needs
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited on Linux"),
+]
+
+LIMITED = """
+import resource, numpy as np
+soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+def outcome(job, mebibytes):
+    pages = int(open("/proc/self/statm").read().split()[0])
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + (mebibytes << 20), hard))
+    try:
+        return job()
+    except MemoryError:
+        return "MemoryError"
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+"""
+CODEC = """
+from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.image.picture import new_picture
+slopes = np.linspace(0, 255, 1024 * 1024 * 4).reshape(1024, 1024, 4).astype(np.uint8)
+def encoded(pixels):
+    if {codec!r} != "etc1s":
+        return write_image(new_picture(pixels, "x"), pixels, suffix={suffix!r}).data
+    import alktx2
+    return alktx2.encode_raw_rgba_to_ktx2(pixels.tobytes(), *pixels.shape[:2], True, codec="etc1s", srgb=True)
+small = read_image(encoded(slopes[:32, :32]), "x" + {suffix!r})
+large = encoded(slopes)
+write_image(small, small.pixels)
+for mebibytes in (0, 8, 16, 32, 64):
+    print(outcome(lambda: read_image(large, "x" + {suffix!r}) and "done", mebibytes))
+    print(outcome(lambda: write_image(small, slopes) and "done", mebibytes))
+"""
+
+
+def printed(program):
+    run = subprocess.run(
+        [sys.executable, "-c", LIMITED + program], capture_output=True, text=True, check=False,
+        cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    return run.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("codec", "suffix"),
+    [
+        pytest.param("etc1s", ".ktx2", marks=needs("ktx2")),
+        pytest.param("uastc", ".ktx2", marks=needs("ktx2")),
+        pytest.param("avif", ".avif", marks=needs("avif")),
+    ],
+)
+def test_codecs_without_memory_raise_what_the_command_reports(codec, suffix):
+    outcomes = printed(CODEC.format(codec=codec, suffix=suffix))
+    assert len(outcomes) == 10
+    assert set(outcomes) <= {"done", "MemoryError"}
