@@ -6,6 +6,7 @@
 #include <condition_variable>
 #include <exception>
 #include <mutex>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -77,8 +78,13 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned threads, con
   pool.reserve(workers);
   bool cancelled = false;
   try {
-    for (unsigned worker = 0; worker < workers; ++worker) pool.emplace_back(&Crew::work, &crew, worker);
-    cancelled = crew.wait(workers, poll);
+    try {
+      for (unsigned worker = 0; worker < workers; ++worker) pool.emplace_back(&Crew::work, &crew, worker);
+    } catch (const std::system_error&) {
+      // No memory for the stack of another thread, or too many of them: those that have started do all the work.
+      if (pool.empty()) crew.work(0);
+    }
+    cancelled = crew.wait(static_cast<unsigned>(std::max<std::size_t>(1, pool.size())), poll);
   } catch (...) {
     crew.stop();
     for (auto& thread : pool) thread.join();

@@ -1,4 +1,4 @@
-"""Where memory is short, codecs do not end the process or call a sound file damaged."""
+"""Where memory is short, codecs do not end the process or call a sound file damaged, and fewer threads do the work."""
 
 from __future__ import annotations
 
@@ -44,6 +44,13 @@ for mebibytes in (0, 8, 16, 32, 64):
     print(outcome(lambda: read_image(large, "x" + {suffix!r}) and "done", mebibytes))
     print(outcome(lambda: write_image(small, slopes) and "done", mebibytes))
 """
+THREADS = """
+from beltrami_cli import smooth_image
+colours = np.random.default_rng(0).random((64, 64, 3), np.float32)
+kernel = {"iterations": 1, "t": 4.0, "beta": 10.0, "patches": "off"}
+one = smooth_image(colours, threads=1, **kernel).colours  # whose stack is kept for the next thread
+print(outcome(lambda: np.array_equal(smooth_image(colours, threads=8, **kernel).colours, one), 4))
+"""
 
 
 def printed(program):
@@ -67,3 +74,7 @@ def test_codecs_without_memory_raise_what_the_command_reports(codec, suffix):
     outcomes = printed(CODEC.format(codec=codec, suffix=suffix))
     assert len(outcomes) == 10
     assert set(outcomes) <= {"done", "MemoryError"}
+
+
+def test_threads_that_cannot_be_started_leave_the_work_to_others():
+    assert printed(THREADS) == ["True"]
