@@ -16,7 +16,7 @@ from beltrami_cli.formats.image.reading import opened
 _TECHNICAL = ("oiio:", "compression", "ICCProfile:")
 _OF_OTHER_FORMATS = (
     *_TECHNICAL, "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "jpegxl:", "pnm:", "dpx:", "rla:",
-    "gif:", "psd:", "thumbnail_", "planarconfig", "textureformat",
+    "gif:", "psd:", "thumbnail_", "planarconfig", "textureformat", "hdrgm:", "Container:", "Item:", "rdf:",
 )  # fmt: skip
 _OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
 _MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
@@ -30,7 +30,8 @@ _PNG_STRUCTURE = (b"tRNS", b"acTL", b"fcTL", b"fdAT")  # other notices tell what
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
 _APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
-_JPEG_READ = ("JFIF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
+# Another notice reports that the pictures of an index (MPF) are dropped.
+_JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
 _BOXES = {
     "jpeg2000": (b"jP  ", b"ftyp", b"jp2h", b"jp2c"),
     "jpegxl": (b"JXL ", b"ftyp", b"jxlc", b"jxlp", b"jxll", b"jxli"),
