@@ -16,10 +16,17 @@ _FACE_LINES = ["property list uchar int vertex_indices"]
 _UV_LINES = ["property list uchar float texcoord", "property int texnumber"]
 _TEXTURE_COMMENT = re.compile(rb"comment TextureFile ([^\r\n]+)")
 _FIRST_TILE, _TILES_A_ROW = 1001, 10
+_USUAL_SHARE = 0.99  # of the light other than 0: single spikes of a renderer say nothing of the range
 
 
 class ExchangeError(Exception):
     """What was asked for cannot be done; the text says why."""
+
+
+def _full_scale(colours):
+    """Return what few of the colours exceed, but 1 at least."""
+    light = colours[colours > 0]
+    return max(1.0, float(np.quantile(light, _USUAL_SHARE, method="higher"))) if light.size else 1.0
 
 
 def _numbers(items, name, width, kind):
@@ -85,7 +92,7 @@ class ColourAttribute:
             self._row_of = self._row_of.reshape(-1)
             of_row, stored, corners = owner[first], stored[first], self._row_of[loops]
         self._before = stored
-        self._scale = 1.0 if self._is_byte else max(1.0, float(stored[:, :3].max(initial=0)))
+        self._scale = 1.0 if self._is_byte else _full_scale(stored[:, :3])
         scaled = stored / np.array([self._scale] * 3 + [1], np.float32)
         colours = np.rint(scaled * 255).astype(np.uint8) if self._is_byte else scaled
         faces = np.zeros(len(corners), _FACES)

@@ -28,6 +28,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.colour_values import limits_of
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
 _WORTH_RESTORING = 1e-3
@@ -106,7 +107,7 @@ def find_clipped(colours: Float32s, sigma: Float64s) -> ClippedChannels | None:
     from beltrami_cli._native import find_limits
 
     found = [find_limits(colours[block]) for block in large_arrays.blocks(len(colours))]
-    return _clipped(found, len(colours), sigma)
+    return _clipped(found, [limits_of(own) for own in colours.T], len(colours), sigma)
 
 
 def find_clipped_on_canvas(planes: Float32s, filled: int, sigma: Float64s) -> ClippedChannels | None:
@@ -118,21 +119,22 @@ def find_clipped_on_canvas(planes: Float32s, filled: int, sigma: Float64s) -> Cl
         [find_limits(plane[block].reshape(-1, 1))[0] for plane in planes]
         for block in large_arrays.blocks(planes.shape[1], rows)
     ]
-    return _clipped(found, filled, sigma, empty=planes[0].size - filled)
+    return _clipped(found, [limits_of(own) for own in planes], filled, sigma, planes[0].size - filled)
 
 
 def _clipped(
-    found: list[list[tuple[float, float, int, int]]], count: int, sigma: Float64s, empty: int = 0
-) -> ClippedChannels | None:
+    found: list[list[tuple[float, float, int, int]]], limits: list[tuple[float, float]], count: int,
+    sigma: Float64s, empty: int = 0,
+) -> ClippedChannels | None:  # fmt: skip
     """Decide from minimum, maximum and numbers of samples at 0 and 1, for each block and channel."""
     if not count:
         return None
     parts = np.array(found)
-    least, most = parts[:, :, 0].min(axis=0), parts[:, :, 1].max(axis=0)
+    floor, ceiling = np.transpose(limits)
     at_0, at_1 = parts[:, :, 2].sum(axis=0) - empty, parts[:, :, 3].sum(axis=0)
     worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
-    low = (noisy & (least == 0) & (at_0 >= worth)).tolist()
-    high = (noisy & (most == 1) & (at_1 >= worth)).tolist()
+    low = (noisy & (floor == 0) & (at_0 >= worth)).tolist()
+    high = (noisy & (ceiling == 1) & (at_1 >= worth)).tolist()
     if not (any(low) or any(high)):
         return None
     return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))

@@ -24,6 +24,7 @@ from beltrami_cli.samples.samples import Grains, Repainted, Samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.colour_values import limits_of
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash
@@ -175,7 +176,7 @@ def seen_by_camera(grains: Grains, cells: Cells | None, settings: NoiseSettings)
     if cells is not None and channels == 3:
         through = _demosaiced(seen, cells)
         seen = through if grains.grey is None else np.where(grains.grey[:, None], seen, through)
-    most = 1.0 if light.max(initial=1) <= 1 else np.inf
+    most = limits_of(light)[1]
     return to_space(seen.clip(0, most).astype(np.float32), "linear", grains.space)
 
 

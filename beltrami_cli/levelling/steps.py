@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.surface.atlas import Atlas, Indices, at_seam, lines_over_seams, refresh_halo
+from beltrami_cli.surface.colour_values import limits_of
 
 # Side of the blocks of cells whose steps are averaged: doubled until there are few enough of them.
 _STRETCH = 4
@@ -159,12 +160,6 @@ def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64
             break
     both, *cut = (np.concatenate(each, axis=2).transpose(2, 0, 1) for each in (colours, low, high))
     return np.concatenate(inner), np.concatenate(outer), both, (cut[0], cut[1])
-
-
-def limits_of(colours: Float32s | Float64s) -> tuple[float, float]:
-    """Return where colours are cut off: at 0 and 1, unless some lie beyond."""
-    low = 0.0 if colours.min(initial=0) >= 0 else -np.inf
-    return low, 1.0 if colours.max(initial=1) <= 1 else np.inf
 
 
 def _ordered(keys: Int64s) -> tuple[Int64s, Int64s, Int64s]:

@@ -29,6 +29,7 @@ from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.records import ImageFile, Slot
 
 Part = Literal["vertices", "textures", "image"]
@@ -58,9 +59,8 @@ class Grains:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Where colours with noise are cut off: at 0 and 1, unless some colours lie beyond."""
-        low = 0.0 if self.colours.min(initial=0) >= 0 else -np.inf
-        return low, 1.0 if self.colours.max(initial=1) <= 1 else np.inf
+        """Where colours with noise are cut off."""
+        return limits_of(self.colours)
 
 
 def as_jpeg(shown: Float32s, quality: int) -> Float32s:

@@ -1,4 +1,4 @@
-"""Colours as numbers: the sRGB transfer function, and values drawn as colours."""
+"""Colours as numbers: the sRGB transfer function, the limits of colours, and values drawn as colours."""
 
 from __future__ import annotations
 
@@ -23,6 +23,10 @@ VIRIDIS = np.array([
 ])  # fmt: skip
 # The greys of a painting where there is no value: neither black nor white.
 _GREY_FROM, _GREY_TO = 0.35, 0.9
+
+# Share of samples beyond 0 or full scale up to which these are limits: single spikes and rounding prove nothing.
+_FEW_BEYOND = 1e-3
+
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -48,6 +52,21 @@ def _magnitude(values: ArrayLike) -> tuple[Array, Float64s]:
 def _signed(size: Float64s, given: Array) -> NDArray[np.floating[Any]]:
     values: Float64s = np.copysign(size, given)
     return values.astype(np.float32) if given.dtype == np.float32 else values
+
+
+def limits_of(colours: Array) -> tuple[float, float]:
+    """Return where noise of colours is cut off: at 0 and 1, or at infinity where more than a few lie beyond."""
+    few, low, high = _FEW_BEYOND * colours.size, 0.0, 1.0
+    if colours.min(initial=0) < 0 and np.count_nonzero(colours < 0) > few:
+        low = -np.inf
+    if colours.max(initial=1) > 1 and np.count_nonzero(colours > 1) > few:
+        high = np.inf
+    return low, high
+
+
+def at_limits(colours: Float32s) -> Bools:
+    """Return which colours are 0 or full scale, as those whose noise was cut off; others show theirs."""
+    return np.asarray((colours == 0) | (colours == 1))
 
 
 def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:

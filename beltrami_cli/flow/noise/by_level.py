@@ -66,6 +66,12 @@ _ENOUGH_VALUES = 200
 # Differences of channels are of one hue if they hold more than this factor of what differs from it.
 _ONE_HUE = 2.0
 
+# Numbers are no levels, as the a and b of Oklab, if more than this share of neighbourhoods has a mean below 0 by this
+# many standard deviations of its noise, or if more than the last share of a channel's has one at all. Noise around
+# black does neither.
+_FEW_FAR_BELOW, _FAR_BELOW = 1e-3, 4.0
+_FEW_BELOW = 1 / 4
+
 # Steps between neighbouring levels count by this, over the distance; all else that is not determined is small.
 _EVEN, _LITTLE = 0.03, 1e-3
 
@@ -114,6 +120,15 @@ def fit_by_level(scales: Sequence[Neighbourhoods], mixing: Float64s) -> NoiseByL
     middle = float(np.average(relative, weights=np.maximum(seen, 1e-9)))
     sigma = np.where(known, np.exp((sizes.reshape(shape) + middle) / 2), np.nan)
     return NoiseByLevel(sigma, levels, np.exp((relative - middle) / 2), seen)
+
+
+def are_levels(own: Neighbourhoods) -> bool:
+    """Whether colours are levels, on which noise may depend, by their means in neighbourhoods."""
+    if not own.levels.size:
+        return True
+    noise = np.sqrt(own.energy.mean(axis=0) / own.values)
+    far = own.levels < -_FAR_BELOW * noise
+    return bool(far.mean() <= _FEW_FAR_BELOW and (own.levels < 0).mean(axis=1).max() <= _FEW_BELOW)
 
 
 def _measured(

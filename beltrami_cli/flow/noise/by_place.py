@@ -16,6 +16,7 @@ from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_for
 from beltrami_cli.flow.noise.grid_scales import corners_of, sums_of_tiles
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.colour_values import at_limits
 
 # Cells a side of a tile, tiles a side of a block, and tiles that a block needs.
 _TILE, _BLOCK, _FEWEST_TILES = 8, 4, 6
@@ -179,7 +180,7 @@ def _measure_tiles(planes: Float32s, filled: Bools) -> tuple[Float32s, Float32s]
         there = np.zeros(whole.shape[1:], bool)
         whole[:, : len(filled[band]), : filled.shape[1]] = planes[:, band]
         there[: len(filled[band]), : filled.shape[1]] = filled[band]
-        cut = ((whole <= 0) | (whole >= 1)).mean(axis=0, dtype=np.float32)
+        cut = at_limits(whole).mean(axis=0, dtype=np.float32)
         usable = sums_of_tiles(there, _TILE) == _TILE**2
         share = sums_of_tiles(cut, _TILE) / _TILE**2
         usable &= share < MOST_CUT_OFF

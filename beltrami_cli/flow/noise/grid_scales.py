@@ -22,7 +22,14 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
-from beltrami_cli.flow.noise.by_level import MOST_PLAIN, Neighbourhoods, by_channel, mixing_by, most_cut_off
+from beltrami_cli.flow.noise.by_level import (
+    MOST_PLAIN,
+    Neighbourhoods,
+    are_levels,
+    by_channel,
+    mixing_by,
+    most_cut_off,
+)
 from beltrami_cli.flow.noise.by_scale import SCALE_OF_CHANNELS, FoundNoise, noise_of_scales
 from beltrami_cli.flow.noise.flat_patch_noise import (
     FEWEST_SAMPLES,
@@ -33,7 +40,7 @@ from beltrami_cli.flow.noise.flat_patch_noise import (
     noise_or_paint,
 )
 from beltrami_cli.flow.noise.upper_bound import most_noise
-from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.colour_values import at_limits
 
 # Squares per side of a tile, scale by scale: there are few of the coarse ones.
 _TILES = (4, 4, 2, 2)
@@ -79,7 +86,7 @@ def measure_by_scale(
     colours, filled = colours[:, rows], filled[rows]
     mixing = _mixing_of(colours, filled)
     louder = None if relative is None else relative[0, rows]
-    cut = ((colours <= 0) | (colours >= 1)).mean(axis=0, dtype=np.float32)
+    cut = at_limits(colours).mean(axis=0, dtype=np.float32)
     # Not by BLAS: its threads would spin for as long as an iteration takes.
     means = np.einsum("ij,jrc->irc", mixing.astype(np.float32), colours)
     scales = []
@@ -155,9 +162,7 @@ def find_grid_noise(
         return FoundNoise(doubt=np.inf)
     if not scales or scales[0].levels.shape[1] < _MIN_TILES:
         return FoundNoise()
-    by_level &= cells >= _MIN_BY_LEVEL
-    bands = large_arrays.blocks(planes.shape[1], _BAND)
-    by_level &= all(float(planes[:3, rows].min()) >= 0 for rows in bands)  # other numbers are no levels
+    by_level &= cells >= _MIN_BY_LEVEL and are_levels(scales[0])
     alone = partial(estimate_sigma_on_grid, planes, filled)
     return noise_of_scales(scales, mixing, len(planes), alone, by_level=by_level)
 
@@ -227,7 +232,7 @@ def _most_of_cells(planes: Float32s, filled: Bools) -> Float64s:
     squares = all_filled(filled[rows])
     for channel in range(len(planes)):
         plane = planes[channel : channel + 1, rows]
-        at_limit = ((plane <= 0) | (plane >= 1)).astype(np.float32)
+        at_limit = at_limits(plane).astype(np.float32)
         corners, cut = corners_of(plane), corners_of(at_limit).max(axis=0)[0]
         details = np.square(corners - corners.mean(axis=0)).sum(axis=0) / 3
         most[channel] = most_noise(details, _uncut(squares, cut, _TILES[0]))[0]

@@ -19,6 +19,7 @@ from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import (
     MOST_PLAIN,
     Neighbourhoods,
+    are_levels,
     by_channel,
     fit_by_level,
     mixing_by,
@@ -36,6 +37,7 @@ from beltrami_cli.flow.noise.flat_patch_noise import (
     noise_or_paint,
 )
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
+from beltrami_cli.surface.colour_values import at_limits
 
 # The bound of noise by scale is up to a tenth less than there is, on some ten thousand samples.
 _SLACK = 1.12
@@ -88,7 +90,7 @@ def estimate_sigma(colours: Float32s, edges: Int32s, relative: Float32s | None =
     if len(colours) < FEWEST_SAMPLES or not inside.any():
         return np.zeros(colours.shape[1])
     size = np.bincount(edges.ravel(), minlength=len(colours)) + 1
-    around = np.hstack([colours <= 0, colours >= 1, colours]).astype(np.float32)
+    around = np.hstack([colours == 0, colours == 1, colours]).astype(np.float32)
     around = _means_around(around, edges, size, _RINGS_OF_SHARES)
     energy, uneven, _, others = _neighbourhoods(colours, around, variances, edges, inside)
     white = WhiteNoise(_FREEDOM_AROUND, _UNEVEN_AROUND, _SPREAD_AROUND, _AROUND_SHARE, _AROUND_LEAST)
@@ -199,7 +201,7 @@ def find_relative(colours: Float32s, edges: Int32s) -> Float32s | None:
     size = np.bincount(edges.ravel(), minlength=len(colours)) + 1
     tile = np.minimum(np.arange(len(colours)) // _TILE, count * _TILES - 1)
     tiles = _energies_by_scale(mixed, edges, size, tile)
-    cut = ((colours <= 0) | (colours >= 1)).mean(axis=1)
+    cut = at_limits(colours).mean(axis=1)
     share = _means(cut, tile)
     remaining = variance_of_clipped(np.minimum(share, MOST_CUT_OFF))
     tiles = np.where(share < MOST_CUT_OFF, tiles / remaining, np.float32(np.nan))
@@ -246,25 +248,26 @@ def _means(values: Array, tile: Array, count: int | None = None) -> Float64s:
 
 
 def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None = None) -> FoundNoise:
-    """Find how noise depends on the level, unless numbers below 0 are no levels, and what neighbours share."""
+    """Find how noise depends on the level, if colours are levels, and what neighbours share."""
     chosen, edges = _some_samples(samples.size, samples.edges)
     part = Graph(samples.positions[chosen], edges, samples.priorities[chosen])
     variances, own = (
         _variances(colours, relative)[chosen],
         colours[chosen, : 3 if colours.shape[1] >= 3 else None],
     )
-    inside, by_level = _inside(own, edges), own.min(initial=0) >= 0
+    inside = _inside(own, edges)
     if np.count_nonzero(inside) < _FEWEST_BY_LEVEL:
         return FoundNoise()
     are_enough = np.count_nonzero(inside) >= _FEWEST_SHARED
     clusters = list(islice(levels_of(part), SCALES + 2)) if are_enough else []
     mixing = _mixing_of(own, clusters)
     mixed = np.einsum("ki,si->sk", mixing, own)
-    cut = ((own <= 0) | (own >= 1)).mean(axis=1, keepdims=True, dtype=np.float32)
+    cut = at_limits(own).mean(axis=1, keepdims=True, dtype=np.float32)
     size = np.bincount(edges.ravel(), minlength=len(own)) + 1
     cut = _means_around(cut, edges, size, _RINGS_OF_SHARES)
     columns = np.column_stack([mixed, cut, variances]).astype(np.float32)
-    found = FoundNoise()
+    around = _residuals(columns, mixing, edges, inside)
+    found, by_level = FoundNoise(), are_levels(around)
     if are_enough:
         scales: list[Neighbourhoods] = []
         for fine, parents, tiles in zip(clusters, clusters[1:], clusters[2:], strict=False):
@@ -280,7 +283,7 @@ def find_mesh_noise(samples: Graph, colours: Float32s, relative: Float32s | None
             return found
         found = dataclasses.replace(found, most=_SLACK * found.most)
     # Independent noise shows better in what differs from neighbours, where slopes do not.
-    fitted = fit_by_level([_residuals(columns, mixing, edges, inside)], mixing) if by_level else None
+    fitted = fit_by_level([around], mixing) if by_level else None
     return dataclasses.replace(found, stabiliser=None if fitted is None else stabiliser_of(fitted))
 
 

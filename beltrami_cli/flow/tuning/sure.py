@@ -26,6 +26,7 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.records import Step
+from beltrami_cli.surface.colour_values import limits_of
 
 # The perturbation, in units of the noise: far above the rounding of float32. Distances on meshes have kinks where their
 # paths change, so a smaller one sees a derivative that varies from sample to sample, and a larger one changes the
@@ -125,12 +126,12 @@ class RiskEstimate:
         # until they are restored.
         start = self._trial.start
         remaining: Float64s | float = 1.0
-        limits = (
-            (start <= 0, self._noisy.min(initial=1) == 0),
-            (start >= 1, self._noisy.max(initial=0) == 1),
-        )
-        for beyond, is_limit in limits:
-            if is_limit:
+        low, high = limits_of(self._noisy)
+        for beyond, is_reached in (
+            (start <= low, (self._noisy == low).any()),
+            (start >= high, (self._noisy == high).any()),
+        ):
+            if is_reached:
                 marks = beyond.astype(np.float32)
                 for _ in range(_MARK_STEPS):
                     marks = self._trial.step(marks, Step(0.0, _MARK_TIME, regularised=False))

@@ -66,8 +66,8 @@ std::array<double, tile_measures> measure(const Patch<float>& patch, const Count
       details[x] += detail * detail;
       squares[x] += mean * mean;
       means[x] += mean;
-      low[x] += a <= 0 ? counts : 0.0;
-      high[x] += a >= 1 ? counts : 0.0;
+      low[x] += a == 0 ? counts : 0.0;
+      high[x] += a == 1 ? counts : 0.0;
       first[x] += counts * a;
       plain[x] += a == b && b == c && c == d ? counts : 0.0;
     }

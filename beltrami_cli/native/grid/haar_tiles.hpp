@@ -13,7 +13,7 @@ constexpr std::size_t tile_side = 8;
 constexpr std::size_t tiles_across(std::size_t columns) { return (columns + tile_side - 1) / tile_side; }
 
 // Of each tile: mean square of the squares' diagonal Haar coefficients (a - b - c + d) / 2, variance of their means, share
-// of their first cells at or below 0 and at or above 1, mean of their first cells, and share of squares of equal cells.
+// of their first cells at 0 and at 1, mean of their first cells, and share of squares of equal cells.
 constexpr std::size_t tile_measures = 6;
 
 // Planes of rows * columns cells, and where there is something to look at.
