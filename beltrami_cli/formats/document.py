@@ -140,8 +140,9 @@ class Document(ABC):
         mesh = self._mesh
         faces = triangulate(mesh.positions, mesh.corners, mesh.offsets)
         return PaintedVertices(
-            mesh.positions, faces, mesh.colours, self._channels, mesh.encoding, mesh.stored
-        )
+            mesh.positions, faces, mesh.colours, self._channels, mesh.encoding, mesh.stored,
+            assumed_scale=self._scale,
+        )  # fmt: skip
 
     @property
     def _mesh(self) -> records.MeshContents:
@@ -155,6 +156,11 @@ class Document(ABC):
     def picture(self) -> Picture:
         """Return the image that it holds, always the same record; InputError if it is none."""
         raise InputError(self.name, "it is a model, and no image")
+
+    @property
+    def _scale(self) -> float | None:
+        """The number that is full scale of the vertex colours; None: as their type says."""
+        return None
 
     def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""

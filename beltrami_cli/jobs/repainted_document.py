@@ -9,6 +9,7 @@ from typing import ClassVar, NoReturn
 import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Changes, Document, Naming
 from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.samples.samples import Repainted
@@ -27,9 +28,9 @@ def with_new_colours(document: Document, painted: Sequence[Repainted]) -> Docume
 def _rounded(document: Document, new: Repainted) -> PaintedVertices:
     painted, colours = document.painted(), new.colours
     assert colours is not None
-    if painted.stored.startswith("uint"):
-        full = np.float32(np.iinfo(painted.stored).max)
-        colours = np.asarray(np.rint(np.clip(colours, 0, 1) * full) / full, np.float32)
+    if painted.stored.startswith(("uint", "int")):
+        full = painted.full_scale
+        colours = (quantised(colours, painted.stored, full) / full).astype(np.float32)
     return replace(
         painted, colours=colours, positions=painted.positions if new.positions is None else new.positions
     )

@@ -40,6 +40,7 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
         "channels": list(painted.channels),
         "stored": painted.stored,
         "encoding": painted.encoding,
+        "full_scale": painted.full_scale,
         "least": [float(value) for value in colours.min(axis=0)] if len(colours) else [],
         "greatest": [float(value) for value in colours.max(axis=0)] if len(colours) else [],
     }

@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, read_source
-from beltrami_cli.formats.colours import full_scale
+from beltrami_cli.formats.colours import full_scale, integer_scale
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume.arrays import read_colours, read_volume
@@ -21,8 +21,6 @@ from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices
 
 Source = level_set.GridColours | level_set.NearColours
 
-# Other types have no full scale of their own: it is derived from their largest value.
-_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
 # More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
 MAX_CROSSINGS = 1 << 26
 _BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marching cubes takes
@@ -67,10 +65,13 @@ def _scaled(
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name
     notices: list[str] = []
-    scale = 1.0 if isinstance(source, level_set.NearColours) and source.stored else _FULL_SCALE.get(kind, 0.0)
-    if not scale:
+    if isinstance(source, level_set.NearColours) and source.stored:
+        scale, notice = 1.0, ""
+    elif kind in ("uint8", "uint16"):
+        scale, notice = integer_scale(int(source.samples.max(initial=0)), kind)
+    else:  # of other types it is derived from usual values
         scale, notice = full_scale(stored[found, :width], name)
-        notices += [notice] if notice else []
+    notices += [notice] if notice else []
     colours = np.where(found[:, None], stored[:, :width] / scale, 1.0).astype(np.float32)
     alpha = None
     if stored.shape[1] > width:

@@ -37,6 +37,16 @@ class PaintedVertices:
     # Shape (V,): vertices are compared for coincidence only where this agrees (glTF meshes outside any
     # scene have no common place). None: one space.
     space_of: Int32s | None = None
+    # The number in the file that is taken for full scale; None: as its type says.
+    assumed_scale: float | None = None
+
+    @property
+    def full_scale(self) -> float:
+        """The number in the file that is 1 here."""
+        if self.assumed_scale is not None:
+            return self.assumed_scale
+        is_integer = self.stored.startswith(("uint", "int"))
+        return float(np.iinfo(self.stored).max) if is_integer else 1.0
 
 
 @dataclass(frozen=True)

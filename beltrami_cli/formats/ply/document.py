@@ -46,6 +46,10 @@ class PlyDocument(Document):
     def _channels(self) -> tuple[str, ...]:
         return self._paint.channels
 
+    @property
+    def _scale(self) -> float:
+        return self._colours.scale
+
     def grid(self) -> Int64s | None:
         return elements.read_grid(self.data[: self._header.end], self._tables)
 
@@ -86,7 +90,7 @@ class PlyDocument(Document):
 
     def _recoloured(self, colours: Float32s) -> list[patching.Change]:
         columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)
-        kind, scale = self._paint.type, self._colours.scale
+        kind, scale = self._paint.type, self._scale
         return [
             patching.Change(name, new != old, quantised(new[new != old], kind, scale))
             for name, old, new in columns
@@ -206,7 +210,7 @@ class PlyDocument(Document):
         alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha")[:, 0]
         kind = self._kinds[self._paint.alpha]
         scale = float(np.iinfo(kind).max) if kind[0] != "f" else 1.0
-        scale = self._colours.scale if kind == self._paint.type else scale
+        scale = self._scale if kind == self._paint.type else scale
         return np.clip(alpha / scale, 0, 1).astype(np.float32)
 
     @property

@@ -18,7 +18,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.colours import BYTE, full_scale, intensity_scale
+from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.surface.geometry import unit_vectors
@@ -59,7 +59,7 @@ class Paint:
 
 
 def find_paint(header: Header, vertices: Table) -> Paint:
-    """Find the colour properties; InputError if there are none, or they are signed or of several types."""
+    """Find the colour properties; InputError if there are none, or they are of type char or of several types."""
     types, name = vertices.element.scalars, vertices.body.name
     for names, alpha in _COLOURS:
         if all(known in types for known in names):
@@ -67,13 +67,14 @@ def find_paint(header: Header, vertices: Table) -> Paint:
             if len(kinds) > 1:
                 raise InputError(name, f"{', '.join(names)} are of several types", "store them in one type")
             kind = kinds.pop()
-            if kind[0] == "i":
-                cause = f"{', '.join(names)} are signed ({np.dtype(kind)}), for which no full scale is agreed"
+            if kind == "i1":
+                cause = f"{', '.join(names)} are of type char, which holds no more than 127"
                 raise InputError(name, cause, "store colours as uchar, ushort or float")
             return Paint(names, alpha if alpha in types else "", kind)
-    if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY]):
+    has_faces = any(element.count for element in header.elements if element.name in VERTEX_LISTS)
+    if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY], "iu" if has_faces else "u"):
         return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
-    if not any(element.count for element in header.elements if element.name in VERTEX_LISTS):
+    if not has_faces:
         for known in _INTENSITIES_OF_POINTS:
             if known in types:
                 return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
@@ -87,9 +88,9 @@ def find_paint(header: Header, vertices: Table) -> Paint:
     raise UnpaintedError(name, cause, remedy)
 
 
-def _is_grey(vertices: Table, kind: str) -> bool:
+def _is_grey(vertices: Table, kind: str, integers: str) -> bool:
     if kind[0] != "f":
-        return kind[0] == "u"
+        return kind[0] in integers and kind != "i1"
     values = vertices.scalars(_INTENSITY)
     return bool(((values >= 0) & (values <= 1)).all())
 
@@ -105,16 +106,18 @@ class Colours(NamedTuple):
 def read_colours(vertices: Table, paint: Paint) -> Colours:
     """Read the colours of all vertices, of which there is one at least."""
     values = np.empty((vertices.element.count, len(paint.names)), np.float32)
-    if paint.type[0] == "u":
-        columns = [vertices.scalars(known) for known in paint.names]
-        scale, notice = float(np.iinfo(paint.type).max), ""
-        if paint.type == "u4" and max(int(column.max()) for column in columns) <= BYTE:
-            scale = BYTE
-            notice = "Vertex colours are 32-bit integers up to 255 and are taken for numbers of 0..255."
-    else:
+    if paint.any_range or paint.type[0] == "f":
         stored = finite_columns(vertices, paint.names, "colour")
         scale, notice = intensity_scale(stored) if paint.any_range else full_scale(stored, vertices.body.name)
         columns = list(stored.T)
+    else:
+        columns = [vertices.scalars(known) for known in paint.names]
+        # Opacity of the same type has the same full scale, which it mostly reaches.
+        is_alike = vertices.element.scalars.get(paint.alpha) == paint.type
+        known = [*columns, *([vertices.scalars(paint.alpha)] if is_alike else [])]
+        largest = max(max(int(column.max()), -int(column.min())) for column in known)
+        is_intensity = paint.names == (_INTENSITY,)
+        scale, notice = integer_scale(largest, paint.type, is_intensity=is_intensity)
     for channel, column in enumerate(columns):
         values[:, channel] = column / scale
     return Colours(values, scale, notice)

@@ -35,6 +35,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.archives import POSITION_KEYS, NpzArchive
 from beltrami_cli.formats.colours import (
     display_colours,
+    integer_scale,
     intensity_scale,
     opacity,
     point_colour_scale,
@@ -211,10 +212,13 @@ class NpzPointsDocument(Document):
 
     @cached_property
     def _scale(self) -> float:
-        if self._stored.dtype in (np.uint8, np.uint16):
-            return float(np.iinfo(self._stored.dtype).max)
-        numbers, is_intensity = self._numbers, self._arrays.is_intensity
-        scale, notice = intensity_scale(numbers) if is_intensity else point_colour_scale(numbers, self.name)
+        numbers, kind = self._numbers, self._stored.dtype
+        if self._arrays.is_intensity:
+            scale, notice = intensity_scale(numbers)
+        elif kind in (np.uint8, np.uint16):
+            scale, notice = integer_scale(int(self._stored.max()), kind)  # of opacity, too
+        else:
+            scale, notice = point_colour_scale(numbers, self.name)
         self.notices += [notice] if notice else []
         return scale
 

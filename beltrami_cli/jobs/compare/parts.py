@@ -95,7 +95,7 @@ def compare_vertices(
     documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, *, is_extra: bool
 ) -> ComparedColours:
     """Bring the vertex colours of two models together; `is_extra`: beside textures."""
-    one, other = (document.painted() for document in documents)
+    one, other = _on_one_scale(*(document.painted() for document in documents))
     require_one_model(documents, (one, other))
     held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
@@ -128,6 +128,19 @@ def _differ(one: Float32s | None, other: Float32s | None) -> bool:
     """Whether two opacities differ by more than rounding; None: all is opaque."""
     difference = np.asarray(1.0 if one is None else one) - (1.0 if other is None else other)
     return bool(np.abs(difference).max(initial=0) > _STEP)
+
+
+def _on_one_scale(one: PaintedVertices, other: PaintedVertices) -> tuple[PaintedVertices, PaintedVertices]:
+    """Return colours of one full scale, though those of the smoothed file may fit into fewer bits."""
+    scales = np.array([one.full_scale, other.full_scale])
+    if one.stored != other.stored or scales[0] == scales[1] or scales.min() <= 1:
+        return one, other
+    shares = (scales / scales.max()).astype(np.float32)
+    first, second = (
+        dataclasses.replace(each, colours=each.colours * share)
+        for each, share in zip((one, other), shares, strict=True)
+    )
+    return first, second
 
 
 def _areas(painted: PaintedVertices, rows: NDArray[np.intp], settings: SmoothSettings) -> Float64s:
