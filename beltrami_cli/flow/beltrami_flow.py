@@ -16,7 +16,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Manifold
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.mean_light import MeanLight
+from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.flow.partitions import Joined, Partition, Runner, TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.records import Averaged, Step
@@ -75,6 +76,7 @@ class Plan(Generic[AnyManifold]):
     described_noise: dict[str, float]  # see `NoiseModel.described`
     choice: Choice | None = None  # None where no parameter was chosen from the data
     takes_patches: bool = False
+    light: MeanLight | None = None  # whose mean stays
     split: Split | None = None
 
     @property
@@ -105,7 +107,8 @@ class Plan(Generic[AnyManifold]):
     def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
         """Return the plan of the iterations before one, counted from 0, and of nothing after them."""
         first = dataclasses.replace(self.parameters, iterations=iteration, clipping="keep")
-        return dataclasses.replace(self, takes_patches=False, manifold=self.manifold.having(parameters=first))
+        manifold = self.manifold.having(parameters=first)
+        return dataclasses.replace(self, takes_patches=False, light=None, manifold=manifold)
 
 
 @dataclass(frozen=True)
@@ -120,13 +123,24 @@ class FlowResult(Generic[AnyManifold]):
 
 
 def choose_parameters(
-    manifold: AnyManifold, wanted: KernelParameters, tick: Callable[[], None] | None = None
+    manifold: AnyManifold,
+    wanted: KernelParameters,
+    tick: Callable[[], None] | None = None,
+    *,
+    light_in: Space | None = None,
 ) -> Plan[AnyManifold]:
     """Choose what is left open by the estimated error of the result.
 
     Where patches follow, noise that neighbouring samples share is first removed from the colours, in place, but for
-    its finest details. `tick` is called often, and may raise to stop.
+    its finest details. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
+    light, whose mean stays unless beta is given.
     """
+    light = None
+    if light_in is not None and wanted.evens_noise:
+        light = MeanLight.of(manifold, light_in)
+        # Texels that no path has lit are black, and no noise was cut off there.
+        wanted = dataclasses.replace(wanted, clipping="keep")
+        manifold = manifold.having(parameters=dataclasses.replace(manifold.parameters, clipping="keep"))
     split, moves = wanted_split(), manifold.moving is not None
     if moves and split is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
@@ -154,6 +168,7 @@ def choose_parameters(
         described_noise=noise.described(),
         choice=choice,
         takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy,
+        light=light,
         split=split,
     )
 
@@ -186,7 +201,10 @@ def smooth(
     else:
         colours = kernel(manifold.colours)
     per_kernel = samples / max(1, iterations * manifold.kernels)
-    return FlowResult(manifold.having(colours=colours), choice, per_kernel, truncated, share)
+    smoothed = manifold.having(colours=colours)
+    if plan.light is not None and iterations:
+        plan.light.restore(smoothed)
+    return FlowResult(smoothed, choice, per_kernel, truncated, share)
 
 
 def _run_kernel(

@@ -271,7 +271,8 @@ def smooth_image(
 
     numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
     place = checked_surface(surface, table, shape)
-    plan = plan_on_image(place, working, settings.kernel, guides, numbers, noise=noise)
+    light_in = settings.space if encoding == "linear" and settings.space != "data" else None
+    plan = plan_on_image(place, working, settings.kernel, guides, numbers, noise=noise, light_in=light_in)
     result = smooth_manifold(plan, progress)
     pixels = plan.manifold.atlas.owned_texels
     before, after = working(pixels), result.manifold.values()

@@ -14,7 +14,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.coded_picture import CodedPicture, decode
 from beltrami_cli.flow.noise.given import GivenNoise
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
@@ -33,12 +33,13 @@ def plan_on_pictures(
     tables: Sequence[JpegTables | None],
     kernel: KernelParameters,
     tick: Callable[[], None] | None,
+    light_in: Space | None = None,
 ) -> Plan[GridManifold]:
     """Plan the smoothing of pictures, decoded again if JPEG coded white noise in all; `make`: on given colours."""
     pictures = _coded(atlas, pixels, tables) if kernel.evens_noise and not kernel.fast else []
     sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:
-        return choose_parameters(make(None, None), kernel, tick)
+        return choose_parameters(make(None, None), kernel, tick, light_in=light_in)
     planes, noise, before = None, None, None
     for _ in range(_PILOTS if kernel.takes_patches else 1):
         rows = _smoothed(make(planes, noise), kernel, tick)

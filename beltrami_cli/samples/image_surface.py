@@ -17,7 +17,7 @@ from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.metadata import JpegTables
@@ -152,6 +152,7 @@ def plan_on_image(
     noise: NDArray[np.float32] | None = None,
     rows: Pixels | None = None,
     coded: tuple[NDArray[Any], JpegTables] | None = None,
+    light_in: Space | None = None,
 ) -> Plan[GridManifold]:
     """Plan the smoothing of an image, whose owned texels are the pixels that are not holes, row by row.
 
@@ -188,7 +189,7 @@ def plan_on_image(
         )
 
     pictures = ([coded[0]], [coded[1]]) if coded else ([], [])
-    return plan_on_pictures(manifold, atlas, *pictures, kernel, tick)
+    return plan_on_pictures(manifold, atlas, *pictures, kernel, tick, light_in)
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:

@@ -90,6 +90,12 @@ class PictureColours:
         is_plain = self.space in ("srgb", "data") and not (self._alpha or self._others or self._is_normal)
         return is_plain and len(self._kept) == self._width
 
+    @property
+    def light_space(self) -> Space | None:
+        """The space of the samples if these stand for light, as pictures of floats do; None: they do not."""
+        is_light = self.space != "data" and all(picture.encoding == "linear" for picture in self._pictures)
+        return self.space if is_light else None
+
     def samples(self, atlas: Atlas) -> Float32s:
         """Return the colours of the owned cells in the working space, shape (T, N)."""
         table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)

@@ -91,7 +91,7 @@ class PixelSamples(Samples):
         if self._tables is not None and self.colours.shows_all:
             coded = self.picture.pixels, self._tables
         known = self.settings.kernel, self._guides, metric, tick, noise
-        return plan_on_image(self.surface, working, *known, coded=coded)
+        return plan_on_image(self.surface, working, *known, coded=coded, light_in=self.colours.light_space)
 
     def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
         """Return the samples of a part of the image, with other parameters."""

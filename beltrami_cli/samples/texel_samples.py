@@ -99,7 +99,8 @@ class TexelSamples(samples.Samples):
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         tables = self._tables if self._levelled is None and self.colours.shows_all else []
         pixels = [picture.pixels for picture in self.pictures]
-        plan = plan_on_pictures(self.manifold, self.atlas, pixels, tables, self.settings.kernel, tick)
+        known = self.settings.kernel, tick, self.colours.light_space
+        plan = plan_on_pictures(self.manifold, self.atlas, pixels, tables, *known)
         self._guides = []
         return plan
 

@@ -1,0 +1,120 @@
+"""Colours whose mean light stays, whatever the noise.
+
+Colours are averaged where their noise is even: in display values, and in stabilised ones. The mean of such values is
+not that of the light. Where noise grows with the light, as that of renderers that trace few paths, it is darker, by up
+to one half. So the light that smoothing has lost around each sample is given back, in proportion to the light there.
+
+With z the light before, u after, weights w_b of the level of u that sum to one over the bands b, and the mean G over a
+part of the surface:
+
+    u' = u + |u| sum_b w_b G[w_b (z - u)] / G[w_b |u|]
+
+Bands keep what bright samples lost from dark ones beyond an edge. With the magnitude |u|, light below 0 is ordinary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Float32s
+from beltrami_cli.flow.domain import in_blocks
+from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.noise.stabilising import COLOURS
+from beltrami_cli.flow.parameters import Space
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.manifold import Manifold
+
+# From one band of levels to the next, light grows by this factor. Where only the noise of the dark side of an edge of
+# 1 to 50 has heavy tails (a gamma distribution of four samples), the mean of the 32 cells beside the edge is off by
+# 2.3 % without bands and by 0.2 % with factors of 4 and 16. Bands of noise that is left, which are narrower with 4,
+# would keep more of it: 9 % against 4 %.
+_BAND_FACTOR = 16.0
+
+# Bands below and above full scale. Light beyond them, such as black, belongs to the last ones.
+_MOST_BANDS = 4
+
+# Less than any sum of light, against a division by 0.
+_NO_LIGHT = np.float32(1e-30)
+
+
+@dataclass(frozen=True)
+class MeanLight:
+    """The light of the samples of a manifold before they are smoothed in a space."""
+
+    planes: Float32s  # of all channels
+    space: Space
+
+    @classmethod
+    def of(cls, manifold: Manifold, space: Space) -> MeanLight:
+        return cls(_light_of(manifold, space), space)
+
+    def restore(self, manifold: Manifold) -> None:
+        """Bring the smoothed colours of the manifold to the mean light of before, in place."""
+        stabiliser, space = manifold.noise.stabiliser, self.space
+        manifold.refresh(manifold.colours)
+        light = _light_of(manifold, space)
+        for channel in range(len(light)):
+            _give_back(manifold, self.planes[channel : channel + 1], light[channel : channel + 1])
+        for own, new in zip(in_blocks(manifold.axis, manifold.colours), in_blocks(0, light), strict=True):
+            own[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
+            if stabiliser is not None:
+                stabiliser.stabilise(own[0])
+        manifold.refresh(manifold.colours)
+
+
+def _give_back(manifold: Manifold, before: Float32s, after: Float32s) -> None:
+    """Add the light that a channel has lost, in place."""
+    smoothed = after.copy()
+    for band in _bands(smoothed):
+        sums = manifold.planes(2)
+        for z, u, (lost, size) in in_blocks(0, before, smoothed, sums):
+            weighted = _weights(u[0], band)
+            lost[:], size[:] = weighted * (z[0] - u[0]), weighted * np.abs(u[0])
+        sums = manifold.spread(sums)
+        for u, own, (lost, size) in in_blocks(0, smoothed, after, sums):
+            own[0] += _weights(u[0], band) * np.abs(u[0]) * lost / np.maximum(size, _NO_LIGHT)
+
+
+def _light_of(manifold: Manifold, space: Space) -> Float32s:
+    """Return planes of the light of all channels."""
+    planes, stabiliser = manifold.planes(manifold.colours.shape[manifold.axis]), manifold.noise.stabiliser
+    for own, light in zip(in_blocks(manifold.axis, manifold.colours), in_blocks(0, planes), strict=True):
+        colours = own[0].copy()
+        if stabiliser is not None:
+            stabiliser.restore(colours)
+        light[0][:] = _converted(colours, lambda rows: from_space(rows, "linear", space))
+    return planes
+
+
+def _bands(light: Float32s) -> list[int]:
+    """Return the bands that light other than 0 lies in."""
+    below: set[int] = set()
+    for (own,) in in_blocks(0, light):
+        below.update(np.unique(np.floor(_levels(own[own != 0])).astype(int)).tolist())
+    return sorted(below | {band + 1 for band in below})
+
+
+def _levels(light: Float32s) -> Float32s:
+    """Return in which band light is, and how far it is from the next."""
+    size = np.clip(np.abs(light), _BAND_FACTOR**-_MOST_BANDS, _BAND_FACTOR**_MOST_BANDS)
+    levels: Float32s = np.log(size) / np.float32(np.log(_BAND_FACTOR))
+    return levels
+
+
+def _weights(light: Float32s, band: int) -> Float32s:
+    weights: Float32s = np.maximum(1 - np.abs(_levels(light) - np.float32(band)), 0)
+    return weights
+
+
+def _converted(channels: Array, convert: Callable[[Float32s], Float32s]) -> Float32s:
+    """Convert colours, the first of channels along the first axis, and keep others, such as opacity."""
+    result: Float32s = channels.copy()
+    count = min(COLOURS, len(channels))
+    rows = np.ascontiguousarray(channels[:count].reshape(count, -1).T)
+    result[:count] = convert(rows).T.reshape(channels[:count].shape)
+    return result
