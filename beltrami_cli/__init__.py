@@ -6,11 +6,9 @@ take files. `SmoothSettings` and the records in it hold the parameters with thei
 loads nothing heavy: names are resolved when they are used.
 """
 
-from __future__ import annotations
-
-import importlib
-from typing import TYPE_CHECKING
-
+# With ``python -m beltrami_cli`` the working folder comes first on the path until `__main__` takes it off, so nothing
+# is imported here: type checkers take this name as that of `typing`.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from beltrami_cli.errors import BeltramiError as BeltramiError
     from beltrami_cli.errors import InputError as InputError
@@ -62,6 +60,8 @@ __all__ = sorted(_HOME_OF)
 
 
 def __getattr__(name: str) -> object:
+    import importlib
+
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)

@@ -1,5 +1,10 @@
 """The command `beltrami`, also as ``python -m beltrami_cli``."""
 
+# ruff: noqa: E402
+from beltrami_cli.import_path import secure_imports
+
+secure_imports()  # before anything else is imported
+
 import signal
 import sys
 import warnings

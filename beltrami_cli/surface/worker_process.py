@@ -19,6 +19,7 @@ from typing import IO, Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
+from beltrami_cli.import_path import safe_environment
 
 Message = tuple[Any, dict[str, Array]]
 """Words, as JSON has them, and arrays by name."""
@@ -53,14 +54,14 @@ def working(module: str, question: Message, *arguments: int) -> Iterator[Worker]
     with TemporaryFile() as job, TemporaryFile() as written, TemporaryFile() as said:
         _send(job, question)
         job.seek(0)
-        # Without -P a file in the folder where the user happens to be could stand in for a module. In a
-        # session of its own the process does not see Ctrl-C, which is for this one.
+        # In a session of its own the process does not see Ctrl-C, which is for this one.
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module, *map(str, arguments)],
+            [sys.executable, "-m", module, *map(str, arguments)],
             stdin=job,
             stdout=written,
             stderr=said,
             start_new_session=True,
+            env=safe_environment(),
         )
         try:
             yield Worker(process, written, said)
