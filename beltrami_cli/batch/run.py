@@ -28,6 +28,7 @@ from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.errors import OutputError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import at_intervals
+from beltrami_cli.signals import unhandled_endings
 
 _GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
 _PAUSE = 0.1  # seconds between two messages on progress
@@ -270,8 +271,9 @@ def _without_interrupts() -> Iterator[None]:
 
 def _work(pipe: Connection[Any, Any]) -> None:
     """Be a worker: do what comes through the pipe until it is closed."""
+    for number in unhandled_endings():
+        signal.signal(number, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
-    signal.signal(signal.SIGTERM, _end)
     progress = at_intervals(_PAUSE, lambda *event: _send(pipe, event))
     with contextlib.suppress(EOFError, ConnectionError, _Stopped):
         while True:

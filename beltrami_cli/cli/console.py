@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 import click
 
 from beltrami_cli.errors import OutputError, one_line
+from beltrami_cli.signals import unhandled_endings
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -145,7 +146,6 @@ class Messages:
             yield update
 
 
-_ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _SAME_WISH = 1.0  # seconds in which another signal would only disturb the tidying
 _AGAIN = 0.2  # seconds until an interruption is raised again, in case that something kept it
 
@@ -183,7 +183,7 @@ class Listener:
     def __init__(self) -> None:
         self._last = -_SAME_WISH
         self._is_over = False
-        self._heard: list[signal.Signals] = []
+        self._heard: set[int] = set()
         self._dropped = sys.unraisablehook
 
     def run(self, function: Callable[[], int]) -> int:
@@ -210,12 +210,11 @@ class Listener:
     def _start(self) -> None:
         sys.unraisablehook = self._drop
         Interruption.last = None
+        self._heard = unhandled_endings()
+        for number in self._heard:
+            signal.signal(number, self._interrupt)
         if hasattr(signal, "SIGALRM"):
-            signal.signal(signal.SIGALRM, self._repeat)
-        for number in _ENDINGS:
-            if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup wants it
-                self._heard.append(number)
-                signal.signal(number, self._interrupt)
+            signal.signal(signal.SIGALRM, self._hear_alarm)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._is_over:
@@ -225,8 +224,12 @@ class Listener:
             _set_alarm(_AGAIN)
             raise Interruption(number)
 
-    def _repeat(self, alarm: int, frame: FrameType | None) -> None:
-        if Interruption.last is not None and not (self._is_over or _is_on_its_way()):
+    def _hear_alarm(self, alarm: int, frame: FrameType | None) -> None:
+        """Raise the last interruption again; without one the alarm is from outside, and an interruption itself."""
+        if Interruption.last is None:
+            if alarm in self._heard:
+                self._interrupt(alarm, frame)
+        elif not (self._is_over or _is_on_its_way()):
             raise Interruption(Interruption.last.exit_code - 128)
 
     def _drop(self, unraisable: sys.UnraisableHookArgs) -> None:

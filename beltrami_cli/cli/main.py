@@ -94,7 +94,7 @@ beltrami COMMAND --help shows the most important options of a command, --help-al
 
 \b
 Exit codes: 0 done; 1 processing failed; 2 wrong usage; 3 input unreadable or not fit;
-4 output not writable; 130 interrupted, 143 ended by SIGTERM, 129 by SIGHUP.
+4 output not writable; 128 + N ended by signal N: 130 by Ctrl-C, 143 by SIGTERM.
 
 \b
 Shell completion, for bash (zsh and fish likewise):

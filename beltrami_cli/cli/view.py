@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import shlex
 import sys
@@ -63,5 +64,6 @@ def command(source: str, no_open: bool, messages: Messages, **smoothing: Any) ->
                 webbrowser.open(server.first_address)
             server.run()
         finally:
-            if not live.close():  # threads of the core would end the process with an abort
-                os._exit(0 if sys.exc_info()[0] is None else 130)
+            if not live.close():  # threads of the core would make Python abort as it ends
+                error = sys.exc_info()[1]
+                atexit.register(os._exit, 0 if error is None else getattr(error, "exit_code", 1))

@@ -28,6 +28,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.signals import ENDING_SIGNALS
+
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
 
@@ -94,11 +96,6 @@ def _boot() -> str:
 def _digest(text: str) -> str:
     return hashlib.blake2s(text.encode(), digest_size=4).hexdigest()
 
-
-# With an alarm the command repeats what was lost of the others.
-_ENDINGS = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGALRM") if hasattr(signal, name)
-]
 
 _PATIENCE, _PAUSE = 30.0, 0.02  # seconds that a run waits for another, and between two looks
 
@@ -189,7 +186,7 @@ def endings_held() -> Iterator[Callable[[], None]]:
     waiting: list[int] = []
     before: dict[int, signal._HANDLER] = {}
     if threading.current_thread() is threading.main_thread():
-        for number in _ENDINGS:
+        for number in ENDING_SIGNALS:  # also alarms, by which the command repeats what was lost
             handler = signal.getsignal(number)
             if handler not in (None, signal.SIG_IGN):  # None: not set from Python, so it cannot be set again
                 before[number] = handler

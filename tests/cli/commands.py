@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.cli.main import main
+from beltrami_cli.signals import unhandled_endings
 from hostile.folders import snapshot
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"
@@ -71,9 +72,7 @@ def interrupted(process, number, patience=2.0):
 @contextlib.contextmanager
 def kept_signals():
     """Give the signals that the command handles back to who handled them before."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    if hasattr(signal, "SIGHUP"):
-        handlers[signal.SIGHUP] = signal.getsignal(signal.SIGHUP)
+    handlers = {number: signal.getsignal(number) for number in unhandled_endings()}
     try:
         yield
     finally:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from beltrami_cli.jobs.replacing import endings_held
 from cli.commands import COMMAND
 from hostile.folders import snapshot
 from hostile.interrupting import faults
@@ -185,3 +186,99 @@ command.main()
     )
     assert run.returncode == 128 + signal.SIGTERM
     assert run.stderr == "beltrami: interrupted; files are as they were, or complete\n"
+
+
+# A command that every signal of which the default is to end a process reaches, in a child for each; one is ignored.
+EVERY_SIGNAL = """
+import os, signal, sys, time
+import beltrami_cli.cli.main as command
+faults = signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGTRAP, signal.SIGSYS
+stops = signal.SIGSTOP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU
+sys.argv = ["beltrami"]
+
+def ended(child, *arguments):
+    source, target = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        os.dup2(target, 2)
+        child(*arguments)
+    os.close(target)
+    said = os.read(source, 1000)
+    os.close(source)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), said
+
+def plainly(number):
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+    os._exit(0)
+
+def in_command(number, handler):
+    def work(**_):
+        os.kill(os.getpid(), number)
+        time.sleep(0 if handler == signal.SIG_IGN else 1)
+        return 0
+    signal.signal(number, handler)
+    command.group.main = work
+    command.main()
+
+for number in sorted(signal.valid_signals() - {signal.SIGKILL, *stops, *faults}):
+    if ended(plainly, number)[0] < 0:
+        print(int(number), *(ended(in_command, number, each) for each in (signal.SIG_DFL, signal.SIG_IGN)))
+"""
+
+
+@pytest.mark.slow
+def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_one_line():
+    run = subprocess.run([sys.executable, "-c", EVERY_SIGNAL], capture_output=True, check=True, timeout=120)
+    found = run.stdout.decode().splitlines()
+    numbers = [int(line.partition(" ")[0]) for line in found]
+    said = b"beltrami: interrupted; files are as they were, or complete\n"
+    assert found == [f"{number} {(128 + number, said)} {(0, b'')}" for number in numbers]
+    names = ("HUP", "INT", "QUIT", "ABRT", "USR1", "USR2", "ALRM", "TERM", "XCPU", "VTALRM", "PROF")
+    assert {getattr(signal, f"SIG{name}") for name in names} <= set(numbers)
+
+
+# A process of a batch in the middle of a file, of which it has written a part.
+WORKER = """
+import multiprocessing, sys, time
+from pathlib import Path
+from beltrami_cli.batch import run
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.output import FileSet, Output
+
+def work(item, memory, progress):
+    with FileSet() as files:
+        Output(sys.argv[1], overwrite=True, files=files).write(Written([b"new"], {}))
+        print(len(list(Path(sys.argv[1]).parent.iterdir())), flush=True)
+        time.sleep(60)
+
+run.do_item = work
+ours, theirs = multiprocessing.Pipe()
+ours.send((None, None))
+run._work(theirs)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGQUIT", "SIGALRM", "SIGUSR1", "SIGXCPU"])
+def test_a_process_of_a_batch_removes_its_temporary_files_whichever_signal_ends_it(name, tmp_path):
+    number = getattr(signal, name)
+    command = [sys.executable, "-P", "-c", WORKER, str(tmp_path / "out.ply")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"1\n"
+        process.send_signal(number)
+        assert process.wait(timeout=30) == 128 + number
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGQUIT", "SIGALRM", "SIGUSR1", "SIGXCPU"])
+def test_signals_wait_while_files_are_put_in_place(name):
+    number, heard = getattr(signal, name), []
+    before = signal.signal(number, lambda *_: heard.append(number))
+    try:
+        with endings_held():
+            signal.raise_signal(number)
+            assert heard == []
+        assert heard == [number]
+    finally:
+        signal.signal(number, before)

@@ -1,0 +1,20 @@
+"""Signals that ask a process to end."""
+
+from __future__ import annotations
+
+import signal
+
+# Signals of which the default is not to end a process, which cannot be caught, and those of faults in native code,
+# which would fault again and again if Python handled them.
+_OTHERS = (
+    "SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH",
+    "SIGKILL", "SIGSTOP",
+    "SIGBUS", "SIGEMT", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP",
+)  # fmt: skip
+ENDING_SIGNALS = frozenset(map(int, signal.valid_signals() - {getattr(signal, each, 0) for each in _OTHERS}))
+
+
+def unhandled_endings() -> set[int]:
+    """Return the signals that would end this process as it is; not those that it ignores, as under nohup."""
+    ends = (signal.SIG_DFL, signal.default_int_handler)
+    return {number for number in ENDING_SIGNALS if signal.getsignal(number) in ends}
