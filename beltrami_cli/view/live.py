@@ -16,10 +16,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Queue
 from string import Template
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.formats.image import WRITABLE
@@ -41,11 +42,12 @@ from beltrami_cli.view.parameters import (
     used_parameters,
 )
 from beltrami_cli.view.preview import Focus, NoPreviewError, Previewer
-from beltrami_cli.view.server import Events, RefusedError
+from beltrami_cli.view.server import Events, MalformedError, RefusedError
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw
 
 Command = Callable[[SmoothSettings, str], str]
+Part = TypeVar("Part")
 
 _SCRIPTS = (LIBRARY, *VIEWER_SCRIPTS, "live.js")
 _WITH_PATCHES = " with patches"  # a stage of previews, after that of the kernel alone
@@ -124,17 +126,17 @@ class Live:
 
     def answer(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
         if name not in ("change", "save"):
-            raise KeyError(name)
+            raise MalformedError
+        values, target = _part(request, "values", dict), _part(request, "target", str)
         try:
-            settings = settings_from(self._plain, request["values"])
-            target = str(request["target"])
+            settings = settings_from(self._plain, values)
             command = self._command(settings, target)
             if name == "change":
-                self._take(str(request["page"]), settings, int(request["layer"]), request["focus"])
+                self._take(request, settings)
                 return {"command": command}
             if target == "-":
                 raise UsageError("the output must be a file, since the page cannot show it")
-            report = self._save(settings, target, overwrite=bool(request["overwrite"]))
+            report = self._save(settings, target, overwrite=_part(request, "overwrite", bool))
         except BeltramiError as error:
             raise RefusedError(str(error)) from error
         return {"written": report.written, "warnings": report.warnings, "command": command}
@@ -151,15 +153,14 @@ class Live:
             job = dataclasses.replace(self._job, overwrite=overwrite, progress=progress)
             return smooth_file(self._source, target, settings, job)
 
-    def _take(self, name: str, settings: SmoothSettings, layer: int, focus: dict[str, Any] | None) -> None:
-        found = None
-        if focus is not None:
-            way = focus.get("direction")
-            found = Focus(np.array(focus["origin"], float), None if way is None else np.array(way, float))
+    def _take(self, request: dict[str, Any], settings: SmoothSettings) -> None:
+        layer, focus = _part(request, "layer", int), _focus(request)
         with self._changed:
-            page = self._pages[name]
+            page = self._pages.get(_part(request, "page", str))
+            if page is None or not 0 <= layer < len(self._layers.slots):
+                raise MalformedError
             page.number += 1
-            page.settings, page.layer, page.focus, page.asked = settings, layer, found, time.monotonic()
+            page.settings, page.layer, page.focus, page.asked = settings, layer, focus, time.monotonic()
             self._changed.notify_all()
 
     def _pack(self, settings: SmoothSettings) -> dict[str, tuple[str, bytes]]:
@@ -318,6 +319,30 @@ class Live:
             "notices": notices,
             "noise": None if settings.kernel.noise or not levels else f"{100 * np.mean(levels):.2g}%",
         }
+
+
+def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
+    """Return a part of a request, which must be of a type."""
+    value = request.get(name)
+    if type(value) is not kind:  # True is no number
+        raise MalformedError
+    return value
+
+
+def _focus(request: dict[str, Any]) -> Focus | None:
+    if request.get("focus") is None:
+        return None
+    focus = _part(request, "focus", dict)
+    return Focus(
+        _vector(focus, "origin"), None if focus.get("direction") is None else _vector(focus, "direction")
+    )
+
+
+def _vector(focus: dict[str, Any], name: str) -> Float64s:
+    numbers = _part(focus, name, list)
+    if len(numbers) != 3 or not all(type(each) in (int, float) and np.isfinite(each) for each in numbers):
+        raise MalformedError
+    return np.array(numbers, np.float64)
 
 
 def _choosing(settings: SmoothSettings) -> tuple[str, str | None]:

@@ -65,7 +65,7 @@ def settings_from(plain: SmoothSettings, values: Mapping[str, Any]) -> SmoothSet
 def _value(declared: Parameter, value: Any) -> Any:
     if declared.kind is int and isinstance(value, float) and value.is_integer():
         return int(value)
-    return float(value) if declared.kind is float and isinstance(value, int) else value
+    return float(value) if declared.kind is float and type(value) is int else value
 
 
 def controls(layers: Sequence[Slot | None]) -> str:

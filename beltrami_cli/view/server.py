@@ -14,6 +14,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from queue import Empty, Queue
 from typing import Any, Protocol
 
+from beltrami_cli.formats.data_text import parse_json
+
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -28,10 +30,15 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _LONGEST_REQUEST = 1 << 16  # bytes
+_BODY_SECONDS = 5.0  # in which the rest of a request comes, which a page on this machine sends at once
 _BEAT = 0.25  # seconds between looks at whether a page is still there
 _GRACE = 2.0  # seconds in which a page may be loaded again
 
 Events = Queue[dict[str, Any]]
+
+
+class MalformedError(Exception):
+    """A request that no page sends."""
 
 
 class RefusedError(Exception):
@@ -46,7 +53,7 @@ class Application(Protocol):
     def events_of(self, page: str) -> Events: ...  # what a page is sent from now on
     def leave(self, page: str) -> None: ...
     def answer(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
-        """Do what a page asks for; KeyError if there is no such request, RefusedError if it cannot be done."""
+        """Do what a page asks for; MalformedError, or RefusedError if it cannot be done."""
 
 
 class PageServer(ThreadingHTTPServer):
@@ -132,23 +139,36 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
 
     def do_POST(self) -> None:
-        name, length = self._name(), self.headers.get("Content-Length", "")
-        if name is None or not self.headers.get("Origin") or not length.isdecimal():
+        name = self._name()
+        if name is None or not self.headers.get("Origin"):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
             return
-        if int(length) > _LONGEST_REQUEST:
-            self._send(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", b"")
-            return
         try:
-            request = json.loads(self.rfile.read(int(length)))
-            if not isinstance(request, dict):
-                raise TypeError
-            status, answer = HTTPStatus.OK, self.server.application.answer(name, request)
+            status, answer = HTTPStatus.OK, self.server.application.answer(name, self._request())
+        except MalformedError:
+            status, answer = HTTPStatus.BAD_REQUEST, {"message": "the request is malformed"}
         except RefusedError as error:
             status, answer = HTTPStatus.CONFLICT, {"message": str(error)}
-        except (KeyError, ValueError, TypeError):
-            status, answer = HTTPStatus.BAD_REQUEST, {"message": "the request is not understood"}
+        except Exception as error:
+            message = f"unexpected error: {type(error).__name__}: {error}"
+            status, answer = HTTPStatus.INTERNAL_SERVER_ERROR, {"message": message}
         self._send(status, "application/json", json.dumps(answer).encode())
+
+    def _request(self) -> dict[str, Any]:
+        """Return what is sent with a request; MalformedError if it is not whole, or no JSON object."""
+        try:
+            length = int(self.headers.get("Content-Length", ""))
+            if not 0 < length <= _LONGEST_REQUEST:
+                raise MalformedError
+            self.connection.settimeout(_BODY_SECONDS)
+            body = self.rfile.read(length)
+            self.connection.settimeout(self.timeout)
+            request = parse_json(body)
+        except (ValueError, TimeoutError) as error:
+            raise MalformedError from error
+        if len(body) < length or not isinstance(request, dict):
+            raise MalformedError
+        return request
 
     def _name(self) -> str | None:
         """Return what is asked for; None to those who may not ask, who learn nothing."""

@@ -113,6 +113,26 @@ def test_only_those_with_the_token_and_from_its_own_origin_get_anything(served):
     assert live.end() == 130
 
 
+# Threads of the core that do not end in time would make Python abort as it ends.
+NEVER_ENDS = (
+    "from beltrami_cli.view.live import Live; Live.close = lambda self: False; "
+    "from beltrami_cli.__main__ import main; main()"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGUSR1"])
+def test_a_signal_ends_it_in_one_line_with_its_code_while_work_goes_on(name):
+    number = getattr(signal, name)
+    command = [*COMMAND[:2], "-c", NEVER_ENDS, "view", NOISY, "--no-open"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert "shown at" in process.stderr.readline()
+        process.send_signal(number)
+        said = process.stderr.read().splitlines()
+    assert said[-1] == "beltrami: interrupted; files are as they were, or complete"
+    assert process.returncode == 128 + number
+
+
 @pytest.mark.slow
 def test_a_change_arrives_and_closing_the_page_ends_the_program(browser, served):
     live = served(NOISY)

@@ -1,0 +1,145 @@
+"""Requests to `beltrami view` that no page sends: each is answered, and changes nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import socket
+import threading
+
+import pytest
+
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.view import server
+from beltrami_cli.view.live import Live
+from beltrami_cli.view.server import PageServer
+from cli.commands import SAMPLES
+
+# One value of each type that JSON has, and some that only look right.
+VALUES = (None, True, 1, -1, 0.5, float("inf"), float("nan"), 10**30, "", "x", [], [1], [[1]], {}, {"a": 1})
+FOCUS = {"origin": [0, 0, 0], "direction": [0, 0, 1.5]}
+
+
+@pytest.fixture(scope="module")
+def live():
+    return Live(str(SAMPLES / "nonmanifold-noisy.ply"), SmoothSettings(), Job(), lambda *_: "command")
+
+
+@pytest.fixture
+def page_server(live):
+    made = PageServer(live)
+    thread = threading.Thread(target=made.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    yield made
+    made.shutdown()
+    made.server_close()
+    thread.join()
+
+
+def sent(page_server, name, body, **headers):
+    """Send a request from its own page; return the status and the message of the answer."""
+    connection = http.client.HTTPConnection(page_server.host, timeout=10)
+    with contextlib.closing(connection):
+        own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
+        connection.request("POST", f"/{page_server.token}/{name}", body, {**own, **headers})
+        answer = connection.getresponse()
+        return answer.status, json.loads(answer.read()).get("message")
+
+
+MALFORMED = (400, "the request is malformed")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"[]",
+        b"1",
+        b"null",
+        b"{",
+        b"\xff",
+        b'{"values": 1}',
+        b"[" * 60_000,
+        b'{"a":' * 10_000,
+        b"{}" * 40_000,
+    ],
+    ids=lambda body: body[:12].decode(errors="replace"),
+)
+def test_bodies_that_are_no_request(body, page_server):
+    for name in ("change", "save"):
+        assert sent(page_server, name, body) == MALFORMED
+
+
+@pytest.mark.parametrize("length", ["", "-1", "1.5", "x", "9" * 5000, "3"])
+def test_lengths_that_are_none_or_not_that_of_the_body(length, page_server, monkeypatch):
+    monkeypatch.setattr(server, "_BODY_SECONDS", 0.1)
+    assert sent(page_server, "change", None, **{"Content-Length": length}) == MALFORMED
+
+
+def test_a_body_that_ends_too_early(page_server):
+    host, port = page_server.host.split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        origin = f"Host: {page_server.host}\r\nOrigin: http://{page_server.host}"
+        head = f"POST /{page_server.token}/change HTTP/1.1\r\n{origin}\r\nContent-Length: 20\r\n\r\n{{}}"
+        connection.sendall(head.encode())
+        connection.shutdown(socket.SHUT_WR)
+        assert connection.recv(12) == b"HTTP/1.1 400"
+
+
+@pytest.mark.parametrize("name", ["values", "target", "overwrite"])
+def test_parts_of_another_type_save_nothing(name, page_server, live, monkeypatch):
+    saved = []
+    monkeypatch.setattr(live, "_save", lambda *_, **__: saved.append(1))
+    right = {"values": {}, "target": "out.ply", "overwrite": False}
+    kind = type(right[name])
+    for value in (each for each in VALUES if type(each) is not kind):
+        assert sent(page_server, "save", json.dumps({**right, name: value})) == MALFORMED
+    del right[name]
+    assert sent(page_server, "save", json.dumps(right)) == MALFORMED
+    assert saved == []
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "more"),
+    [
+        ("values", dict, ()),
+        ("target", str, ()),
+        ("page", str, ("other",)),
+        ("layer", int, (-1, 1)),
+        ("focus", dict, ({}, {"origin": None})),
+        ("origin", list, ([], [1], [[1]], [0, 0, float("nan")], [0, 0, "x"])),
+        ("direction", list, ([], [1], [[1]], [0, 0, True])),
+    ],
+)
+def test_parts_of_another_type_change_nothing(name, kind, more, page_server, live):
+    live.events_of("page")
+    right = {"values": {}, "target": "out.ply", "page": "page", "layer": 0, "focus": FOCUS}
+    for value in (*more, *(each for each in VALUES if type(each) is not kind)):
+        if value is None and name in ("focus", "direction"):  # which may be left open
+            continue
+        part = {name: value} if name in right else {"focus": {**FOCUS, name: value}}
+        assert sent(page_server, "change", json.dumps({**right, **part})) == MALFORMED, value
+    assert live._pages["page"].number == 0
+    live.leave("page")
+
+
+@pytest.mark.parametrize("control", ["iterations", "t", "beta", "noise", "strength", "patches", "slots"])
+def test_values_of_another_type_are_refused_in_a_sentence(control, page_server):
+    for value in (True, [[1]], {"a": 1}, "x", -1, float("nan")):
+        status, said = sent(page_server, "save", json.dumps({"values": {control: value}, "target": "-"}))
+        assert status == 409, value
+        assert control in said or "noise" in said
+
+
+def test_what_nobody_foresaw_is_answered(page_server, live, monkeypatch):
+    def fail(*_, **__):
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr(live, "_save", fail)
+    request = {"values": {}, "target": "out.ply", "overwrite": False}
+    assert sent(page_server, "save", json.dumps(request)) == (
+        500,
+        "unexpected error: ZeroDivisionError: of ours",
+    )
