@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
 import logging
@@ -25,7 +26,7 @@ from beltrami_cli.formats.data_text import CONFIGURATION, parse_json, read_bound
 from beltrami_cli.jobs.job import at_intervals
 
 LOST = "the connection to the scheduler was lost"
-_PATIENCE = 15.0  # seconds for a scheduler to answer
+_PATIENCE = 10.0  # seconds for a scheduler to accept a connection, and again to say what it is
 _POLL = 1.0  # seconds between two checks that the scheduler is still there
 _PAUSE = 0.3  # seconds between two messages on progress
 
@@ -40,7 +41,7 @@ def connected(address: str) -> Iterator[Any]:
         message = "--scheduler needs Dask, which is not installed; pip install 'beltrami-cli[cluster]'"
         raise ProcessingError(message) from error
     # What goes wrong is reported by us, in one line.
-    for name in ("distributed", "distributed.client", "distributed.comm"):
+    for name in ("asyncio", "distributed", "distributed.client", "distributed.comm", "distributed.core"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         where = address
@@ -49,8 +50,9 @@ def connected(address: str) -> Iterator[Any]:
         _require_listener(where)
         security = Security()  # certificates, and whether they are required, from Dask's own configuration
         _require_encryption(where, security)
+        asyncio.run(_require_scheduler(where, security))
         client = Client(where, timeout=_PATIENCE, set_as_default=False, security=security)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except Exception as error:  # Dask raises whatever comes of bytes that are not its own
         cause = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise ProcessingError(
             f"{address}: no Dask scheduler answers there ({cause}); start one with dask scheduler, or check the address"
@@ -79,6 +81,26 @@ def _require_listener(address: str) -> None:
     if not parts.hostname or not parts.port:
         raise ValueError("an address is like tcp://HOST:PORT")
     socket.create_connection((parts.hostname, parts.port), timeout=_PATIENCE).close()
+
+
+async def _require_scheduler(address: str, security: Any) -> None:
+    """Raise an exception of any kind if what listens at an address is no scheduler, where a client would hang."""
+    from distributed.comm import connect
+
+    async def identity() -> str:
+        connection = await connect(address, timeout=_PATIENCE, **security.get_connection_args("client"))
+        try:
+            await connection.write({"op": "identity", "reply": True})
+            return str((await connection.read())["type"])
+        finally:
+            connection.abort()
+
+    try:
+        found = await asyncio.wait_for(identity(), _PATIENCE)
+    except TimeoutError as error:
+        raise TimeoutError(f"it accepts connections, and says nothing for {_PATIENCE:g} s") from error
+    if found != "Scheduler":
+        raise ValueError(f"it is a {found}")
 
 
 class ClusterExecutor(Executor):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import shutil
+import socket
+import struct
 import subprocess
 import sys
+import threading
 import time
 from importlib.util import find_spec
 
@@ -14,6 +18,7 @@ import pytest
 
 from batch.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from batch.dask_cluster import Cluster
+from beltrami_cli.batch import cluster as cluster_module
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
@@ -181,6 +186,52 @@ def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_pat
 def test_what_does_not_fit_is_refused_in_one_line(options, words, code, scans, tmp_path):
     said = batch(scans / "knot.ply", "--out-dir", tmp_path / "out", *options, code=code)
     assert words in said.splitlines()[-1]
+
+
+def reset_at_once(connection):
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+
+
+# What may listen at an address that is no scheduler.
+LISTENERS = {
+    "silent": lambda connection: None,
+    "drops connections": lambda connection: connection.close(),
+    "resets connections": reset_at_once,
+    "a web server": lambda connection: connection.sendall(
+        b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n"
+    ),
+    "zeros": lambda connection: connection.sendall(bytes(4096)),
+    "ones": lambda connection: connection.sendall(b"\xff" * 4096),
+    "half a message": lambda connection: connection.sendall(struct.pack("<QQQ", 100, 1, 50)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LISTENERS)
+def test_what_listens_and_is_no_scheduler_is_refused_in_one_line_and_soon(name, scans, tmp_path, monkeypatch):
+    patience = 1.0
+    monkeypatch.setattr(cluster_module, "_PATIENCE", patience)
+    accepted = []
+
+    def serve():
+        with contextlib.suppress(OSError):
+            while True:
+                accepted.append(listener.accept()[0])
+                with contextlib.suppress(OSError):
+                    LISTENERS[name](accepted[-1])
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, daemon=True).start()
+        address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        start = time.monotonic()
+        said = batch(scans / "knot.ply", "--out-dir", tmp_path / "out", "--scheduler", address, code=1)
+        listener.shutdown(socket.SHUT_RDWR)
+    assert time.monotonic() - start < 10 * patience
+    assert said.count("\n") == 1
+    assert f"{address}: no Dask scheduler answers there" in said
+    for connection in accepted:
+        connection.close()
 
 
 @pytest.mark.slow
