@@ -49,6 +49,8 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     What lies below a folder or the fixed part of a glob keeps its place below `out_dir`. `suffix` is put between name
     and extension, or replaces the extension if it has one of a format. `extension` None: as the input.
     """
+    if PurePath(f"x{suffix}").name != f"x{suffix}":
+        raise UsageError(f"--suffix {suffix} cannot be part of a file name; name outputs in other folders in a manifest")
     requests = []
     out_dir = without_scheme(out_dir)
     for text in map(without_scheme, inputs):

@@ -315,6 +315,11 @@ def test_names_of_outputs(options, name, scans, tmp_path):
     assert open_document(str(tmp_path / name)).format == name.rsplit(".", 1)[1]
 
 
+@pytest.mark.parametrize("suffix", ["/x", "a/b", "x/", "/", "/.", "-a/../b", ".v/2.obj"])
+def test_a_suffix_that_leads_to_another_folder_is_refused_in_one_line(suffix, scans, tmp_path):
+    refused(tmp_path, "batch", scans / "a.ply", "--out-dir", "out", f"--suffix={suffix}", code=2, said=suffix)
+
+
 def test_two_files_never_become_one(scans, tmp_path):
     shutil.copy(scans / "a.ply", scans / "deep" / "a.ply")
     inputs = (scans / "a.ply", scans / "deep" / "a.ply")
