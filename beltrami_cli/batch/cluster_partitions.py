@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -35,6 +36,10 @@ from beltrami_cli.jobs.job import at_intervals
 Progress = Callable[[int, int], None] | None
 
 _TRIES = 5  # of a surface, after workers died
+_NOTICE = (
+    2.0  # seconds in which the scheduler hears of a worker that died: its connections are closed at once
+)
+_POLL = 0.1  # seconds between two questions for its workers
 _PAUSE = 0.1  # seconds between two messages on progress
 _GRACE = 5.0  # seconds that a file has to end when it is given up
 
@@ -97,6 +102,7 @@ class ClusterRunner:
 
     def __init__(self, client: Any) -> None:
         self._client = client
+        self._places: list[str] = []  # the worker of each partition
 
     def run(
         self, partitions: Sequence[Partition], values: Float32s, iterations: int, progress: Progress
@@ -107,24 +113,42 @@ class ClusterRunner:
             self._require_scheduler(None)
             try:
                 return self._run(partitions, values, iterations, progress)
-            except (CancelledError, KilledWorker) as error:
-                last = error
-            except Exception as error:  # many kinds, as Dask itself is not ready for it everywhere
-                self._require_scheduler(error)
+            except (ProcessingError, TooNarrowError):
                 raise
-        cause = f"workers died {_TRIES} times with pieces of the surface ({' '.join(str(last).split())})"
+            except (CancelledError, KilledWorker) as error:
+                last: Exception = error
+            except (
+                Exception
+            ) as error:  # Dask raises many kinds when a worker dies, KeyError and OSError among them
+                self._require_scheduler(error)
+                if not self._has_lost_worker():
+                    raise
+                last = error
+        said = " ".join(f"{type(last).__name__}: {last}".split())
+        cause = f"workers died {_TRIES} times with pieces of the surface ({said})"
         raise ProcessingError(f"{cause}; there may be too little memory there")
 
     def _require_scheduler(self, error: Exception | None) -> None:
         if self._client.status != "running":
             raise ProcessingError(LOST) from error
 
+    def _has_lost_worker(self) -> bool:
+        """Whether a worker with a partition is gone."""
+        deadline = time.monotonic() + _NOTICE
+        while self._client.nthreads().keys() >= set(self._places):
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(_POLL)
+        return True
+
     def _run(
         self, partitions: Sequence[Partition], values: Float32s, iterations: int, progress: Progress
     ) -> Joined:
-        self._client.wait_for_workers(1)
-        workers = sorted(self._client.nthreads())  # each in turn
-        places = [workers[number % len(workers)] for number in range(len(partitions))]
+        while not (workers := sorted(self._client.nthreads())):
+            self._client.wait_for_workers(1)
+        self._places = places = [
+            workers[number % len(workers)] for number in range(len(partitions))
+        ]  # in turn
         transfers, own_version = plan_transfers(partitions, len(values)), version("beltrami-cli")
         sent, steps = [], []
         for partition, plan, place in zip(partitions, transfers, places, strict=True):

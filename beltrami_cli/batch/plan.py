@@ -50,7 +50,9 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     and extension, or replaces the extension if it has one of a format. `extension` None: as the input.
     """
     if PurePath(f"x{suffix}").name != f"x{suffix}":
-        raise UsageError(f"--suffix {suffix} cannot be part of a file name; name outputs in other folders in a manifest")
+        raise UsageError(
+            f"--suffix {suffix} cannot be part of a file name; name outputs in other folders in a manifest"
+        )
     requests = []
     out_dir = without_scheme(out_dir)
     for text in map(without_scheme, inputs):

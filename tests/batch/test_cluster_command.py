@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ import pytest
 from batch.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch import cluster as cluster_module
+from beltrami_cli.batch import cluster_partitions
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
@@ -112,6 +114,30 @@ def test_a_surface_in_partitions_outlives_a_worker(cluster):
         parts = smooth_mesh(SURFACE, parameters, progress)
     assert killed
     assert np.array_equal(parts.colours, whole.colours)
+
+
+@pytest.mark.parametrize("kind", [KeyError, OSError, ValueError, RuntimeError, AssertionError])
+def test_a_surface_is_begun_again_whatever_dask_raises_if_a_worker_is_gone_and_only_then(kind, monkeypatch):
+    monkeypatch.setattr(cluster_partitions, "_NOTICE", 0.2)
+    alive, tries = {"one": 1, "two": 1}, []
+    runner = ClusterRunner(SimpleNamespace(status="running", nthreads=lambda: dict(alive)))
+
+    def run(*_):
+        tries.append(sorted(alive))
+        runner._places = list(alive)
+        if len(tries) == 1 and dies:  # the scheduler hears of it a little later
+            threading.Timer(0.05, alive.pop, ["two"]).start()
+        if len(alive) == 2:
+            raise kind("two")
+        return "joined"
+
+    monkeypatch.setattr(runner, "_run", run)
+    dies = False
+    with pytest.raises(kind, match="two"):
+        runner.run([], None, 1, None)
+    dies, tries = True, []
+    assert runner.run([], None, 1, None) == "joined"
+    assert tries == [["one", "two"], ["one"]]
 
 
 @pytest.mark.slow
