@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, read_regular
-from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
+from beltrami_cli.formats.registry import OUTPUT_FORMATS, held_images, is_only_read
 
 _MOST_FILES = 1000
 # Bytes of each file. OBJ and PLY name their files in front of the vertices; materials and the JSON of glTF are short,
@@ -53,8 +53,10 @@ def _heads(folder: Path, left_out: set[str]) -> dict[str, bytes]:
 
 
 def _may_refer(name: str) -> bool:
-    suffix = Path(name).suffix
-    return suffix == _LIBRARY or suffix[1:].lower() in OUTPUT_FORMATS or is_only_read(suffix[1:].lower())
+    suffix = Path(name).suffix.lower().removeprefix(".")
+    if suffix in OUTPUT_FORMATS:
+        return held_images(OUTPUT_FORMATS[suffix]) is not None
+    return f".{suffix}" == _LIBRARY or is_only_read(suffix)
 
 
 def _refers(text: bytes, names: Iterable[str]) -> bool:

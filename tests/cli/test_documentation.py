@@ -14,6 +14,7 @@ import pytest
 from beltrami_cli.cli.main import COMMANDS, group
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
+from formats.tiff_files import exr_file
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -121,6 +122,8 @@ def stand_ins(tmp_path_factory):
         pixels = ramp(channels)
         whole = np.uint8(255 * pixels)
         (folder / name).write_bytes(encode(pixels if kind == "openexr" else whole, kind))
+    layers = {f"ViewLayer.{name}.{c}": ramp(1)[..., 0] for name in ("Combined", "Albedo") for c in "RGB"}
+    (folder / "layers.exr").write_bytes(exr_file(layers))
     (folder / "cloud.pts").write_text("\n".join(["144", *point_lines()]) + "\n")
     axis = np.linspace(-1, 1, 12)
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
