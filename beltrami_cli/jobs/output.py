@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import filecmp
+import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -24,6 +25,7 @@ from beltrami_cli.jobs import replacing
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes, Written
 
+LOG = logging.getLogger(__name__)
 # "own": only files that this program wrote, as far as that can be seen in them.
 Overwrite = bool | Literal["own"]
 _HEAD = 1 << 16  # bytes in which it is seen
@@ -67,10 +69,10 @@ class Output:
                 cause = "a model is not written to a terminal"
                 raise OutputError("<stdout>", cause, "redirect it to a file or pipe")
         elif not self.is_device:
+            self._check_folder()
             self._check_file(self.path)
             if overwrite == "own":
                 self._require_own(is_own)
-            self._check_folder()
 
     def paths(self) -> Iterator[tuple[str, Path]]:
         """Give the files that are known to be written, with the names that the user knows them by."""
@@ -97,7 +99,6 @@ class Output:
             if path.is_absolute() or ".." in path.parts:
                 raise OutputError(name, "would be written outside the output's folder")
             self._check_file(self.folder / name)
-            replacing.remove_leftovers(self.folder / name)
         self.files.check()
 
     def write(self, written: Written) -> None:
@@ -145,6 +146,9 @@ class Output:
             raise OutputError(name, "is a folder", "name a file")
         if exists and not self.overwrite:
             raise _existing(name)
+        if exists and replacing.is_protected(path):
+            cause = "belongs to another user, and only they may replace a file in this folder"
+            raise OutputError(name, cause, "choose another name")
 
     def _require_own(self, is_own: Callable[[bytes], bool]) -> None:
         try:
@@ -166,8 +170,8 @@ class Output:
                 raise OutputError(self.target, f"the folder {folder} does not exist", "make it first")
             if not self.path.parent.is_dir():
                 raise OutputError(self.target, f"{folder} is no folder", "choose another place")
-            replacing.check_writable(self.path)
-            replacing.remove_leftovers(self.path)
+            replacing.check_writable(self.path.parent)
+            replacing.recover(self.path.parent)
         except OSError as error:
             cause = f"the folder {folder} cannot be written to ({error.strerror})"
             raise OutputError(self.target, cause, "choose another folder") from error
@@ -201,16 +205,25 @@ class FileSet:
         self._staged: dict[Path, _Staged] = {}
         # What writes to standard output or devices, before anything is put in place.
         self.streams: list[Callable[[], None]] = []
-        self._cleaning = contextlib.ExitStack()
+        self._journal: replacing.Journal | None = None
+        self._made_folders = contextlib.ExitStack()
 
     def __enter__(self) -> FileSet:
         return self
 
     def __exit__(self, *error: object) -> None:
         with replacing.endings_held():
-            self._cleaning.close()
-        self._staged.clear()
+            self._remove_temporary()
+            self._made_folders.close()
         self.streams.clear()
+
+    def _remove_temporary(self) -> None:
+        """Remove the temporary files; those that stay are no failure, since nothing else is wrong with the files."""
+        stay = [] if self._journal is None else self._journal.close()
+        self._journal = None
+        self._staged.clear()
+        for error in stay:
+            LOG.warning("the temporary file %s cannot be removed (%s)", error.filename, error.strerror)
 
     def add(self, output: Output) -> None:
         """Let an output belong to the set; OutputError if it collides with what is known of the others."""
@@ -257,13 +270,19 @@ class FileSet:
         from beltrami_cli.surface.large_arrays import leave_memory
 
         own = {output.path, *(output.path.parent / name for name in output.replaceable)}
+        # The journal lies where the next run with the same OUTPUT looks first.
+        main = min(
+            (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
+        )
         with replacing.endings_held() as deliver:
             for path, pieces in files.items():
-                temporary, may_replace = replacing.temporary_beside(path), output.overwrite and path in own
-                staged = _Staged(temporary, path, may_replace, output, names[path])
+                may_replace = output.overwrite and path in own
                 try:
-                    replacing.make_folder(path.parent, self._cleaning)
-                    self._cleaning.callback(temporary.unlink, missing_ok=True)
+                    if self._journal is None:
+                        self._journal = replacing.Journal(main.path.parent, deliver)
+                    replacing.make_folder(path.parent, self._made_folders)
+                    temporary = self._journal.temporary_beside(path)
+                    staged = _Staged(temporary, path, may_replace, output, names[path])
                     replacing.write_aside(staged, pieces, deliver)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
@@ -277,7 +296,6 @@ class FileSet:
                 if path.exists():
                     if not filecmp.cmp(path, staged.temporary, shallow=False):
                         raise _existing(staged.name)
-                    staged.temporary.unlink()
                     del self._staged[path]
                     continue
             except OSError as error:
@@ -292,14 +310,15 @@ class FileSet:
             staged = sorted(self._staged.values(), key=_rank)
             try:
                 with replacing.folders_locked((path.parent for path in self._staged), deliver):
-                    replacing.put_together(staged)
+                    if self._journal is not None:
+                        self._journal.put_together(staged)
             except OSError as error:
                 blamed = next((each.name for each in staged if str(each.path) == error.filename), "")
                 if isinstance(error, FileExistsError):
                     raise _existing(blamed) from error
                 raise _unwritable(blamed or staged[-1].name, error) from error
-            self._cleaning.pop_all()
-            self._staged.clear()
+            self._made_folders.pop_all()
+            self._remove_temporary()
         self.streams.clear()
 
 

@@ -1,101 +1,42 @@
-"""Writing files aside and putting them in place: the steps that `output.FileSet` is made of.
+"""Writing files under temporary names, and putting them in place: the steps that `output.FileSet` is made of.
 
-Putting written files in place needs no further disk space. If it fails for one, those before it are undone. Signals
-that would end the process wait until nothing is half done.
-
-The name of a temporary file is ``.NAME.MACHINE-PROCESS-LIFE-RANDOM.tmp``, where MACHINE stands for the computer and its
-space of process numbers, and LIFE for the moment at which the process was started, since numbers of processes are used
-again. Those of a process that still runs, or of another machine on shared storage, are left alone.
+A run that writes files has a journal, `.beltrami-ID.tmp` beside OUTPUT, which it keeps locked. It names the temporary
+files, `.beltrami-ID.N.tmp`, each beside its place. Before several files are put in place it lists them, and those that
+they replace are kept as `.beltrami-ID.N.previous.tmp`; the set is complete when the last line is written. A journal
+that nobody locks is that of a run that was killed: the next run in the folder undoes an unfinished set, and removes the
+temporary files. Signals that would end the process wait until nothing is half done.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
+import json
 import os
 import re
 import shutil
 import signal
-import socket
 import stat
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from beltrami_cli.formats.data_text import parse_json
 from beltrami_cli.signals import ENDING_SIGNALS
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
 
-_LONGEST = 160  # bytes of NAME; a file's whole name has at most 255
-_NAME = re.compile(r"([0-9a-f]{8})-([0-9]{1,9})-([0-9a-f]{8})-[0-9a-f]{12}\.tmp")
-_START_TIME = 19  # field of /proc/PID/stat behind the name of the program, of which the first is the state
-_ENDED = ("Z", "X")  # states of processes that only wait for somebody to ask how they ended
-
-
-def temporary_beside(path: Path) -> Path:
-    """Return a name that nobody has, beside a file."""
-    process = os.getpid()
-    owner = f"{_machine()}-{process}-{_life(process) or _digest('')}-{os.urandom(6).hex()}"
-    return path.with_name(f"{_start(path)}{owner}.tmp")
-
-
-def remove_leftovers(path: Path) -> None:
-    """Remove what runs that were killed left beside a file that they were writing, as far as that is possible."""
-    start = _start(path)
-    with contextlib.suppress(OSError), os.scandir(path.parent) as entries:
-        for entry in entries:
-            owner = _NAME.fullmatch(entry.name[len(start) :]) if entry.name.startswith(start) else None
-            if owner is not None and owner[1] == _machine() and _life(int(owner[2])) != owner[3]:
-                with contextlib.suppress(OSError):
-                    Path(entry.path).unlink()
-
-
-def _start(path: Path) -> str:
-    return f".{os.fsencode(path.name)[:_LONGEST].decode(errors='ignore')}."
-
-
-@cache
-def _machine() -> str:
-    space = ""
-    with contextlib.suppress(OSError):
-        space = str(Path("/proc/self/ns/pid").stat().st_ino)
-    return _digest(f"{socket.gethostname()} {space}")
-
-
-def _life(process: int) -> str | None:
-    """Return what distinguishes a running process from others of its number; None if there is none."""
-    if os.name != "posix":  # where a signal that only asks would end it
-        return _digest(str(process))
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return None
-    except OSError:  # It is somebody else's.
-        pass
-    with contextlib.suppress(OSError, IndexError):
-        fields = Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()
-        started = fields[_START_TIME]
-        return None if fields[0] in _ENDED else _digest(f"{_boot()} {started}")
-    return _digest(str(process))
-
-
-@cache
-def _boot() -> str:
-    with contextlib.suppress(OSError):
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
-    return ""
-
-
-def _digest(text: str) -> str:
-    return hashlib.blake2s(text.encode(), digest_size=4).hexdigest()
-
+_JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
+_COMPLETE = True  # as the last line of a journal
+_LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
+_OPENING = (
+    os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+)
 
 _PATIENCE, _PAUSE = 30.0, 0.02  # seconds that a run waits for another, and between two looks
 
@@ -108,17 +49,187 @@ class Aside:
     path: Path
     overwrite: bool
 
+    @property
+    def previous(self) -> Path:
+        """Where the file that it replaces is kept until the set is complete."""
+        return self.temporary.with_suffix(".previous.tmp")
 
-def put_together(files: Sequence[Aside]) -> None:
-    """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
-    with contextlib.ExitStack() as tidying, contextlib.ExitStack() as undoing:
-        for file in files:
-            try:
-                _put(file, tidying, undoing)
-            except OSError as error:
-                error.filename = str(file.path)
-                raise
-        undoing.pop_all()
+
+# Inode, size, and time of the last change of the content: what a file keeps when it is linked or renamed.
+_Identity = tuple[int, int, int]
+# None: it is not put in place yet.
+_Listed = tuple[Aside, _Identity | None]
+
+
+class Journal:
+    """What a run writes down of its temporary files, so that the next one can tidy up if it is killed."""
+
+    def __init__(self, folder: Path, deliver: Callable[[], None]) -> None:
+        self._path, self._files, self._is_needed = _new_journal(folder), list[Aside](), False
+        # Within the lock of the folder, so that no other run finds the journal before it is locked itself.
+        with folders_locked([folder], deliver):
+            self._descriptor = os.open(self._path, _OPENING | os.O_CREAT | os.O_EXCL, 0o600)
+            _try_lock(self._descriptor)
+
+    def temporary_beside(self, path: Path) -> Path:
+        """Return a name that nobody has, beside a file."""
+        file = Aside(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path, overwrite=False)
+        self._files.append(file)
+        self._list(file, None)
+        return file.temporary
+
+    def put_together(self, files: Sequence[Aside]) -> None:
+        """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
+        if len(files) < 2:  # one rename, which is done or not
+            for file in files:
+                _put(file, keep=False)
+            return
+        files = [replace(file, overwrite=file.overwrite and os.path.lexists(file.path)) for file in files]
+        listed = [(file, _identity_of(file.temporary)) for file in files]
+        for file, put in listed:
+            self._list(file, put)
+        os.fsync(self._descriptor)
+        try:
+            for file in files:
+                _put(file, keep=True)
+            if not os.fstat(self._descriptor).st_nlink:
+                raise OSError(errno.ESTALE, "another run has removed its temporary files")
+            self._write(_COMPLETE)
+        except BaseException as error:
+            if (stuck := _undo(listed)) is not None:
+                self._is_needed = True
+                cause = (
+                    f"{error}; {stuck.filename} stays until the next run with this output ({stuck.strerror})"
+                )
+                raise OSError(errno.EIO, cause) from error
+            raise
+        with contextlib.suppress(OSError):  # On the disk before what was replaced is removed.
+            os.fsync(self._descriptor)
+
+    def close(self) -> list[OSError]:
+        """Remove the temporary files, unless the next run needs them to undo the set; return why some stay."""
+        os.close(self._descriptor)
+        return [] if self._is_needed else _remove(self._files, self._path)
+
+    def _list(self, file: Aside, put: _Identity | None) -> None:
+        folder, temporary = self._path.parent, file.temporary
+        if temporary.is_relative_to(
+            folder
+        ):  # so that it stays right if the folder is moved with all that is in it
+            temporary = temporary.relative_to(folder)
+        self._write([str(temporary), file.path.name, file.overwrite, put])
+
+    def _write(self, value: object) -> None:
+        left = memoryview(json.dumps(value).encode() + b"\n")
+        while left:
+            left = left[os.write(self._descriptor, left) :]
+
+
+def recover(folder: Path) -> None:
+    """Undo unfinished sets of runs that were killed, and remove their temporary files, by the journals in a folder.
+
+    Those of runs that go on, or of other users, stay. OSError if what was put in place cannot be undone.
+    """
+    journals: list[Path] = []
+    with contextlib.suppress(OSError):
+        journals = sorted(path for path in folder.iterdir() if _JOURNAL.fullmatch(path.name))
+    for journal in journals:
+        # In the lock of the folder, since two runs would take each other for the one that goes on.
+        with endings_held() as deliver, folders_locked([folder], deliver), _left_in(journal) as text:
+            listed, is_complete = _read(journal, text)
+            with folders_locked({file.path.parent for file, _ in listed} - {folder}, deliver):
+                if not is_complete and (stuck := _undo(listed)) is not None:
+                    raise stuck
+                if text is not None:
+                    _remove((file for file, _ in listed), journal)
+
+
+def _new_journal(folder: Path) -> Path:
+    return folder / f".beltrami-{os.urandom(6).hex()}.tmp"
+
+
+@contextlib.contextmanager
+def _left_in(journal: Path) -> Iterator[bytes | None]:
+    """Lock a journal and give its text; None if its run goes on, or is another user's."""
+    try:
+        file = os.fdopen(os.open(journal, _OPENING), "rb")
+    except OSError:
+        yield None
+        return
+    with file:
+        status = os.fstat(file.fileno())
+        is_ours = stat.S_ISREG(status.st_mode) and status.st_uid == _user()
+        yield file.read(_LARGEST_JOURNAL) if is_ours and _try_lock(file.fileno()) else None
+
+
+def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
+    """Return the files of a set, as far as they can be trusted, and whether it is complete."""
+    listed: dict[Path, _Listed] = {}
+    name_of_temporary = re.compile(re.escape(journal.stem) + r"\.[0-9]+\.tmp")
+    is_complete = False
+    # Behind the last break is nothing, or what could not be written before the end.
+    for line in (text or b"").split(b"\n")[:-1]:
+        with contextlib.suppress(ValueError, TypeError):
+            value = parse_json(line)
+            if value is _COMPLETE:
+                is_complete = True
+                continue
+            name, target, overwrite, put = value
+            temporary = journal.parent / name
+            file = Aside(temporary, temporary.with_name(target), overwrite)
+            # Nobody can plant a journal for files elsewhere: a temporary file must lie beside them.
+            is_witnessed = any(map(os.path.lexists, (file.temporary, file.previous)))
+            if name_of_temporary.fullmatch(temporary.name) and (is_witnessed or "/" not in name):
+                listed[temporary] = file, None if put is None else tuple(put)
+    return list(listed.values()), is_complete
+
+
+def _user() -> int:
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
+def _remove(files: Iterable[Aside], journal: Path) -> list[OSError]:
+    """Remove the temporary files of a run, and its journal at last; return why some stay."""
+    failures = []
+    for path in (*(name for file in files for name in (file.temporary, file.previous)), journal):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            failures.append(error)
+    return failures
+
+
+def _identity_of(path: Path) -> _Identity | None:
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _undo(listed: Sequence[_Listed]) -> OSError | None:
+    """Give all places back what they held before; return why that fails for one."""
+    failure = None
+    for file, put in reversed(listed):
+        try:
+            _take_back(file, put)
+        except OSError as error:
+            failure = error
+    return failure
+
+
+def _take_back(file: Aside, put: _Identity | None) -> None:
+    """Give a place back what it held before, unless somebody else has put something else there."""
+    now = _identity_of(file.path)
+    if file.overwrite:
+        if now in (None, put) and os.path.lexists(file.previous):
+            file.previous.replace(file.path)
+    elif now is not None and put is not None:
+        is_reserved = now[1] == 0 and os.path.lexists(
+            file.temporary
+        )  # by `_put_new`, where there are no links
+        if now == put or is_reserved:
+            file.path.unlink()
 
 
 def place_of(path: Path) -> str:
@@ -136,12 +247,18 @@ def is_special(path: Path) -> bool:
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
-def check_writable(path: Path) -> None:
-    """Make a file beside a path and remove it; OSError if that is not possible."""
-    probe = temporary_beside(path)
+def check_writable(folder: Path) -> None:
+    """Make a file in a folder and remove it; OSError if that is not possible."""
+    probe = _new_journal(folder)
     with endings_held():
         os.close(os.open(probe, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-        probe.unlink()
+        probe.unlink(missing_ok=True)  # Another run may have done so.
+
+
+def is_protected(path: Path) -> bool:
+    """Whether a file is another user's in a sticky folder, where only its owner may rename or remove it."""
+    folder, user = path.parent.stat(), _user()
+    return bool(folder.st_mode & stat.S_ISVTX) and user not in (0, folder.st_uid, path.lstat().st_uid)
 
 
 @contextlib.contextmanager
@@ -160,24 +277,26 @@ def folders_locked(folders: Iterable[Path], deliver: Callable[[], None]) -> Iter
 
 
 def _lock(descriptor: int, folder: Path, deliver: Callable[[], None]) -> None:
+    end = time.monotonic() + _PATIENCE
+    while _try_lock(descriptor) is False:
+        deliver()
+        if time.monotonic() > end:
+            cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
+            raise OSError(errno.EBUSY, cause, str(folder))
+        time.sleep(_PAUSE)
+
+
+def _try_lock(descriptor: int) -> bool | None:
+    """Lock a file or folder until it is closed; False if another process has locked it, None if there are no locks."""
     try:
         import fcntl
-    except ImportError:  # Windows
-        return
-    end = time.monotonic() + _PATIENCE
-    while True:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            deliver()
-            if time.monotonic() > end:
-                cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
-                raise OSError(errno.EBUSY, cause, str(folder)) from None
-            time.sleep(_PAUSE)
-        except OSError:  # There are no locks on this file system.
-            return
-        else:
-            return
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # Windows, and some file systems
+        return None
+    return True
 
 
 @contextlib.contextmanager
@@ -244,24 +363,21 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _put(file: Aside, tidying: contextlib.ExitStack, undoing: contextlib.ExitStack) -> None:
-    """Give a file its name; one stack removes what is needed no longer, the other undoes it all."""
-    path = file.path
-    if not file.overwrite:
-        _put_new(file.temporary, path)
-        undoing.callback(path.unlink, missing_ok=True)
-    elif path.exists():
-        kept = temporary_beside(path)
-        tidying.callback(kept.unlink, missing_ok=True)
-        try:
-            os.link(path, kept)
-        except OSError:  # where files cannot have two names
-            shutil.copy2(path, kept)
-        file.temporary.replace(path)
-        undoing.callback(kept.replace, path)
-    else:
-        file.temporary.replace(path)
-        undoing.callback(path.unlink, missing_ok=True)
+def _put(file: Aside, *, keep: bool) -> None:
+    """Give a file its name, and `keep` what it replaces under another one."""
+    try:
+        if not file.overwrite:
+            _put_new(file.temporary, file.path)
+            return
+        if keep:
+            try:
+                os.link(file.path, file.previous)
+            except OSError:  # where files cannot have two names
+                shutil.copy2(file.path, file.previous)
+        file.temporary.replace(file.path)
+    except OSError as error:
+        error.filename = str(file.path)
+        raise
 
 
 def _put_new(temporary: Path, path: Path) -> None:
@@ -279,9 +395,6 @@ def _put_new(temporary: Path, path: Path) -> None:
         except OSError:
             path.unlink()
             raise
-        return
-    with contextlib.suppress(OSError):  # the file is in place, whether or not its other name goes
-        temporary.unlink()
 
 
 def _is_same(one: Path, other: Path) -> bool:

@@ -1,7 +1,9 @@
 """Writes files that belong together again and again, ended by a signal at every one of its steps that touch files.
 
-Run as a script with a folder, a signal, and the name of the output in the folder. For every step a child is forked, so
-that libraries are loaded once. Prints what was wrong, one line each, and the number of steps last.
+Run as a script with a folder, a signal, and the name of the output in the folder; the arguments of a command, which
+writes it, may follow. For every step a child is forked, so that libraries are loaded once. After SIGKILL the same is
+run again, which must come to the same end as if nothing had happened. Prints what was wrong, one line each, and the
+number of steps last.
 """
 
 from __future__ import annotations
@@ -35,8 +37,8 @@ class Ending:
                 os.kill(os.getpid(), self.number)
 
 
-def child(target, at, number):
-    """Be a command that writes an OBJ file with its library and texture; exit with 77 if the step was not reached."""
+def child(target, at, number, arguments):
+    """Be a command that by default writes an OBJ file of three; exit with 77 if it did before the step was reached."""
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.output import Output
@@ -48,7 +50,10 @@ def child(target, at, number):
         output.write(Written([b"new ", b"model"], sidecars))
         return 0
 
-    command.group.main = job
+    if arguments:
+        sys.argv = ["beltrami", *arguments]
+    else:
+        command.group.main = job
     if number != signal.SIGKILL:
         signal.signal(number, signal.SIG_DFL)  # who started the tests may not want to hear it, as with nohup
     ending = Ending(at, number)
@@ -59,7 +64,7 @@ def child(target, at, number):
     except SystemExit as stop:
         code = int(stop.code or 0)
     finally:
-        os._exit(77 if ending.steps < at else code)
+        os._exit(77 if ending.steps < at and code == 0 else code)
 
 
 def faults(before, after, finished, number):
@@ -77,20 +82,30 @@ def faults(before, after, finished, number):
     return found
 
 
-def run(folder, target, at, number):
+def run(folder, target, at, number, arguments):
     """Fork, and return how the child ended."""
     pid = os.fork()
     if pid == 0:
         os.chdir(folder)
-        child(target, at, number)
+        child(target, at, number, arguments)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
-def main(source, target, number):
+def comparable(folder):
+    """Return a snapshot without what reports say, in which times differ from run to run."""
+    return {
+        path: (mode, "report.json" not in path and content)
+        for path, (mode, content) in snapshot(folder).items()
+    }
+
+
+def main(source, target, number, arguments):
     """Try every step."""
     # Loaded once for all children.
     import beltrami_cli.cli.main
-    import beltrami_cli.jobs.output  # noqa: F401
+    import beltrami_cli.cli.smooth
+    import beltrami_cli.jobs.output
+    import beltrami_cli.jobs.smooth  # noqa: F401
 
     work = source.parent / "work"
 
@@ -99,21 +114,26 @@ def main(source, target, number):
         shutil.copytree(source, work)
 
     fresh()
-    before = snapshot(work)
-    if run(work, target, MOST_STEPS, number) != 77:
+    before = comparable(work)
+    if run(work, target, MOST_STEPS, number, arguments) != 77:
         print("without a signal it fails")
-    finished = snapshot(work)
+    finished = comparable(work)
     for at in range(1, MOST_STEPS):
         fresh()
-        code = run(work, target, at, number)
-        for fault in faults(before, snapshot(work), finished, number):
+        code = run(work, target, at, number, arguments)
+        for fault in faults(before, comparable(work), finished, number):
             print(f"step {at}: {fault}")
         if code == 77:
             print(at - 1)
             return
+        if number == signal.SIGKILL:
+            is_complete = finished.items() <= comparable(work).items()
+            again = run(work, target, MOST_STEPS, number, arguments)
+            if comparable(work) != finished or (again != 77 and not is_complete):
+                print(f"step {at}: again, it ends with {again} and leaves {sorted(comparable(work))}")
         if code not in (128 + number, -signal.SIGKILL):
             print(f"step {at}: exit code {code}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[3], int(sys.argv[2]))
+    main(Path(sys.argv[1]), sys.argv[3], int(sys.argv[2]), sys.argv[4:])

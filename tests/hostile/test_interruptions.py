@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.jobs.replacing import endings_held
-from cli.commands import COMMAND
+from cli.commands import COMMAND, beltrami
+from formats.tile_files import tiled_model
 from hostile.folders import snapshot
 from hostile.interrupting import faults
 from hostile.textured_models import OTHER, PICTURE, write_model
@@ -41,16 +42,46 @@ def folder_with_model(tmp_path):
 def test_a_signal_at_any_step_that_touches_files(target, number, tmp_path):
     folder = folder_with_model(tmp_path)
     (folder / "new").mkdir()
+    assert (
+        ended_at_every_step(folder, number, target) >= 7
+    )  # a probe that comes and goes, and three or more files
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["obj", "gltf", "tiles"])
+@pytest.mark.parametrize("has_earlier", [False, True])
+def test_a_run_after_one_that_was_killed_writes_the_same_files_under_the_same_names(
+    kind, has_earlier, tmp_path
+):
+    folder = tmp_path / "source"
+    if kind == "tiles":
+        tiled_model(folder, size=1)
+    else:
+        write_model(folder, kind, "maps/skin.png", "maps.mtl")
+        (folder / "maps").mkdir()
+        (folder / "maps" / "skin.png").write_bytes(PICTURE)
+    (folder / "out").mkdir()
+    suffix = "gltf" if kind == "gltf" else "obj"
+    target = f"out/result.{suffix}"
+    command = ["smooth", f"model.{suffix}", target, "--beta", "8", "--fast", "--report", "out/report.json"]
+    if has_earlier:
+        beltrami(*command, "-n", "2", cwd=folder)
+        command.append("--overwrite")
+    assert ended_at_every_step(folder, signal.SIGKILL, target, [*command, "-n", "1"]) >= 7
+
+
+def ended_at_every_step(folder, number, target, command=()):
+    """Check what a signal leaves at each step of a command, and return how many there are."""
     script = Path(__file__).with_name("interrupting.py")
     where = [str(script.parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
     run = subprocess.run(
-        [sys.executable, script, folder, str(int(number)), target],
+        [sys.executable, script, folder, str(int(number)), target, *command],
         capture_output=True, text=True, check=True, timeout=300,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(where), "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     *wrong, steps = run.stdout.splitlines()
     assert wrong == []
-    assert int(steps) >= 7  # a probe that comes and goes, and three or more files written and renamed
+    return int(steps)
 
 
 @pytest.mark.slow

@@ -39,8 +39,8 @@ if overwrite:  # so slowly that each would meet the other
 
     put = replacing._put
 
-    def put_slowly(*arguments):
-        put(*arguments)
+    def put_slowly(*arguments, **options):
+        put(*arguments, **options)
         time.sleep(0.02)
 
     replacing._put = put_slowly
