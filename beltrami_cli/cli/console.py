@@ -104,6 +104,19 @@ class Messages:
             self.warn(text if text.startswith(shown) else f"{shown}: {text}")
 
     @contextmanager
+    def warnings_shown(self) -> Iterator[None]:
+        """Print the warnings that the package logs."""
+        import logging
+
+        handler, log = logging.Handler(logging.WARNING), logging.getLogger("beltrami_cli")
+        handler.emit = lambda record: self.warn(record.getMessage())  # type: ignore[method-assign]
+        log.addHandler(handler)
+        try:
+            yield
+        finally:
+            log.removeHandler(handler)
+
+    @contextmanager
     def work_shown(self, *, wanted: bool) -> Iterator[None]:
         """Show how much work is ahead, which the package logs before it starts."""
         import logging
@@ -112,6 +125,7 @@ class Messages:
             yield
             return
         handler, log = logging.Handler(logging.INFO), logging.getLogger("beltrami_cli")
+        handler.addFilter(lambda record: record.levelno < logging.WARNING)  # see `warnings_shown`
         handler.emit = lambda record: self.say(record.getMessage())  # type: ignore[method-assign]
         before = log.level
         log.addHandler(handler)

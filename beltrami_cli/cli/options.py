@@ -302,7 +302,9 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def with_messages(*, quiet: bool, verbose: int, **given: Any) -> Any:
-        return command(messages=Messages(quiet=quiet, verbose=verbose), **given)
+        messages = Messages(quiet=quiet, verbose=verbose)
+        with messages.warnings_shown():
+            return command(messages=messages, **given)
 
     return quiet(verbose(with_messages))
 

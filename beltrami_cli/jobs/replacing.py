@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.document import Bytes
 
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
-_COMPLETE = True  # as the last line of a journal
+_SETTLED = True  # as the last line of a journal: the set is complete, or undone
 _LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
 _OPENING = (
     os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -94,7 +94,7 @@ class Journal:
                 _put(file, keep=True)
             if not os.fstat(self._descriptor).st_nlink:
                 raise OSError(errno.ESTALE, "another run has removed its temporary files")
-            self._write(_COMPLETE)
+            self._write(_SETTLED)
         except BaseException as error:
             if (stuck := _undo(listed)) is not None:
                 self._is_needed = True
@@ -102,6 +102,8 @@ class Journal:
                     f"{error}; {stuck.filename} stays until the next run with this output ({stuck.strerror})"
                 )
                 raise OSError(errno.EIO, cause) from error
+            with contextlib.suppress(OSError):  # Undoing it again would do no harm.
+                self._write(_SETTLED)
             raise
         with contextlib.suppress(OSError):  # On the disk before what was replaced is removed.
             os.fsync(self._descriptor)
@@ -136,9 +138,9 @@ def recover(folder: Path) -> None:
     for journal in journals:
         # In the lock of the folder, since two runs would take each other for the one that goes on.
         with endings_held() as deliver, folders_locked([folder], deliver), _left_in(journal) as text:
-            listed, is_complete = _read(journal, text)
+            listed, is_settled = _read(journal, text)
             with folders_locked({file.path.parent for file, _ in listed} - {folder}, deliver):
-                if not is_complete and (stuck := _undo(listed)) is not None:
+                if not is_settled and (stuck := _undo(listed)) is not None:
                     raise stuck
                 if text is not None:
                     _remove((file for file, _ in listed), journal)
@@ -163,16 +165,16 @@ def _left_in(journal: Path) -> Iterator[bytes | None]:
 
 
 def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
-    """Return the files of a set, as far as they can be trusted, and whether it is complete."""
+    """Return the files of a set, as far as they can be trusted, and whether the set is complete or undone."""
     listed: dict[Path, _Listed] = {}
     name_of_temporary = re.compile(re.escape(journal.stem) + r"\.[0-9]+\.tmp")
-    is_complete = False
+    is_settled = False
     # Behind the last break is nothing, or what could not be written before the end.
     for line in (text or b"").split(b"\n")[:-1]:
         with contextlib.suppress(ValueError, TypeError):
             value = parse_json(line)
-            if value is _COMPLETE:
-                is_complete = True
+            if value is _SETTLED:
+                is_settled = True
                 continue
             name, target, overwrite, put = value
             temporary = journal.parent / name
@@ -181,7 +183,7 @@ def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
             is_witnessed = any(map(os.path.lexists, (file.temporary, file.previous)))
             if name_of_temporary.fullmatch(temporary.name) and (is_witnessed or "/" not in name):
                 listed[temporary] = file, None if put is None else tuple(put)
-    return list(listed.values()), is_complete
+    return list(listed.values()), is_settled
 
 
 def _user() -> int:
@@ -189,13 +191,15 @@ def _user() -> int:
 
 
 def _remove(files: Iterable[Aside], journal: Path) -> list[OSError]:
-    """Remove the temporary files of a run, and its journal at last; return why some stay."""
-    failures = []
+    """Remove the temporary files of a run, and then its journal; return why some stay, which the next run removes."""
+    failures: list[OSError] = []
     for path in (*(name for file in files for name in (file.temporary, file.previous)), journal):
         try:
-            path.unlink(missing_ok=True)
+            if path != journal or not failures:
+                path.unlink(missing_ok=True)
         except OSError as error:
-            failures.append(error)
+            if os.path.lexists(path):
+                failures.append(error)
     return failures
 
 

@@ -1,0 +1,180 @@
+"""Whichever system call fails, all files of a run are new or all are old, as the exit code says."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import logging
+import os
+import shutil
+
+import pytest
+
+from beltrami_cli.errors import OutputError
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs import replacing
+from beltrami_cli.jobs.output import Output
+from cli.commands import SAMPLES, beltrami
+from hostile.folders import snapshot
+
+CALLS = ("link", "replace", "unlink", "fsync", "open", "write", "mkdir", "chmod")
+OLD = {"a.png": b"old a", "out.obj": b"old model"}
+SIDECARS = {"a.png": b"new a", "maps/b.png": b"new b", "maps/c.png": b"new c", "out.mtl": b"new library"}
+MOST_CALLS = 100
+
+
+def write_set(folder, *, overwrite):
+    output = Output(str(folder / "out.obj"), overwrite=overwrite)
+    output.replaceable = frozenset(SIDECARS)
+    output.write(Written([b"new ", b"model"], SIDECARS))
+
+
+def fresh(folder, *, has_old):
+    folder.mkdir()
+    for name, content in OLD.items() if has_old else ():
+        (folder / name).write_bytes(content)
+    return snapshot(folder)
+
+
+def temporary_files(folder):
+    return [path for path in snapshot(folder) if path.endswith(".tmp")]
+
+
+class Fault:
+    """Lets the n-th call of a function fail, and by wish all after it."""
+
+    def __init__(self, patch, name, code, at, *, for_good):
+        self.calls, self.at, self.for_good, self.code = 0, at, for_good, code
+        self.function = getattr(os, name)
+        patch.setattr(os, name, self)
+
+    def __call__(self, *arguments, **options):
+        self.calls += 1
+        if self.calls == self.at or (self.for_good and self.calls > self.at):
+            named = [each for each in arguments if isinstance(each, str | os.PathLike)]
+            raise OSError(self.code, os.strerror(self.code), *map(str, named[:1]))
+        return self.function(*arguments, **options)
+
+
+@pytest.mark.parametrize("has_old", [False, True])
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EIO, errno.ENOSPC], ids=errno.errorcode.get)
+@pytest.mark.parametrize("call", CALLS)
+def test_a_system_call_that_fails_once(call, code, has_old, tmp_path, monkeypatch, caplog):
+    before = fresh(tmp_path / "whole", has_old=has_old)
+    write_set(tmp_path / "whole", overwrite=has_old)
+    finished = snapshot(tmp_path / "whole")
+    for at in range(1, MOST_CALLS):
+        folder = tmp_path / str(at)
+        fresh(folder, has_old=has_old)
+        caplog.clear()
+        with monkeypatch.context() as patch:
+            fault = Fault(patch, call, code, at, for_good=False)
+            try:
+                write_set(folder, overwrite=has_old)
+                expected = finished
+            except OutputError:
+                expected = before
+        after, stay = snapshot(folder), temporary_files(folder)
+        assert {path: content for path, content in after.items() if path not in stay} == expected, at
+        assert call == "unlink" or not stay
+        if expected == finished:
+            warned = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+            assert len(warned) == bool(stay)
+            assert not stay or any(path in warned[0] for path in stay)
+        write_set(folder, overwrite=True)
+        assert {path: content for path, (_, content) in snapshot(folder).items()} == {
+            path: content for path, (_, content) in finished.items()
+        }
+        if fault.calls < at:
+            return
+    raise AssertionError("there are more calls than expected")
+
+
+@pytest.mark.parametrize("has_old", [False, True])
+@pytest.mark.parametrize("call", CALLS)
+def test_a_system_call_that_fails_from_some_moment_on(call, has_old, tmp_path, monkeypatch):
+    before = fresh(tmp_path / "whole", has_old=has_old)
+    write_set(tmp_path / "whole", overwrite=has_old)
+    finished = snapshot(tmp_path / "whole")
+    for at in range(1, MOST_CALLS):
+        folder = tmp_path / str(at)
+        fresh(folder, has_old=has_old)
+        with monkeypatch.context() as patch:
+            fault = Fault(patch, call, errno.EIO, at, for_good=True)
+            try:
+                write_set(folder, overwrite=has_old)
+                expected = finished
+            except OutputError:
+                expected = before
+        # What could not be undone is undone by the next run, as soon as that is possible again.
+        replacing.recover(folder)
+        after = snapshot(folder)
+        folders = {"maps"} - set(expected)  # which may stay, without files
+        assert {path: content for path, content in after.items() if path not in folders} == expected, at
+        if fault.calls < at:
+            return
+    raise AssertionError("there are more calls than expected")
+
+
+def test_only_a_set_of_this_user_in_this_folder_is_undone(tmp_path):
+    """A journal that somebody made up, or copied from elsewhere, touches nothing outside its folder."""
+    outside, folder = tmp_path / "precious.txt", tmp_path / "folder"
+    outside.write_text("precious")
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    status = outside.stat()
+    put = [status.st_ino, status.st_size, status.st_mtime_ns]
+    stem = ".beltrami-0123456789ab"
+    names = (f"{tmp_path}/{stem}.0.tmp", f"../{stem}.0.tmp", f"link/{stem}.0.tmp", f"{stem}.0.tmp")
+    targets = ("precious.txt", "../precious.txt", str(outside), "..", ".", "")
+    lines = [f'["{name}", "{target}", false, {put}]' for name, target in itertools.product(names, targets)]
+    lines += ["[" * 1000, "{}", "[1, 2, 3, 4]", '["a", "b"]', "null", '"x"', '["\\u0000", "a", true, null]']
+    (folder / f"{stem}.tmp").write_text("\n".join(lines) + "\n")
+    replacing.recover(folder)
+    assert outside.read_text() == "precious"
+    assert sorted(path.name for path in folder.iterdir()) == ["link"]
+
+
+def test_a_temporary_file_that_cannot_be_removed_is_a_warning(tmp_path, monkeypatch):
+    shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "in.ply")
+    unlink = os.unlink
+
+    def fail_at_the_end(path, **options):
+        if (tmp_path / "out.ply").exists():
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        unlink(path, **options)
+
+    monkeypatch.setattr(os, "unlink", fail_at_the_end)
+    smooth = ("smooth", "in.ply", "out.ply", "-n", "1", "--beta", "8", "--fast")
+    said = beltrami(*smooth, "--report", "report.json", cwd=tmp_path, text=True).stderr
+    monkeypatch.undo()
+    stay = temporary_files(tmp_path)
+    assert stay
+    assert all(line.startswith("warning: ") for line in said.splitlines() if ".beltrami-" in line)
+    assert "Permission denied" in said
+    beltrami(*smooth, "--overwrite", "-q", cwd=tmp_path)
+    assert temporary_files(tmp_path) == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can act for two users")
+@pytest.mark.parametrize("name", ["out.obj", "a.png"])
+def test_a_file_of_another_user_in_a_sticky_folder(name, tmp_path):
+    for path in (tmp_path, *tmp_path.parents[:2]):
+        path.chmod(0o755)
+    folder = tmp_path / "shared"
+    fresh(folder, has_old=True)
+    folder.chmod(0o1777)
+    user = 12345
+    for other in OLD.keys() - {name}:
+        os.chown(folder / other, user, user)
+    before = snapshot(folder)
+    child = os.fork()
+    if child == 0:
+        os.setresuid(user, user, user)
+        try:
+            write_set(folder, overwrite=True)
+        except OutputError as error:
+            os._exit(0 if "belongs to another user" in str(error) else 1)
+        os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert snapshot(folder) == before
