@@ -1,4 +1,4 @@
-"""Temporary files of a run that was killed are removed by the next one on the same output; those of others stay."""
+"""Temporary files of a run that was killed are removed by the next one in the folder; those of others stay."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import sys
 import pytest
 
 from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.jobs.replacing import remove_leftovers, temporary_beside
+from beltrami_cli.jobs.replacing import recover
 
 FILES = Written([b"new"], {"a.mtl": b"new", "maps/a.png": b"new"})
 # Writes files aside, says so, and waits.
@@ -39,32 +38,43 @@ def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_use
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
-        assert len(leftovers(tmp_path)) == 3
+        used = leftovers(tmp_path)
+        assert len(used) == 4  # a journal, and a file for each of three
         output = Output(str(target), overwrite=True)
         output.replaceable = frozenset(FILES.sidecars)
         output.write(FILES)
-        assert len(leftovers(tmp_path)) == 3
+        assert leftovers(tmp_path) == used
         process.send_signal(signal.SIGKILL)
-    Output(str(tmp_path / "other.obj"), overwrite=True).check_sidecars(["other.mtl"])
-    assert len(leftovers(tmp_path)) == 3
-    Output(str(target), overwrite=True).check_sidecars(FILES.sidecars)
+    Output(str(tmp_path / "other.obj"), overwrite=True)
     assert leftovers(tmp_path) == []
 
 
-def test_a_process_that_has_the_number_of_one_that_is_gone_is_another(tmp_path, monkeypatch):
-    path = tmp_path / "out.ply"
-    own = temporary_beside(path)
-    monkeypatch.setattr(replacing, "_life", lambda process: "00000000")
-    earlier = temporary_beside(path)
-    monkeypatch.undo()
-    monkeypatch.setattr(replacing, "_machine", lambda: "00000000")
-    elsewhere = temporary_beside(path)
-    monkeypatch.undo()
-    for file in (own, earlier, elsewhere):
-        file.touch()
-    (tmp_path / ".out.ply.mine.tmp").touch()
-    remove_leftovers(path)
-    assert set(leftovers(tmp_path)) == {own, elsewhere, tmp_path / ".out.ply.mine.tmp"}
+@pytest.mark.skipif(not hasattr(os, "chown") or os.geteuid() != 0, reason="only root can act for two users")
+def test_a_journal_of_another_user_is_left_alone(tmp_path):
+    journal = tmp_path / ".beltrami-0123456789ab.tmp"
+    journal.touch()
+    os.chown(journal, 12345, 12345)
+    recover(tmp_path)
+    assert leftovers(tmp_path) == [journal]
+    os.chown(journal, 0, 0)
+    recover(tmp_path)
+    assert leftovers(tmp_path) == []
+
+
+def test_files_that_only_look_like_temporary_ones_stay(tmp_path):
+    names = {
+        ".out.ply.mine.tmp",
+        ".beltrami-mine.tmp",
+        ".beltrami-0123456789ab.0.tmp",
+        "beltrami-0123456789ab.tmp",
+    }
+    for name in names:
+        (tmp_path / name).touch()
+    (tmp_path / ".beltrami-00000000000a.tmp").mkdir()
+    (tmp_path / ".beltrami-00000000000b.tmp").symlink_to(".out.ply.mine.tmp")
+    before = sorted(tmp_path.iterdir())
+    recover(tmp_path)
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize("name", ["x" * 255, "é" * 127, "日" * 85, os.fsdecode(b"\xff" * 250)])
