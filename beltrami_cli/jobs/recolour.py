@@ -19,7 +19,7 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
-from beltrami_cli.formats.access import Access, read_regular, read_source
+from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
@@ -96,9 +96,8 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
             painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
         with watch.stage("write"):
             written = _files(document, painted, kind, naming, in_place=not is_moved(source, target))
-            copied = {
-                new: read_regular(Path(source).parent / old, access) for new, old in written.copies.items()
-            }
+            folder = Path(source).parent
+            copied = {new: read_source(str(folder / old), access) for new, old in written.copies.items()}
             written = replace(written, sidecars={**written.sidecars, **copied})
             if output is not None:
                 if output.folder is not None and output.overwrite:

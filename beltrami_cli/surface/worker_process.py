@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import IO, Any
@@ -19,10 +19,28 @@ from typing import IO, Any
 import numpy as np
 
 from beltrami_cli.arrays import Array
+from beltrami_cli.errors import ProcessingError
 from beltrami_cli.import_path import safe_environment
 
 Message = tuple[Any, dict[str, Array]]
 """Words, as JSON has them, and arrays by name."""
+
+_NO_ROOM = 74  # exit code of a process that cannot write its answer: EX_IOERR of sysexits.h
+
+
+@contextmanager
+def writing_temporary_files() -> Iterator[None]:
+    """Let a file that cannot be written, such as on a full disk, be a ProcessingError."""
+    try:
+        yield
+    except OSError as error:
+        raise _unwritable(error.strerror or str(error)) from error
+
+
+def _unwritable(cause: str) -> ProcessingError:
+    return ProcessingError(
+        f"temporary files cannot be written ({cause}); free space, or name another folder in the variable TMPDIR"
+    )
 
 
 @dataclass(frozen=True)
@@ -34,7 +52,9 @@ class Worker:
     _said: IO[bytes]  # on its standard error
 
     def failure(self) -> str | None:
-        """Return in a line why it failed, or None; it must have ended."""
+        """Return in a line why it failed, or None; it must have ended. ProcessingError if its disk was full."""
+        if self.process.returncode == _NO_ROOM:
+            raise _unwritable("there is no room for the result of a process")
         self._said.seek(0)
         if not self.process.returncode:
             return None
@@ -51,9 +71,12 @@ class Worker:
 def working(module: str, question: Message, *arguments: int) -> Iterator[Worker]:
     """Run a module that calls `serve`, with some arguments, and end it at last."""
     # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
-    with TemporaryFile() as job, TemporaryFile() as written, TemporaryFile() as said:
-        _send(job, question)
-        job.seek(0)
+    with ExitStack() as stack:
+        with writing_temporary_files(), ExitStack() as files:  # which also write when they are closed
+            job, written, said = (files.enter_context(TemporaryFile()) for _ in range(3))
+            _send(job, question)
+            job.seek(0)
+            stack.enter_context(files.pop_all())
         # In a session of its own the process does not see Ctrl-C, which is for this one.
         process = subprocess.Popen(
             [sys.executable, "-m", module, *map(str, arguments)],
@@ -78,8 +101,11 @@ def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> N
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     answered = answer(*_receive(sys.stdin.buffer))
-    with out:
-        _send(out, answered)
+    try:
+        with out:
+            _send(out, answered)
+    except OSError:
+        os._exit(_NO_ROOM)
 
 
 def _send(file: IO[bytes], message: Message) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.errors import OutputError
-from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.output import Output
 from cli.commands import COMMAND, SAMPLES
 from hostile.folders import snapshot
@@ -99,31 +98,26 @@ def test_a_disk_that_fills_up(free, target, tmp_path):
     assert "No space left" in run.stderr
 
 
-@pytest.mark.parametrize("failing", range(4))
-def test_a_rename_that_fails_undoes_those_before_it(failing, tmp_path, monkeypatch):
-    (tmp_path / "a.png").write_bytes(b"old a")
-    (tmp_path / "out.obj").write_bytes(b"old")
-    before, renames, rename = snapshot(tmp_path), [], Path.replace
+@pytest.mark.slow
+@pytest.mark.parametrize("most", [0, 1000, 20_000, 40_000, 60_000])
+@pytest.mark.parametrize(
+    "words",
+    [("smooth", "{}", "out.glb", "--unwrap", "-n", "0"), ("bake", "{}", "out.glb", "--to", "texture")],
+)
+def test_a_limit_on_temporary_files(words, most, tmp_path):
+    """Neither the question to the process that unwraps nor, with higher limits, its answer can be written."""
 
-    def replace(self, target):
-        renames.append(target)
-        if len(renames) == failing + 1:
-            raise PermissionError(1, "Operation not permitted")
-        return rename(self, target)
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
-    monkeypatch.setattr(Path, "replace", replace)
-    output = Output(str(tmp_path / "out.obj"), overwrite=True)
-    sidecars = {"a.png": b"new a", "sub/b.png": b"new b", "out.mtl": b"new"}
-    output.replaceable = frozenset(sidecars)
-    with pytest.raises(OutputError, match="Operation not permitted"):
-        output.write(Written([b"new"], sidecars))
-    assert snapshot(tmp_path) == before
-    renames.clear()
-    monkeypatch.setattr(Path, "replace", rename)
-    output.write(Written([b"new"], sidecars))
-    assert {path: content for path, (_, content) in snapshot(tmp_path).items()} == {
-        "a.png": b"new a", "out.mtl": b"new", "out.obj": b"new", "sub": b"", "sub/b.png": b"new b",
-    }  # fmt: skip
+    arguments = [*COMMAND, *(word.format(SAMPLES / "nonmanifold-noisy.ply") for word in words)]
+    run = subprocess.run(
+        arguments, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limit
+    )
+    assert run.returncode in (1, 4)
+    assert run.stderr.count("\n") == 1, run.stderr
+    assert "cannot be written" in run.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

@@ -35,7 +35,7 @@ from beltrami_cli.formats.model_folder import (
     has_token,
     is_outside,
 )
-from beltrami_cli.surface.worker_process import Message
+from beltrami_cli.surface.worker_process import Message, writing_temporary_files
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
@@ -202,7 +202,7 @@ class Layers:
 
     def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Message:
         """Let usd-core carry out an order on the layers."""
-        with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
+        with writing_temporary_files(), tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
             for name, data in self.contents.items():
                 path = Path(folder, name)
                 path.parent.mkdir(parents=True, exist_ok=True)
@@ -215,7 +215,7 @@ class Layers:
 
 def layer_from(text: bytes, suffix: str, name: str) -> bytes:
     """Return the text of a layer in the form that a suffix says."""
-    with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
+    with writing_temporary_files(), tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
         order = {"task": "convert", "suffix": suffix, "folder": folder}
         question = order, {"text": np.frombuffer(text, np.uint8)}
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
