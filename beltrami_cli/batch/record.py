@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -13,8 +14,8 @@ from typing import get_args
 
 from beltrami_cli.batch.item import Item, Outcome, Status
 from beltrami_cli.batch.storage import exists, hash_at, is_url, place_of, require_name
-from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import is_there, open_regular
+from beltrami_cli.errors import BeltramiError, InputError, OutputError
+from beltrami_cli.formats.access import Access, is_there, open_regular
 from beltrami_cli.formats.data_text import parse_json
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.output import Output, Overwrite
@@ -22,6 +23,7 @@ from beltrami_cli.jobs.output import Output, Overwrite
 _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'
 _LONGEST = 1 << 26  # bytes of a line
+_LONGEST_HEAD = 1 << 16  # bytes in which a report is recognised
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -63,6 +65,35 @@ class Record:
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
         lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]
         self._output.write(Written(main=lines))
+
+
+def is_part_of_model(path: str, items: Iterable[Item]) -> bool:
+    """Whether a file that is no report belongs to a model of a batch, or to one in the place of an output."""
+    try:
+        with open_regular(Path(path)) as file:
+            head = file.read(_LONGEST_HEAD)
+    except OSError:
+        return False
+    if not head or _HEAD.match(head):
+        return False
+    return any(
+        place_of(path) in _places_of_parts(name, item)
+        for item in items
+        for name in (item.source, item.target)
+    )
+
+
+def _places_of_parts(name: str, item: Item) -> set[str]:
+    from beltrami_cli.jobs.recolour import open_input
+
+    places: set[str] = set()
+    access = Access(item.outside, note=lambda path, _: places.add(place_of(str(path))))
+    if not is_url(name):
+        with contextlib.suppress(BeltramiError):  # which is reported when the item is done
+            folder = Path(name).parent
+            references = open_input(name, item.settings, access).references()
+            places |= {place_of(str(folder / each)) for each in references}
+    return places
 
 
 def is_done(item: Item, outcome: Outcome | None) -> bool:

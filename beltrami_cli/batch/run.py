@@ -130,7 +130,9 @@ class Batch:
         """Begin with an item; return it, unless it failed already."""
         item, earlier = self._items[key], self._earlier[key]
         overwrite = item.overwrite or is_ours(earlier)
-        again = earlier is not None and earlier.status == "started"
+        # By an earlier run, or by this one in a process that died.
+        latest = self._record.latest(item)
+        again = latest is not None and latest.status == "started"
         try:
             if exists(item.target) and not (overwrite or again):
                 remedy = "choose another --out-dir or --suffix, or --overwrite"

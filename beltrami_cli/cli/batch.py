@@ -157,8 +157,9 @@ def command(
     if dry_run:
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
-    path = _report_path(report_path, out_dir, inputs, jobs)
     rewritten = overwrite_at("report_path", overwrite=overwrite)
+    path = _report_path(report_path, out_dir, inputs, jobs)
+    _require_no_part(path, jobs, rewritten)
     with _executor(scheduler, pieces, given["at_once"], given["max_memory"], messages) as executor:
         outcomes = _run(jobs, (path, rewritten), given, executor, messages)
     if not messages.quiet:
@@ -272,6 +273,14 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
     if Path(path).resolve() in {Path(other).resolve() for other in (*inputs, *named)}:
         raise OutputError(path, "the report would replace a file of the batch", "choose another name")
     return path
+
+
+def _require_no_part(path: str, jobs: Sequence[Item], rewritten: Overwrite) -> None:
+    """Raise OutputError if a report that may replace any file would replace a part of a model."""
+    from beltrami_cli.batch.record import is_part_of_model
+
+    if rewritten is True and is_part_of_model(path, jobs):
+        raise OutputError(path, "the report would replace a file that a model needs", "choose another name")
 
 
 @contextlib.contextmanager

@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from unittest.mock import Mock
 
 import pytest
 
 from batch.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
-from beltrami_cli.batch.item import Item
+from beltrami_cli.batch import run
+from beltrami_cli.batch.item import Attempt, Item, do_item, failed
 from beltrami_cli.batch.record import Record
-from beltrami_cli.batch.run import Batch
+from beltrami_cli.batch.run import Batch, Executor
 from beltrami_cli.errors import InputError
 from beltrami_cli.samples.settings import DEFAULTS
 from cli.commands import SAMPLES
+from hostile.folders import snapshot
+from hostile.textured_models import PICTURE, write_model
 
 MINE = b"written by somebody else"
 
@@ -245,3 +249,49 @@ def test_nothing_waits_for_what_is_no_file(scan, made):
     assert statuses(out) == {"a.ply": "done"}
     report = ("--report", out / "pipe")
     assert "not a regular file" in batch(scan, "--out-dir", out, *report, "--resume", *QUICK, code=3)
+
+
+@pytest.mark.parametrize("name", ["scans/{part}", "out/{part}"])
+@pytest.mark.parametrize("part", ["model.mtl", "skin.png"])
+def test_a_report_does_not_replace_a_part_of_a_model(name, part, tmp_path):
+    for folder in ("scans", "out"):
+        write_model(tmp_path / folder, "obj", "skin.png", "model.mtl")
+        (tmp_path / folder / "skin.png").write_bytes(PICTURE)
+    report = tmp_path / name.format(part=part)
+    before = snapshot(tmp_path)
+    words = (tmp_path / "scans" / "model.obj", "--out-dir", tmp_path / "out", "--overwrite", *QUICK)
+    assert "would replace a file that a model needs" in batch(*words, "--report", report, code=4)
+    assert snapshot(tmp_path) == before
+    (tmp_path / "notes.txt").write_text("replaced, since the command line says so")
+    batch(*words, "--report", tmp_path / "notes.txt")
+    assert lines_of(tmp_path / "notes.txt")
+
+
+class DyingWorkers(Executor):
+    """Do each file, and the first time die before saying so."""
+
+    def __init__(self, *_):
+        self.attempts = []
+
+    def __exit__(self, *error):
+        pass
+
+    is_full = False
+
+    def start(self, key, item):
+        attempt = do_item(item, None)
+        if not item.again:
+            attempt = Attempt(failed(item, "the process died", 1), wants_memory=True)
+        self.attempts.append((key, attempt))
+
+    def events(self, items):
+        yield self.attempts.pop()
+
+
+def test_a_file_is_done_whose_process_died_when_all_was_in_place(scan, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "Workers", DyingWorkers)
+    others = Item(str(scan.with_name("none.ply")), str(tmp_path / "out" / "none.ply"), DEFAULTS)
+    item = Item(str(scan), str(tmp_path / "out" / "a.ply"), DEFAULTS)
+    record = Record(str(tmp_path / "report.jsonl"), resume=False, overwrite=False)
+    outcomes = Batch([item, others], record, Mock()).run(2, None)
+    assert [outcome.status for outcome in outcomes] == ["done", "failed"]
