@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _JOURNAL = re.compile(r"\.beltrami-[0-9a-f]{12}\.tmp")
 _SETTLED = True  # as the last line of a journal: the set is complete, or undone
 _LARGEST_JOURNAL = 1 << 26  # bytes: 10,000 files with paths of 4096 bytes
+_user = getattr(os, "geteuid", int)  # 0 where there are no users
 _OPENING = (
     os.O_RDWR | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 )
@@ -55,10 +56,9 @@ class Aside:
         return self.temporary.with_suffix(".previous.tmp")
 
 
-# Inode, size, and time of the last change of the content: what a file keeps when it is linked or renamed.
-_Identity = tuple[int, int, int]
-# None: it is not put in place yet.
-_Listed = tuple[Aside, _Identity | None]
+# Size and time of the last change of the content, which a file keeps when it is linked, renamed, or moved elsewhere.
+_Identity = tuple[int, int]
+_Listed = tuple[Aside, _Identity | None]  # None: it is only written aside yet
 
 
 class Journal:
@@ -89,19 +89,19 @@ class Journal:
         for file, put in listed:
             self._list(file, put)
         os.fsync(self._descriptor)
+        done: list[_Listed] = []
         try:
-            for file in files:
+            for file, put in listed:
                 _put(file, keep=True)
+                done.append((file, put))
             if not os.fstat(self._descriptor).st_nlink:
                 raise OSError(errno.ESTALE, "another run has removed its temporary files")
             self._write(_SETTLED)
         except BaseException as error:
-            if (stuck := _undo(listed)) is not None:
+            if (stuck := _undo(done)) is not None:
                 self._is_needed = True
-                cause = (
-                    f"{error}; {stuck.filename} stays until the next run with this output ({stuck.strerror})"
-                )
-                raise OSError(errno.EIO, cause) from error
+                state = f"{stuck.filename} stays until the next run with this output ({stuck.strerror})"
+                raise OSError(errno.EIO, f"{error}; {state}") from error
             with contextlib.suppress(OSError):  # Undoing it again would do no harm.
                 self._write(_SETTLED)
             raise
@@ -114,12 +114,9 @@ class Journal:
         return [] if self._is_needed else _remove(self._files, self._path)
 
     def _list(self, file: Aside, put: _Identity | None) -> None:
-        folder, temporary = self._path.parent, file.temporary
-        if temporary.is_relative_to(
-            folder
-        ):  # so that it stays right if the folder is moved with all that is in it
-            temporary = temporary.relative_to(folder)
-        self._write([str(temporary), file.path.name, file.overwrite, put])
+        # A relative name stays right if the folder is moved with all that is in it.
+        name = str(file.temporary).removeprefix(f"{self._path.parent}{os.sep}")
+        self._write([name, file.path.name, file.overwrite, put])
 
     def _write(self, value: object) -> None:
         left = memoryview(json.dumps(value).encode() + b"\n")
@@ -186,10 +183,6 @@ def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
     return list(listed.values()), is_settled
 
 
-def _user() -> int:
-    return os.geteuid() if hasattr(os, "geteuid") else 0
-
-
 def _remove(files: Iterable[Aside], journal: Path) -> list[OSError]:
     """Remove the temporary files of a run, and then its journal; return why some stay, which the next run removes."""
     failures: list[OSError] = []
@@ -208,7 +201,7 @@ def _identity_of(path: Path) -> _Identity | None:
         status = path.lstat()
     except FileNotFoundError:
         return None
-    return status.st_ino, status.st_size, status.st_mtime_ns
+    return status.st_size, status.st_mtime_ns
 
 
 def _undo(listed: Sequence[_Listed]) -> OSError | None:
@@ -225,15 +218,13 @@ def _undo(listed: Sequence[_Listed]) -> OSError | None:
 def _take_back(file: Aside, put: _Identity | None) -> None:
     """Give a place back what it held before, unless somebody else has put something else there."""
     now = _identity_of(file.path)
+    # Where there are no links, `_put_new` reserves a name by an empty file.
+    is_reserved = now is not None and now[0] == 0 and os.path.lexists(file.temporary)
     if file.overwrite:
         if now in (None, put) and os.path.lexists(file.previous):
             file.previous.replace(file.path)
-    elif now is not None and put is not None:
-        is_reserved = now[1] == 0 and os.path.lexists(
-            file.temporary
-        )  # by `_put_new`, where there are no links
-        if now == put or is_reserved:
-            file.path.unlink()
+    elif put is not None and (now == put or is_reserved):
+        file.path.unlink()
 
 
 def place_of(path: Path) -> str:

@@ -70,6 +70,19 @@ def test_a_run_after_one_that_was_killed_writes_the_same_files_under_the_same_na
     assert ended_at_every_step(folder, signal.SIGKILL, target, [*command, "-n", "1"]) >= 7
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("has_earlier", [False, True])
+def test_a_run_after_one_that_was_killed_where_no_file_has_two_names(has_earlier, tmp_path, monkeypatch):
+    monkeypatch.setenv("NO_LINKS", "1")
+    folder = tmp_path / "source"
+    tiled_model(folder, size=1)
+    command = ["smooth", "model.obj", "result.obj", "--beta", "8", "--fast"]
+    if has_earlier:
+        beltrami(*command, "-n", "2", cwd=folder)
+        command.append("--overwrite")
+    assert ended_at_every_step(folder, signal.SIGKILL, "result.obj", [*command, "-n", "1"]) >= 7
+
+
 def ended_at_every_step(folder, number, target, command=()):
     """Check what a signal leaves at each step of a command, and return how many there are."""
     script = Path(__file__).with_name("interrupting.py")
