@@ -76,9 +76,10 @@ def level_file(
         cause = "exposures are gains of channels, which the space oklab mixes"
         raise UsageError(f"{cause}; choose srgb or linear")
     source, target = os.fspath(source), os.fspath(target)
-    painter = Levelling(wanted)
-    made = recolour(source, target, settings, painter, job)
+    made, levelled = recolour(source, target, settings, Levelling(wanted), job)
     described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
     parameters = {name: value for name, value in described.items() if name in used}
     parameters |= dataclasses.asdict(wanted)
-    return LevelFileReport(**{**vars(made), "parameters": parameters}, levelled=painter.done)
+    return LevelFileReport(
+        **{**vars(made), "parameters": parameters}, levelled=[each.report for each in levelled]
+    )

@@ -54,22 +54,33 @@ class NoiseReport(FileReport):
     added: list[Added]
 
 
-class Noising(Painter):
+@dataclass(frozen=True)
+class Noisy:
+    """Samples with noise, and what it changed."""
+
+    repainted: Repainted
+    added: Added
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Noising(Painter[Noisy]):
     """A painter that adds noise."""
 
-    def __init__(self, noise: NoiseSettings) -> None:
-        self._noise = noise
-        self.changes = noise.sigma != 0
-        self.added: list[Added] = []
+    noise: NoiseSettings
 
-    def paint(self, samples: Samples, job: Job) -> Repainted:
+    @property
+    def changes(self) -> bool:
+        return self.noise.sigma != 0
+
+    def paint(self, samples: Samples, job: Job) -> Noisy:
         del job
         grains = samples.grains()
-        after = _noisy(samples, grains, self._noise)
+        after = _noisy(samples, grains, self.noise)
         change = np.square(after - grains.colours, dtype=np.float64)
         what = "vertex colours" if samples.part == "vertices" else samples.label
-        self.added.append(Added(what, len(change), float(np.sqrt(np.mean(change))) if change.size else 0.0))
-        return samples.shift(grains, after)
+        rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
+        return Noisy(samples.shift(grains, after), Added(what, len(change), rms))
 
 
 def noise_file(
@@ -102,9 +113,9 @@ def noise_file(
     UsageError, InputError, OutputError
         As for `smooth_file`.
     """
-    source, target, painter = os.fspath(source), os.fspath(target), Noising(noise)
-    made = recolour(source, target, settings, painter, job)
-    return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=painter.added)
+    made, noisy = recolour(os.fspath(source), os.fspath(target), settings, Noising(noise), job)
+    added = [each.added for each in noisy]
+    return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=added)
 
 
 def _noisy(samples: Samples, grains: Grains, settings: NoiseSettings) -> Float32s:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -37,20 +38,47 @@ from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
 
 
-class Painter(ABC):
-    """What gives samples new colours."""
+class Painted(Protocol):
+    """What a painter made of samples; painters add what they report of it."""
 
-    changes = True  # whether it changes any colour; if not, the output is the input
-    colours_only = True  # whether channels of images that are no colours stay, unless they are named
-    works_on_disk = False  # whether textures too large for memory can be painted, all together in files
-    works_in_groups = False  # or by some at a time
+    @property
+    def repainted(self) -> Repainted: ...
 
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:  # noqa: B027
-        """Raise what cannot be painted, before anything is computed."""
+    @property
+    def warnings(self) -> Sequence[str]: ...
+
+
+AnyPainted = TypeVar("AnyPainted", bound=Painted)
+
+
+class Painter(ABC, Generic[AnyPainted]):
+    """What gives samples new colours. It is immutable; what it did is in what it returns."""
+
+    colours_only: ClassVar[bool] = (
+        True  # whether channels of images that are no colours stay, unless they are named
+    )
+    works_on_disk: ClassVar[bool] = (
+        False  # whether textures too large for memory can be painted, together in files
+    )
+
+    @property
+    def changes(self) -> bool:
+        """Whether it changes any colour; if not, the output is the input."""
+        return True
+
+    @property
+    def works_in_groups(self) -> bool:
+        """Whether textures too large for memory can be painted some at a time."""
+        return False
+
+    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Self:
+        """Return the painter for a document; errors if it cannot be painted, before anything is computed."""
+        del document, selection, target
+        return self
 
     @abstractmethod
-    def paint(self, samples: Samples, job: Job) -> Repainted:
-        """Give samples new colours, and return what these make of the document."""
+    def paint(self, samples: Samples, job: Job) -> AnyPainted:
+        """Give samples new colours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +95,9 @@ class FileReport:
     warnings: list[str] = field(default_factory=list)
 
 
-def recolour(source: str, target: str, settings: SmoothSettings, painter: Painter, job: Job) -> FileReport:
+def recolour(
+    source: str, target: str, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
+) -> tuple[FileReport, list[AnyPainted]]:
     """Paint what the settings select of a file, and write it with nothing else changed."""
     watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
     with watch.stage("read"):
@@ -76,7 +106,7 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         selection = select(document, settings)
         if not painter.changes and (kind.is_own or kind.suffix is None):
             selection = NOTHING
-        painter.check(document, selection, kind)
+        painter = painter.prepared(document, selection, kind)
         if job.check is not None:
             job.check(document)
         others: dict[str, None] = {}
@@ -95,7 +125,8 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
         with watch.stage("smooth"):
             painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
         with watch.stage("write"):
-            written = _files(document, painted, kind, naming, in_place=not is_moved(source, target))
+            new = [each.repainted for each in painted]
+            written = _files(document, new, kind, naming, in_place=not is_moved(source, target))
             folder = Path(source).parent
             copied = {new: read_source(str(folder / old), access) for new, old in written.copies.items()}
             written = replace(written, sidecars={**written.sidecars, **copied})
@@ -104,29 +135,38 @@ def recolour(source: str, target: str, settings: SmoothSettings, painter: Painte
                     beside += shared_files(output.folder, output.path, written.sidecars)
                 output.write(written)
     names = [] if output is None else [target, *written.sidecars]
-    notices = [*document.notices, *selection.notices, *(n for each in painted for n in each.notices)]
+    notices = [*document.notices, *selection.notices, *(notice for each in new for notice in each.notices)]
     # Several slots say the same of one surface.
     warnings = list(dict.fromkeys([*notices, *beside, *written.notices]))
-    return FileReport(
+    warnings += [warning for each in painted for warning in each.warnings]
+    report = FileReport(
         input=source, output=target, format=kind.name, stages=watch.stages, written=names, warnings=warnings
     )
+    return report, painted
 
 
-def recolour_in_memory(document: Document, settings: SmoothSettings, painter: Painter, job: Job) -> Document:
+def recolour_in_memory(
+    document: Document, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
+) -> tuple[Document, list[AnyPainted]]:
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
-    painter.check(document, selection, OutputFormat(document.format, is_own=True))
+    painter = painter.prepared(document, selection, OutputFormat(document.format, is_own=True))
     use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
     with checked_memory(
         document, selection.slots, settings.textures, job.access, None, image=selection.image, **use
     ):
-        return with_new_colours(document, _paint(document, selection, settings, painter, job, None))
+        painted = _paint(document, selection, settings, painter, job, None)
+    return with_new_colours(document, [each.repainted for each in painted]), painted
 
 
 def _paint(
-    document: Document, selection: Selection, settings: SmoothSettings, painter: Painter, job: Job,
+    document: Document,
+    selection: Selection,
+    settings: SmoothSettings,
+    painter: Painter[AnyPainted],
+    job: Job,
     suffix: str | None,
-) -> list[Repainted]:  # fmt: skip
+) -> list[AnyPainted]:
     painted = []
     options = {"colours_only": painter.colours_only, "in_groups": painter.works_in_groups}
     for samples in samples_of(document, selection, settings, job.access, suffix, **options):

@@ -79,10 +79,7 @@ def smooth_file(
     settings = override(parameters, **overrides)
     if unwrap is not None:
         return _smooth_unwrapped(source, target, settings, unwrap, job)
-    painter = Smoothing(settings)
-    made = recolour(source, target, settings, painter, job)
-    made.warnings.extend(warning for each in painter.done for warning in each.warnings)
-    return smooth_report(made, settings, painter.done)
+    return smooth_report(*recolour(source, target, settings, Smoothing.of(settings), job), settings)
 
 
 def _smooth_unwrapped(
@@ -124,7 +121,7 @@ def _smooth_unwrapped(
     report = FileReport(
         input=source, output=target, format=kind, stages=watch.stages, written=names, warnings=warnings
     )
-    return dataclasses.replace(smooth_report(report, settings, done), new_texture=made.in_words)
+    return dataclasses.replace(smooth_report(report, done, settings), new_texture=made.in_words)
 
 
 def _check(settings: SmoothSettings) -> None:

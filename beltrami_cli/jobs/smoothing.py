@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any
+from typing import Any, ClassVar
 
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
@@ -55,65 +55,81 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
     return Smoothed(samples.part, repainted, report, warnings)
 
 
-class Levelling(Painter):
+@dataclass(frozen=True)
+class Levelled:
+    """Samples without exposure steps, and what was found of these."""
+
+    repainted: Repainted
+    report: LevelReport
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Levelling(Painter[Levelled]):
     """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
 
-    works_on_disk = True
+    works_on_disk: ClassVar[bool] = True
 
-    def __init__(self, wanted: LevelSettings) -> None:
-        self._wanted = wanted
-        self._photographs: Int64s | None = None
-        self.done: list[LevelReport] = []
+    wanted: LevelSettings
+    photographs: Int64s | None = None  # of which each vertex is
 
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
-        """Raise errors if it is an image, or vertex colours do not say which photograph they are from."""
+    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Levelling:
+        """Find the photographs of vertices; errors if there are none, or it is an image."""
         del target
         if selection.image:
             cause = "an image has no charts that could differ in exposure; give a model with textures"
             raise UsageError(f"{document.name}: {cause}")
-        if selection.vertices:
-            self._photographs = photographs_of(document, self._wanted.photographs)
+        if not selection.vertices:
+            return self
+        return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
 
     def level(self, samples: Samples) -> LevelReport:
-        return samples.level(self._wanted, self._photographs if samples.part == "vertices" else None)
+        return samples.level(self.wanted, self.photographs if samples.part == "vertices" else None)
 
-    def paint(self, samples: Samples, job: Job) -> Repainted:
+    def paint(self, samples: Samples, job: Job) -> Levelled:
         del job
         report = self.level(samples)
         repainted = samples.repaint(samples.levelled())
-        self.done.append(dataclasses.replace(report, change=repainted.change.summary()))
-        return repainted
+        return Levelled(repainted, dataclasses.replace(report, change=repainted.change.summary()))
 
 
-class Smoothing(Painter):
-    """A painter that smooths."""
+@dataclass(frozen=True)
+class Smoothing(Painter[Smoothed]):
+    """A painter that smooths, after `levelling` if that is wanted."""
 
-    colours_only = False
-    works_on_disk = True
+    colours_only: ClassVar[bool] = False
+    works_on_disk: ClassVar[bool] = True
 
-    def __init__(self, settings: SmoothSettings) -> None:
-        self._settings = settings
-        self._levelling = Levelling(LevelSettings()) if settings.level_seams else None
-        self.works_in_groups = self._levelling is None and settings.fits_parts
-        encodes = settings.textures.image_suffix is not None
-        self.changes = settings.kernel.iterations != 0 or settings.level_seams or encodes
-        self.done: list[Smoothed] = []
+    settings: SmoothSettings
+    levelling: Levelling | None = None
 
-    def check(self, document: Document, selection: Selection, target: OutputFormat) -> None:
+    @classmethod
+    def of(cls, settings: SmoothSettings) -> Smoothing:
+        return cls(settings, Levelling(LevelSettings()) if settings.level_seams else None)
+
+    @property
+    def changes(self) -> bool:
+        encodes = self.settings.textures.image_suffix is not None
+        return self.settings.kernel.iterations != 0 or self.levelling is not None or encodes
+
+    @property
+    def works_in_groups(self) -> bool:
+        return self.levelling is None and self.settings.fits_parts
+
+    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Smoothing:
         if self.changes:
-            require_geometry(document, selection, self._settings, target)
+            require_geometry(document, selection, self.settings, target)
         require_scale(document, selection)
-        if self._levelling is not None:
-            self._levelling.check(document, selection, target)
+        if self.levelling is None:
+            return self
+        return dataclasses.replace(self, levelling=self.levelling.prepared(document, selection, target))
 
-    def paint(self, samples: Samples, job: Job) -> Repainted:
-        levelled = None if self._levelling is None else self._levelling.level(samples)
-        smoothed = dataclasses.replace(smooth_samples(samples, job), levelled=levelled)
-        self.done.append(smoothed)
-        return smoothed.repainted
+    def paint(self, samples: Samples, job: Job) -> Smoothed:
+        levelled = None if self.levelling is None else self.levelling.level(samples)
+        return dataclasses.replace(smooth_samples(samples, job), levelled=levelled)
 
 
-def smooth_report(made: FileReport, settings: SmoothSettings, done: Sequence[Smoothed]) -> SmoothReport:
+def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
     """Add to what is said of a file what was done to its samples."""
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
     for each in _joined(done):

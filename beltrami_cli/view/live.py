@@ -296,21 +296,21 @@ class Live:
             self._check(page, request)
             at_times(label, done, total)
 
-        painter = Smoothing(settings)
+        painter = Smoothing.of(settings)
         tell("choosing parameters", 0, 1)
         job = dataclasses.replace(self._job, progress=progress)
-        result = recolour_in_memory(self._document, settings, painter, job)
+        result, painted = recolour_in_memory(self._document, settings, painter, job)
         self._check(page, request)
         made = FileReport(input=self._source, output="", format="")
-        report = smooth_report(made, settings, painter.done)
+        report = smooth_report(made, painted, settings)
         described = json.loads(json.dumps(dataclasses.asdict(report)))
-        choices = [done.report.choice for done in painter.done if done.report.choice is not None]
+        choices = [done.report.choice for done in painted if done.report.choice is not None]
         chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
         page.chosen, page.chosen_by = chosen, _choosing(settings)
         patches = self._layers.whole(page.shown, result)
-        said = [each for done in painter.done for each in (*done.warnings, *done.repainted.notices)]
+        said = [each for done in painted for each in (*done.warnings, *done.repainted.notices)]
         notices = [*dict.fromkeys([*self._document.notices, *said])]
-        levels = [level for each in painter.done for level in each.report.noise.values()]
+        levels = [level for each in painted for level in each.report.noise.values()]
         return {
             "kind": "whole",
             "patches": patches,

@@ -137,10 +137,9 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
 def _tried(
     document: Document, truth: Document | None, parameters: dict[str, float], settings: SmoothSettings, job: Job
 ) -> tuple[Trial, Document]:  # fmt: skip
-    painter = Smoothing(settings)
-    result = recolour_in_memory(document, settings, painter, job)
+    result, painted = recolour_in_memory(document, settings, Smoothing.of(settings), job)
     found = {} if truth is None else _figures(truth, result, settings, job)
-    for choice in [done.report.choice for done in painter.done][:1]:
+    for choice in [done.report.choice for done in painted][:1]:
         if choice is not None:
             found |= {"estimated_psnr": choice["psnr"], "estimated_gain": choice["gain"]}
     known = {key: float(value) for key, value in found.items() if isinstance(value, (int, float))}

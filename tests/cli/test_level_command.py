@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,7 +38,9 @@ class Exposing(Painter):
     def paint(self, samples, job):
         _, colours = ExposureScene(samples, samples.colours.samples(samples.atlas).astype(float)).exposed(1)
         planes = painted(samples.atlas, colours.astype(np.float32), 1)
-        return samples.repaint(canvas_colours(samples.atlas, planes, 1))
+        return SimpleNamespace(
+            repainted=samples.repaint(canvas_colours(samples.atlas, planes, 1)), warnings=()
+        )
 
 
 @pytest.fixture(scope="module")
