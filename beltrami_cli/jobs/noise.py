@@ -18,9 +18,10 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.noise_targets import NoiseTargets, coded_as_jpeg, positions_of, repainted, targets_of
 from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains, Repainted, Samples
+from beltrami_cli.samples.samples import Repainted, Samples
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
@@ -75,12 +76,12 @@ class Noising(Painter[Noisy]):
 
     def paint(self, samples: Samples, job: Job) -> Noisy:
         del job
-        grains = samples.grains()
-        after = _noisy(samples, grains, self.noise)
-        change = np.square(after - grains.colours, dtype=np.float64)
+        targets = targets_of(samples)
+        after = _noisy(samples, targets, self.noise)
+        change = np.square(after - targets.colours, dtype=np.float64)
         what = "vertex colours" if samples.part == "vertices" else samples.label
         rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
-        return Noisy(samples.shift(grains, after), Added(what, len(change), rms))
+        return Noisy(repainted(samples, targets, after), Added(what, len(change), rms))
 
 
 def noise_file(
@@ -118,20 +119,20 @@ def noise_file(
     return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=added)
 
 
-def _noisy(samples: Samples, grains: Grains, settings: NoiseSettings) -> Float32s:
-    if not grains.colours.size or settings.sigma == 0:
-        return grains.colours.copy()
+def _noisy(samples: Samples, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
+    if not targets.colours.size or settings.sigma == 0:
+        return targets.colours.copy()
     if settings.kind == "jpeg":
-        return samples.coded_as_jpeg(settings.quality)
+        return coded_as_jpeg(samples, settings.quality)
     if settings.kind == "camera":
-        return seen_by_camera(grains, samples.cells(), settings)
+        return seen_by_camera(targets, samples.cells(), settings)
     if settings.kind == "grain":
-        return add_grain(grains, *samples.places(), settings)
-    return add_noise(grains, settings)
+        return add_grain(targets, *positions_of(samples), settings)
+    return add_noise(targets, settings)
 
 
-def _generator(grains: Grains, settings: NoiseSettings) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, grains.stream])))
+def _generator(targets: NoiseTargets, settings: NoiseSettings) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence([settings.seed, targets.stream])))
 
 
 def _drawn(numbers: Float32s) -> Float64s:
@@ -139,21 +140,21 @@ def _drawn(numbers: Float32s) -> Float64s:
     return numbers.astype(np.float64) + 2.0**-25
 
 
-def add_noise(grains: Grains, settings: NoiseSettings) -> Float32s:
+def add_noise(targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
     """Add noise to colours of full scale 1, shape (K, N), clipped to [0, 1] unless some colours lie beyond."""
-    colours, number_of = grains.colours, grains.number_of
+    colours, number_of = targets.colours, targets.number_of
     if not colours.size or settings.sigma == 0:
         return colours.copy()
     rows, channels = int(number_of.max()) + 1, colours.shape[1]
     columns = 1 if settings.kind == "salt-pepper" else channels
-    numbers = _generator(grains, settings).random((rows, columns), dtype=np.float32)
+    numbers = _generator(targets, settings).random((rows, columns), dtype=np.float32)
     noisy = np.empty_like(colours)
     for channel in range(channels):
         drawn = numbers[number_of, min(channel, columns - 1)]
-        if grains.grey is not None:
-            drawn = np.where(grains.grey, numbers[number_of, 0], drawn)
+        if targets.is_grey is not None:
+            drawn = np.where(targets.is_grey, numbers[number_of, 0], drawn)
         noisy[:, channel] = _changed(colours[:, channel].astype(np.float64), _drawn(drawn), settings)
-    return noisy.clip(*grains.limits)
+    return noisy.clip(*targets.limits)
 
 
 def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> Float64s:
@@ -173,22 +174,22 @@ def _changed(colours: Float64s, numbers: Float64s, settings: NoiseSettings) -> F
     return np.where(numbers < sigma / 2, 0.0, np.where(numbers > 1 - sigma / 2, 1.0, colours))
 
 
-def seen_by_camera(grains: Grains, cells: Cells | None, settings: NoiseSettings) -> Float32s:
+def seen_by_camera(targets: NoiseTargets, cells: Cells | None, settings: NoiseSettings) -> Float32s:
     """Return colours as a camera sees them: with a mosaic in pictures of three channels, else each by itself."""
     from scipy.special import ndtri
 
-    light = from_space(grains.colours, "linear", grains.space).astype(np.float64)
-    count, channels = int(grains.number_of.max()) + 1, light.shape[1]
-    numbers = _drawn(_generator(grains, settings).random((count, channels), dtype=np.float32))
-    normal = ndtri(numbers)[grains.number_of]
-    if grains.grey is not None:
-        normal[grains.grey] = normal[grains.grey, :1]
+    light = from_space(targets.colours, "linear", targets.space).astype(np.float64)
+    count, channels = int(targets.number_of.max()) + 1, light.shape[1]
+    numbers = _drawn(_generator(targets, settings).random((count, channels), dtype=np.float32))
+    normal = ndtri(numbers)[targets.number_of]
+    if targets.is_grey is not None:
+        normal[targets.is_grey] = normal[targets.is_grey, :1]
     seen = light + np.sqrt(settings.shot * np.maximum(light, 0) + settings.read**2) * normal
     if cells is not None and channels == 3:
         through = _demosaiced(seen, cells)
-        seen = through if grains.grey is None else np.where(grains.grey[:, None], seen, through)
+        seen = through if targets.is_grey is None else np.where(targets.is_grey[:, None], seen, through)
     most = limits_of(light)[1]
-    return to_space(seen.clip(0, most).astype(np.float32), "linear", grains.space)
+    return to_space(seen.clip(0, most).astype(np.float32), "linear", targets.space)
 
 
 def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
@@ -215,10 +216,12 @@ def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
     return result
 
 
-def add_grain(grains: Grains, places: Float64s, spacing: Float64s, settings: NoiseSettings) -> Float32s:
+def add_grain(
+    targets: NoiseTargets, places: Float64s, spacing: Float64s, settings: NoiseSettings
+) -> Float32s:
     """Add noise that neighbours share: of the same deviation everywhere, and a function of the place."""
-    colours = grains.colours
-    table = _generator(grains, settings).standard_normal((_LATTICE, colours.shape[1]), np.float32)
+    colours = targets.colours
+    table = _generator(targets, settings).standard_normal((_LATTICE, colours.shape[1]), np.float32)
     table = (table - table.mean(axis=0)) / table.std(axis=0)
     pitch = np.where(spacing > 0, settings.size * spacing, np.inf)
     finite = np.isfinite(pitch)
@@ -232,10 +235,10 @@ def add_grain(grains: Grains, places: Float64s, spacing: Float64s, settings: Noi
         grain = np.cos(turn) * _on_lattice(places[block], low, table)
         if turn.any():
             grain += np.sin(turn) * _on_lattice(places[block], low + 1, table)
-        if grains.grey is not None:
-            grain[grains.grey[block]] = grain[grains.grey[block], :1]
+        if targets.is_grey is not None:
+            grain[targets.is_grey[block]] = grain[targets.is_grey[block], :1]
         noisy[block] = colours[block] + settings.deviation * grain
-    return noisy.clip(*grains.limits)
+    return noisy.clip(*targets.limits)
 
 
 def _on_lattice(places: Float64s, octave: Float64s, table: Float32s) -> Float64s:

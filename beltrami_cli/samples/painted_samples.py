@@ -10,21 +10,19 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Int32s, Int64s
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
-from beltrami_cli.flow.embedding import Guide, from_space, to_space
+from beltrami_cli.flow.embedding import Guide, from_space
 from beltrami_cli.samples.reports import VertexReport
 from beltrami_cli.samples.samples import (
     Change,
     ChosenChannels,
-    Grains,
     Part,
     Repainted,
     Samples,
     choose_channels,
 )
 from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import PaintedVertices
 
 
@@ -74,28 +72,8 @@ class PaintedSamples(Samples):
     def sample_of(self, plan: Plan[Any]) -> Int64s:
         """Return the sample of a manifold that each of the V vertices belongs to, shape (V,); -1: none."""
 
-    def grains(self) -> Grains:
-        # One random number for each place, so that split vertices stay equal.
-        rows = self.coloured()
-        painted, channels = self.painted, self.channels.changing
-        colours = to_space(painted.colours[rows][:, channels], painted.encoding, self.settings.space)
-        return Grains(colours, places_of(painted, rows), space=self.settings.space)
-
-    def places(self) -> tuple[Float64s, Float64s]:
-        painted, rows = self.painted, self.coloured()
-        positions, place_of = painted.positions[rows], places_of(painted, rows)
-        return positions, spacing_of(painted, rows, place_of)
-
     def coloured(self) -> NDArray[np.intp]:
         return coloured_rows(self.painted, in_triangles=self._in_triangles)
-
-    def shift(self, grains: Grains, after: Float32s) -> Repainted:
-        painted, places = self.painted, (self.coloured()[:, None], self.channels.changing)
-        back = from_space(after, painted.encoding, self.settings.space)
-        colours = painted.colours.copy()
-        # Conversion to the working space and back is not exact: unchanged colours keep their bits.
-        colours[places] = np.where(after != grains.colours, back, colours[places])
-        return Repainted(Change.between(painted.colours, colours), colours)
 
     def _report(self, plan: Plan[Any], result: FlowResult[Any], counts: dict[str, float]) -> VertexReport:
         return VertexReport(
@@ -141,31 +119,3 @@ def only_rows(
         colours=painted.colours[rows],
         space_of=None if painted.space_of is None else painted.space_of[rows],
     )
-
-
-def spacing_of(painted: PaintedVertices, rows: NDArray[np.intp], place_of: Int32s) -> Float64s:
-    """Return the mean length of the sides at each vertex's place, or of points the distance to the next place."""
-    count = int(place_of.max(initial=-1)) + 1
-    first = np.zeros(count, np.int64)
-    first[place_of] = np.arange(len(rows))
-    places = painted.positions[rows[first]]
-    if not len(painted.faces) and count > 1:
-        from scipy.spatial import cKDTree
-
-        apart = np.asarray(cKDTree(places).query(places, k=2)[0], np.float64)
-        return np.asarray(apart[place_of, 1])
-    number = np.full(len(painted.positions), -1)
-    number[rows] = place_of
-    corners = number[painted.faces]
-    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    sides = sides[(sides >= 0).all(axis=1) & (sides[:, 0] != sides[:, 1])]
-    lengths = np.linalg.norm(places[sides[:, 0]] - places[sides[:, 1]], axis=1)
-    total = np.bincount(sides.ravel(), np.repeat(lengths, 2), count)
-    ends = np.bincount(sides.ravel(), minlength=count)
-    return np.asarray((total / np.maximum(ends, 1))[place_of], np.float64)
-
-
-def places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
-    """Return the number of each vertex's place, shape (S,)."""
-    spaces = None if painted.space_of is None else painted.space_of[rows]
-    return group_places(painted.positions[rows], spaces)[0]

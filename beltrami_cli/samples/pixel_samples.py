@@ -11,10 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.errors import UsageError
+from beltrami_cli.arrays import Array
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
-from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
@@ -22,7 +20,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, is_exact, label_of
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
-from beltrami_cli.formats.image.writing import noise_losses, upright
+from beltrami_cli.formats.image.writing import upright
 from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.samples.image_surface import plan_on_image, read_surface, refuse_options_of_meshes
 from beltrami_cli.samples.memory_check import PIXEL_BYTES, require_memory
@@ -30,12 +28,9 @@ from beltrami_cli.samples.picture_colours import PictureColours, with_chosen_lay
 from beltrami_cli.samples.reports import ImageReport
 from beltrami_cli.samples.samples import (
     Change,
-    Grains,
     Part,
     Repainted,
     Samples,
-    as_jpeg,
-    encoded,
     rewritten,
 )
 from beltrami_cli.samples.settings import SmoothSettings
@@ -63,7 +58,7 @@ class PixelSamples(Samples):
         refuse_options_of_meshes(settings, document.name)
         if not large_arrays.is_on_disk():  # for which `checked_memory` has seen to it
             require_memory([(document.name, document.data)], access, PIXEL_BYTES)
-        self.settings, self._suffix = settings, suffix
+        self.settings, self.suffix = settings, suffix
         self.picture, self._chosen = with_chosen_layer(document.picture(), settings)
         self._colours_only = colours_only or self.picture.is_layered
         self._tables = read_jpeg_tables(document.data)
@@ -112,7 +107,7 @@ class PixelSamples(Samples):
         return part
 
     def require_writable(self) -> None:
-        check_writable(self.picture, self._suffix)
+        check_writable(self.picture, self.suffix)
 
     def facts(self) -> dict[str, object]:
         picture, valid = self.picture, self.valid
@@ -172,42 +167,21 @@ class PixelSamples(Samples):
 
     def repaint(self, new: NewColours) -> Repainted:
         notices = self._own_notices()
-        if self._suffix is None and not self.valid.all() and not is_exact(self.picture):
+        if self.suffix is None and not self.valid.all() and not is_exact(self.picture):
             label = label_of(self.picture.format)
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
-        return self._written(new, rewritten, notices)
-
-    def grains(self) -> Grains:
-        pixels = np.flatnonzero(self.valid)
-        colours = self.colours.working(self.picture, pixels)
-        return Grains(colours, np.arange(len(pixels)), space=self.settings.space)
+        return self.written(new, rewritten, notices)
 
     def cells(self) -> Cells:
         row, column = np.nonzero(self.valid)
         return Cells([self.valid.shape], np.zeros_like(row), row, column, np.zeros_like(row))
 
-    def places(self) -> tuple[Float64s, Float64s]:
-        row, column = np.nonzero(self.valid)
-        return np.column_stack([column, row, np.zeros_like(row)]).astype(np.float64), np.ones(len(row))
-
-    def coded_as_jpeg(self, quality: int) -> Float32s:
-        if self.names not in (("red", "green", "blue"), ("grey",)):
-            raise UsageError("JPEG codes red, green and blue together, or grey; leave out --channels")
-        space, every = self.settings.space, np.arange(self.valid.size)
-        shown = from_space(self.colours.working(self.picture, every), "srgb", space)
-        return to_space(as_jpeg(shown.reshape(*self.valid.shape, -1), quality)[self.valid], "srgb", space)
-
-    def shift(self, grains: Grains, after: Float32s) -> Repainted:
-        new = NewColours.of(after, np.flatnonzero(self.valid))
-        losses = noise_losses(self.picture, self._suffix, "an OUTPUT in .png keeps all")
-        return self._written(new, encoded, losses)
-
-    def _written(
+    def written(
         self, new: NewColours, write: Callable[..., tuple[ImageFile, list[str]]], notices: Sequence[str]
     ) -> Repainted:
         pixels, change = self.painted(new)
-        pixels, turned = upright(self.picture, pixels, self._suffix)
-        textures, suffix = self.settings.textures, self._suffix
+        pixels, turned = upright(self.picture, pixels, self.suffix)
+        textures, suffix = self.settings.textures, self.suffix
         file, said = write(self.picture, pixels, textures, suffix, as_data=self.settings.space == "data")
         image = ImageFile(file.data, suffix or Path(self.picture.name).suffix)
         return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))

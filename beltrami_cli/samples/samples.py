@@ -14,22 +14,18 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
-from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
-from beltrami_cli.formats.image.picture import as_stored, new_picture
-from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.samples.reports import LevelReport, SamplesReport
 from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.records import ImageFile, Slot
 
 Part = Literal["vertices", "textures", "image"]
@@ -44,38 +40,6 @@ class Repainted:
     positions: Float64s | None = None
     images: dict[tuple[Slot, str], ImageFile] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Grains:
-    """Colours that noise is added to, in the working space, and how random numbers are assigned to them."""
-
-    colours: Float32s  # shape (K, N)
-    # Shape (K,); equal at one place of the surface, where colours change alike.
-    number_of: NDArray[np.integer[Any]]
-    stream: int = 0  # separates the random numbers of parts of a document
-    grey: Bools | None = None  # where all channels are one
-    space: Space = "srgb"  # of the colours
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Where colours with noise are cut off."""
-        return limits_of(self.colours)
-
-
-def as_jpeg(shown: Float32s, quality: int) -> Float32s:
-    """Return display values of a picture, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
-    coded = read_image(jpeg_file(shown, quality), "a picture").pixels
-    return np.asarray(coded[..., : shown.shape[2]] / np.float32(255), np.float32)
-
-
-def jpeg_file(shown: Float32s, quality: int) -> bytes:
-    """Return the JPEG file of display values, (H, W, 1 or 3), with colour at half the resolution."""
-    pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
-    new = new_picture(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
-    new.spec.attribute("jpeg:subsampling", "4:2:0")
-    picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
-    return write_image(picture, new.pixels, jpeg_quality=quality).data
 
 
 @dataclass(frozen=True)
@@ -140,27 +104,9 @@ class Samples(ABC):
     def repaint(self, new: NewColours) -> Repainted:
         """Write new colours of all samples back; the samples cannot be used afterwards."""
 
-    @abstractmethod
-    def grains(self) -> Grains:
-        """Return the colours that noise is added to."""
-
     def cells(self) -> Cells | None:
-        """Return where the samples of `grains` lie in pictures; None: they are in none."""
+        """Return where the samples lie in pictures; None: they are in none."""
         return None
-
-    def places(self) -> tuple[Float64s, Float64s]:
-        """Return the positions of the samples of `grains`, (K, 3), and their distance from neighbours, (K,)."""
-        raise NotImplementedError
-
-    def coded_as_jpeg(self, quality: int) -> Float32s:
-        """Return the colours in `grains` as they are after their pictures went through JPEG."""
-        raise UsageError(
-            f"{self.label}: JPEG codes pictures; put the colours into a texture first: `beltrami bake --to texture`"
-        )
-
-    @abstractmethod
-    def shift(self, grains: Grains, after: Float32s) -> Repainted:
-        """Replace the colours in `grains` by others; colours beyond seams are shifted by the same amount."""
 
     def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
         """Take exposure steps out of the colours, before flows are made of them; `photographs`: of all vertices."""

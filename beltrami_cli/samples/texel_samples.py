@@ -8,11 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
-from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
-from beltrami_cli.flow.embedding import Guide, from_space, to_space
+from beltrami_cli.flow.canvas import canvas_margin, painted_by
+from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, common_noise, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
@@ -21,7 +21,6 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, read_texture
 from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
-from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.samples import samples
 from beltrami_cli.samples.coded_pictures import plan_on_pictures
@@ -29,12 +28,12 @@ from beltrami_cli.samples.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
 from beltrami_cli.samples.picture_colours import PictureColours
 from beltrami_cli.samples.reports import LevelReport, SlotReport
-from beltrami_cli.samples.settings import COLOUR_SLOTS, SLOTS, LevelSettings, SmoothSettings
+from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.samples.texel_colours import Repainting, choose_textures, only_textures
 from beltrami_cli.samples.texture_groups import Common, TextureGroup
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, build_atlas, texels_by_texture, without_owned
-from beltrami_cli.surface.baking import Cells, places_of_texels
+from beltrami_cli.surface.atlas import Atlas, build_atlas, without_owned
+from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot, Texture, TexturedSurface
 
 _UNCOVERED = "no texel is covered by the surface, so nothing was smoothed; --unwrap makes a new atlas"
@@ -82,7 +81,7 @@ class TexelSamples(samples.Samples):
         if guided is not None and settings.embedding.guides:
             known = self.surface, self.pictures, self.atlas, settings
             self._guides = GuidedTexels(guided[0], *known, guided[1]).guides()
-        self._is_data = slot not in COLOUR_SLOTS
+        self.is_data = slot not in COLOUR_SLOTS
         self._gutter, self._is_smoothed = settings.textures.gutter, True
         self._levelled: Float32s | None = None
         self._is_levelled = self._is_dithered = False
@@ -238,7 +237,7 @@ class TexelSamples(samples.Samples):
     def repaint(self, new: NewColours) -> samples.Repainted:
         is_covered = len(self.atlas.owned_texels) > 0
         notices = _notices_of(self.atlas) if self._is_smoothed or not is_covered else []
-        painter = self._painter(self._gutter)
+        painter = self.painter(self._gutter)
         del self.atlas  # all on the canvas but the colours, before pictures as large are made
         wanted, changes = self.settings.textures, []
         images: dict[tuple[Slot, str], ImageFile] = {}
@@ -249,9 +248,7 @@ class TexelSamples(samples.Samples):
             large_arrays.leave_memory()
             columns = self.colours.columns(picture)
             pixels, slots = self._shared.join(self.slot, texture.key, pixels, columns)
-            file, said = samples.rewritten(
-                picture, pixels, wanted, wanted.image_suffix, as_data=self._is_data
-            )
+            file, said = samples.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=self.is_data)
             notices += said
             if self._group is not None and texture.is_read_anew:
                 file = dataclasses.replace(file, content=large_arrays.kept(file.data))
@@ -260,18 +257,7 @@ class TexelSamples(samples.Samples):
 
     def painted(self, index: int, new: NewColours) -> Array:
         """Return the pixels of a texture with new colours, and nothing changed around its charts."""
-        return self._painter(None).repaint(index, new)[0]
-
-    def grains(self) -> samples.Grains:
-        # They are numbered by their place in the textures, and not on the canvas.
-        atlas = self.atlas
-        number = np.empty(len(atlas.owned_texels), np.int64)
-        number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
-        grey = np.array([len(picture.colour) == 1 for picture in self.pictures], bool)
-        in_grey = grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1]
-        stream = 1 + SLOTS.index(self.slot)
-        space = self.colours.space
-        return samples.Grains(self.colours.samples(atlas), number, stream, np.asarray(in_grey, bool), space)
+        return self.painter(None).repaint(index, new)[0]
 
     def cells(self) -> Cells:
         atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
@@ -280,41 +266,7 @@ class TexelSamples(samples.Samples):
         row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
         return Cells(sizes, picture, row, column, atlas.chart_of)
 
-    def places(self) -> tuple[Float64s, Float64s]:
-        return places_of_texels(self.surface, self.cells())
-
-    def coded_as_jpeg(self, quality: int) -> Float32s:
-        coded = np.empty((len(self.atlas.owned_texels), len(self.names)), np.float32)
-        if self.names not in (("red", "green", "blue"), ("grey",)):
-            cause = f"{self.label}: JPEG codes all channels together; leave out --channels and --alpha"
-            raise UsageError(cause)
-        for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
-            picture = self.pictures[index]
-            working = self.colours.working(picture, np.arange(picture.pixels[..., 0].size))
-            shown = from_space(working, "srgb", self.colours.space).reshape(*picture.pixels.shape[:2], -1)
-            flat = samples.as_jpeg(shown, quality).reshape(-1, len(self.names))
-            coded[inside] = to_space(flat[texels], "srgb", self.colours.space)
-        return coded
-
-    def shift(self, grains: samples.Grains, after: Float32s) -> samples.Repainted:
-        atlas, added = self.atlas, after - grains.colours
-        planes = painted(atlas, added, threads=1)
-        beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
-        new = NewColours.of(added, atlas.owned_texels, atlas.gutter_texels, beyond)
-        painter, limits = self._painter(self.settings.textures.gutter), grains.limits
-        wanted, notices = self.settings.textures, list[str]()
-        images: dict[tuple[Slot, str], ImageFile] = {}
-        for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
-            pixels = painter.shift(index, new, limits)
-            file, said = samples.encoded(picture, pixels, wanted, wanted.image_suffix, as_data=self._is_data)
-            images[self.slot, texture.key] = file
-            notices += said
-            notices += noise_losses(picture, wanted.image_suffix, "--texture-format png keeps all")
-        if not len(added):
-            notices.append("no visible texel is covered by the surface, so its textures stay as they are")
-        return samples.Repainted(samples.Change(), images=images, notices=tuple(notices))
-
-    def _painter(self, gutter: int | None) -> Repainting:
+    def painter(self, gutter: int | None) -> Repainting:
         atlas, threads = self.atlas, self.settings.kernel.thread_count
         places = atlas.texture_offsets, atlas.lone_texels
         return Repainting(self.pictures, self.colours, *places, gutter, threads, self._is_dithered)

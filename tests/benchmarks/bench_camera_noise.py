@@ -21,8 +21,8 @@ import texture_peers
 import beltrami_cli
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.noise import add_grain, seen_by_camera
+from beltrami_cli.jobs.noise_targets import NoiseTargets, jpeg_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains, jpeg_file
 from beltrami_cli.surface.baking import Cells
 
 SIDE = 224
@@ -89,7 +89,7 @@ def with_noise(image, kind, **wanted):
     settings, shape = NoiseSettings(kind=kind, **wanted), image.shape[:2]
     row, column = np.indices(shape).reshape(2, -1)
     none = np.zeros_like(row)
-    grains = Grains(image.reshape(-1, 3).astype(np.float32), np.arange(row.size))
+    grains = NoiseTargets(image.reshape(-1, 3).astype(np.float32), np.arange(row.size))
     if kind == "camera":
         noisy = seen_by_camera(grains, Cells([shape], none, row, column, none), settings)
     else:

@@ -16,8 +16,9 @@ from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.flow.tuning.sure import RiskEstimate
 from beltrami_cli.jobs.noise import seen_by_camera
+from beltrami_cli.jobs.noise_targets import NoiseTargets, as_jpeg
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains, as_jpeg, describe_choice
+from beltrami_cli.samples.samples import describe_choice
 from beltrami_cli.surface.baking import Cells
 from formats.image_files import encode
 
@@ -296,7 +297,7 @@ def test_the_noise_of_a_camera_in_plain_pictures_is_known_to_a_tenth(colour):
     """In each channel: what is missing is left in them, and what is too much takes detail."""
     plain = np.broadcast_to(np.float32(colour), (256, 256, 3))
     row, column = np.indices(plain.shape[:2]).reshape(2, -1)
-    grains = Grains(plain.reshape(-1, 3), np.arange(row.size))
+    grains = NoiseTargets(plain.reshape(-1, 3), np.arange(row.size))
     cells = Cells([plain.shape[:2]], np.zeros_like(row), row, column, np.zeros_like(row))
     noisy = seen_by_camera(grains, cells, NoiseSettings(kind="camera", shot=0.01, read=0.01))
     covariances, _ = found(noisy.reshape(plain.shape))

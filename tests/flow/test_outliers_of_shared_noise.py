@@ -10,8 +10,8 @@ from beltrami_cli.flow.coarse_levels import replace_outliers
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.jobs.noise import add_grain, seen_by_camera
+from beltrami_cli.jobs.noise_targets import NoiseTargets
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
@@ -35,7 +35,7 @@ def photographed(image, shot=0.01, read=0.01):
     none = np.zeros_like(row)
     cells = Cells([image.shape[:2]], none, row, column, none)
     settings = NoiseSettings(kind="camera", shot=shot, read=read, seed=3)
-    noisy = seen_by_camera(Grains(image.reshape(-1, 3), np.arange(row.size)), cells, settings)
+    noisy = seen_by_camera(NoiseTargets(image.reshape(-1, 3), np.arange(row.size)), cells, settings)
     return (np.rint(255 * noisy.reshape(image.shape).clip(0, 1)) / 255).astype(np.float32)
 
 
@@ -81,7 +81,7 @@ def test_vertices_far_out_are_replaced_on_surfaces():
     """And noise of grain itself, which is normal, has hardly any vertex that is."""
     positions, faces = surfaces.icosphere(5)
     spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
-    grey = Grains(np.full((len(positions), 3), 0.5, np.float32), np.arange(len(positions)))
+    grey = NoiseTargets(np.full((len(positions), 3), 0.5, np.float32), np.arange(len(positions)))
     noise = NoiseSettings(kind="grain", sigma=SIGMA, size=2.0)
     colours = add_grain(grey, positions, spacing, noise).astype(np.float32)
 

@@ -15,8 +15,8 @@ from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.vertex_graph import levels_of
 from beltrami_cli.jobs.noise import add_grain
+from beltrami_cli.jobs.noise_targets import NoiseTargets, as_jpeg
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Grains, as_jpeg
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr
@@ -38,7 +38,7 @@ def painted(positions):
 def with_grain(positions, clean, size):
     """Return colours with noise that vertices share over some of them."""
     spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
-    grains = Grains(clean.astype(np.float32), np.arange(len(positions)))
+    grains = NoiseTargets(clean.astype(np.float32), np.arange(len(positions)))
     wanted = NoiseSettings(kind="grain", sigma=SIGMA, size=size)
     return add_grain(grains, positions, spacing, wanted).astype(np.float32)
 

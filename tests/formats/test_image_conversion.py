@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli import smooth_file
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import losses, read_image, to_float, write_image
-from beltrami_cli.samples.samples import jpeg_file
+from beltrami_cli.jobs.noise_targets import jpeg_file
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, stored
 

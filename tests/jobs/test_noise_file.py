@@ -12,8 +12,8 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise import add_noise, noise_file
+from beltrami_cli.jobs.noise_targets import NoiseTargets
 from beltrami_cli.jobs.settings import NoiseSettings, amount, sure_amount
-from beltrami_cli.samples.samples import Grains
 from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored
@@ -27,7 +27,9 @@ ERRORS = 4
 
 def noisy(level, kind, sigma=SIGMA, count=40_000):
     colours = np.full((count, 3), level, np.float32)
-    return add_noise(Grains(colours, np.arange(count)), NoiseSettings(sigma, kind, seed=5)).astype(float)
+    return add_noise(NoiseTargets(colours, np.arange(count)), NoiseSettings(sigma, kind, seed=5)).astype(
+        float
+    )
 
 
 @pytest.mark.parametrize(
@@ -68,11 +70,11 @@ def test_salt_and_pepper_make_the_share_of_samples_white_or_black_and_leave_the_
 @pytest.mark.parametrize("kind", ["gaussian", "speckle", "poisson", "salt-pepper"])
 def test_colours_in_range_stay_there_and_those_beyond_are_not_cut_off(kind):
     inside = np.linspace(0, 1, 3000, dtype=np.float32).reshape(-1, 3)
-    made = add_noise(Grains(inside, np.arange(1000)), NoiseSettings(0.3, kind))
+    made = add_noise(NoiseTargets(inside, np.arange(1000)), NoiseSettings(0.3, kind))
     assert made.min() >= 0
     assert made.max() <= 1
     bright = 4 * inside
-    made = add_noise(Grains(bright, np.arange(1000)), NoiseSettings(0.3, kind))
+    made = add_noise(NoiseTargets(bright, np.arange(1000)), NoiseSettings(0.3, kind))
     assert made.min() >= 0
     assert made.max() > 3.5
     assert made.dtype == np.float32
