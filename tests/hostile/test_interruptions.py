@@ -309,7 +309,7 @@ def test_a_process_of_a_batch_removes_its_temporary_files_whichever_signal_ends_
     number = getattr(signal, name)
     command = [sys.executable, "-P", "-c", WORKER, str(tmp_path / "out.ply")]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"1\n"
+        assert int(process.stdout.readline()) > 0
         process.send_signal(number)
         assert process.wait(timeout=30) == 128 + number
     assert list(tmp_path.iterdir()) == []
