@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum test-blender audit lint bench run-bench wheel build-wheel sanitize fuzz fuzz-readers fuzz-core survey samples clean help
+.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum test-blender audit lint bench run-bench wheel build-wheel sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -26,6 +26,7 @@ help:
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
 	@echo "make audit     let the glTF validator and asset auditor of Khronos judge results, of FOLDERS too"
 	@echo "make samples   make sample_data/ again, bit for bit"
+	@echo "make noise-model  train the network that reads noise again, on pictures of Debian packages, and judge it"
 	@echo "make viewer    bundle the three.js of the pages again"
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
@@ -195,6 +196,22 @@ survey: $(VENV)/.installed-test
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py
+
+# Pictures come from Debian packages, which are unpacked and not installed. The environment is one of its own.
+NOISE_PACKAGES := supertuxkart-data plasma-workspace-wallpapers gnome-backgrounds mate-backgrounds trigger-rally-data
+NOISE_PICTURES := build/noise-model/pictures
+
+noise-model:
+	$(MAKE) --no-print-directory VENV=$(VENV)-noise run-noise-model
+
+run-noise-model: $(VENV)/.installed-noise | $(NOISE_PICTURES)
+	$(BIN)/python noise_model/train.py $(NOISE_PICTURES)
+
+$(NOISE_PICTURES):
+	@mkdir -p build/noise-model/packages $@.part
+	cd build/noise-model/packages && apt-get download $(NOISE_PACKAGES)
+	for package in build/noise-model/packages/*.deb; do dpkg-deb --extract "$$package" $@.part || exit 1; done
+	mv $@.part $@
 
 clean:
 	rm -rf build demo dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

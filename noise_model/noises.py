@@ -1,0 +1,294 @@
+"""The family of noise that the model is trained on, made by one pipeline with random steps."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, replace
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import convolve, gaussian_filter, median_filter
+
+KERNELS = (
+    Image.Resampling.BILINEAR,
+    Image.Resampling.BICUBIC,
+    Image.Resampling.LANCZOS,
+    Image.Resampling.BOX,
+)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The steps from a clean picture to a noisy one, in their order; sizes of full scale 1."""
+
+    sigma: float = 0.0
+    power: float = 0.0  # of the level that the variance is proportional to
+    floor: float = 1.0  # share of the deviation that does not depend on the level
+    correlation: float = 0.0  # of the channels
+    gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    tail: str = "normal"  # or "student", "gamma", "laplace"
+    shape: float = 4.0  # degrees of freedom, or the shape of the gamma distribution
+    is_linear: bool = False  # added to linear light
+    grain: float = 1.0  # noise alone is enlarged by this, or shaped by a spectrum
+    spectrum: float = 0.0  # cut-off frequency of noise alone, of that of the grid; 0: all; below 0: high pass
+    places: str = ""  # "halves", "chess", "blob", "blend"
+    place_gain: float = 1.0
+    impulses: float = 0.0  # share of samples that are black or white; below 0: only brighter
+    mosaic: str = ""  # "bilinear", "malvar"
+    resampled: float = 1.0
+    kernel: int = 0
+    sharpened: float = 0.0
+    denoised: float = 0.0  # standard deviation of a Gaussian; below 0: a median of 3 x 3
+    transfer: str = ""  # "to linear", "to srgb": what the file stores
+    codec: str = ""  # "JPEG", "WEBP"
+    quality: int = 90
+    subsampling: int = 2  # 0: none, 2: half the resolution for chroma
+    after_codec: float = 1.0  # resampled by this afterwards
+    bits: int = 8  # 0: real numbers
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A noisy picture; the noise in it, which may go beyond the limits; and what compression alone does."""
+
+    noisy: np.ndarray  # (R, C, 3)
+    noise: np.ndarray
+    loss: np.ndarray  # of the same compression without noise
+
+
+def to_linear(x):
+    """Decode sRGB."""
+    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def to_srgb(x):
+    """Encode as sRGB, numbers beyond the limits along with their slope there."""
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055).astype(
+        np.float32
+    )
+
+
+def draw_recipe(rng: np.random.Generator) -> Recipe:
+    """Draw the steps of one noisy picture; about a quarter has no noise."""
+    chance = rng.random
+    recipe = Recipe(bits=8 if chance() < 0.9 else 0)
+    if chance() < 0.76:
+        tail = str(rng.choice(["normal", "normal", "normal", "student", "laplace", "gamma"]))
+        correlation = float(rng.choice([0, 0, 0, 0, rng.uniform(0, 1), rng.uniform(0, 1), 1]))
+        gains = np.ones(3) if chance() < 0.5 else rng.uniform(0.3, 1.6, 3)
+        recipe = replace(
+            recipe, sigma=float(2 ** rng.uniform(-0.7, 6)) / 255, correlation=correlation, tail=tail,
+            gains=tuple(gains / gains.max()), shape=float(rng.uniform(2.5, 8)), is_linear=chance() < 0.3,
+            power=float(rng.choice([0, 1, 2, rng.uniform(0, 2)])), floor=float(rng.choice([0, rng.uniform(0, 1)])),
+        )  # fmt: skip
+        if chance() < 0.35:
+            recipe = replace(recipe, power=0.0)
+        if recipe.is_linear:
+            recipe = replace(recipe, sigma=float(2 ** rng.uniform(-9, -2.5)))
+        if tail == "gamma":
+            recipe = replace(recipe, power=2.0, floor=0.0, correlation=float(rng.choice([1, 1, correlation])))
+        filtering = chance()
+        if filtering < 0.14:
+            recipe = replace(recipe, grain=float(rng.uniform(1.2, 5)), kernel=int(rng.integers(4)))
+        elif filtering < 0.24:
+            recipe = replace(recipe, spectrum=float(rng.choice([-1, 1, 1]) * rng.uniform(0.08, 0.8)))
+        elif filtering < 0.42:
+            recipe = replace(
+                recipe, mosaic=str(rng.choice(["bilinear", "malvar"])), is_linear=chance() < 0.8, grain=1.0
+            )
+        if chance() < 0.12:
+            recipe = replace(
+                recipe, places=str(rng.choice(["halves", "chess", "blob", "blend"])),
+                place_gain=float(rng.choice([0, rng.uniform(0, 0.6)])),
+            )  # fmt: skip
+        if chance() < 0.07:
+            recipe = replace(recipe, denoised=float(rng.choice([-1, rng.uniform(0.4, 1.2)])))
+    if chance() < 0.05:
+        recipe = replace(recipe, impulses=float(rng.choice([1, -1]) * 10 ** rng.uniform(-3, -1.3)))
+    if chance() < 0.14:
+        recipe = replace(recipe, resampled=float(2 ** rng.uniform(-1, 1.3)), kernel=int(rng.integers(4)))
+    if chance() < 0.14:
+        recipe = replace(recipe, sharpened=float(rng.uniform(0.2, 2)))
+    if chance() < 0.1:
+        recipe = replace(recipe, transfer=str(rng.choice(["to linear", "to srgb"])))
+    if chance() < 0.3:
+        recipe = replace(
+            recipe, codec=str(rng.choice(["JPEG", "JPEG", "JPEG", "WEBP"])), quality=int(rng.integers(50, 99)),
+            subsampling=int(rng.choice([0, 2])), after_codec=float(rng.choice([1, 1, 1, 2 ** rng.uniform(-1, 1)])),
+        )  # fmt: skip
+    return recipe
+
+
+def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Sample:
+    """Make a noisy picture; the noise is what differs from the same steps without noise."""
+    pair = np.stack([clean, clean])  # with noise, without
+    is_linear = recipe.is_linear or bool(recipe.mosaic and recipe.power)
+    if is_linear:
+        pair = to_linear(pair)
+    if recipe.sigma:
+        pair[0] += _noise(rng, pair[1], recipe)
+    if recipe.impulses:
+        hit = rng.random(clean.shape[:2]) < abs(recipe.impulses)
+        value = rng.uniform(0.5, 1, hit.sum()) if recipe.impulses < 0 else rng.integers(0, 2, hit.sum())
+        pair[0][hit] = np.maximum(pair[0][hit], value[:, None]) if recipe.impulses < 0 else value[:, None]
+    if recipe.mosaic:
+        pair = np.stack([_demosaiced(own.clip(0, None), recipe.mosaic) for own in pair])
+    if is_linear:
+        pair = to_srgb(pair)
+    if recipe.resampled != 1:
+        pair = np.stack([_resized(own, recipe.resampled, recipe.kernel) for own in pair])
+    if recipe.denoised > 0:
+        pair = gaussian_filter(pair, (0, recipe.denoised, recipe.denoised, 0))
+    elif recipe.denoised < 0:
+        pair = median_filter(pair, (1, 3, 3, 1))
+    if recipe.sharpened:
+        pair = pair + np.float32(recipe.sharpened) * (pair - gaussian_filter(pair, (0, 1, 1, 0)))
+    if recipe.transfer:
+        pair = (to_linear if recipe.transfer == "to linear" else to_srgb)(pair)
+    return _stored(pair, recipe)
+
+
+def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
+    """Round, cut off and compress a pair."""
+    stored = pair.clip(0, 1) if recipe.bits else pair.clip(0, None)
+    if recipe.bits:
+        stored = np.rint(stored * 255).astype(np.float32) / 255
+    if not recipe.codec:
+        # The noise goes on where it is cut off, and has no rounding in it.
+        return Sample(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
+    coded = np.stack([_coded(own, recipe) for own in stored])
+    reference = stored[1]
+    if recipe.after_codec != 1:
+        coded = np.stack([_resized(own, recipe.after_codec, 1).clip(0, 1) for own in coded])
+        reference = _resized(reference, recipe.after_codec, 1).clip(0, 1)
+        coded = np.rint(coded * 255).astype(np.float32) / 255
+    return Sample(coded[0], coded[0] - reference, coded[1] - reference)
+
+
+def _noise(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> np.ndarray:
+    """Draw noise for a clean picture."""
+    noise = _field(rng, clean.shape, recipe)
+    if recipe.places == "blend":  # of two exposures, one of them quieter
+        other, mask = (
+            _field(rng, clean.shape, recipe) * np.float32(recipe.place_gain),
+            _mask(rng, clean.shape, "blob"),
+        )
+        noise = mask * noise + (1 - mask) * other
+    elif recipe.places:
+        mask = _mask(rng, clean.shape, recipe.places)
+        noise *= recipe.place_gain + (1 - recipe.place_gain) * mask
+    if recipe.power:
+        level = np.maximum(clean, 0) ** (recipe.power / 2)
+        noise *= np.sqrt(
+            recipe.floor**2 + (1 - recipe.floor**2) * np.square(level / 0.5 ** (recipe.power / 2))
+        )
+    return noise * np.array(recipe.gains, np.float32) * np.float32(recipe.sigma)
+
+
+def _field(rng: np.random.Generator, shape: tuple[int, ...], recipe: Recipe) -> np.ndarray:
+    """Draw a field of noise of variance 1, with channels and neighbours correlated."""
+    height, width = shape[:2]
+    if recipe.grain > 1:
+        height, width = (max(2, round(size / recipe.grain)) for size in (height, width))
+    size = (height, width, 3)
+    if recipe.correlation == 1:
+        field = np.repeat(_drawn(rng, (height, width, 1), recipe), 3, axis=2)
+    else:
+        field = np.sqrt(1 - recipe.correlation) * _drawn(rng, size, recipe)
+        if recipe.correlation:
+            field += np.sqrt(recipe.correlation) * _drawn(rng, (height, width, 1), recipe)
+    field = field.astype(np.float32)
+    if recipe.grain > 1:
+        field = _to_size(field, shape[1], shape[0], recipe.kernel)
+    elif recipe.spectrum:
+        down, across = np.fft.fftfreq(height)[:, None] * 2, np.fft.rfftfreq(width) * 2
+        passed = np.exp(-(down**2 + across**2) / (2 * recipe.spectrum**2))
+        passed = passed if recipe.spectrum > 0 else 1 - passed
+        field = np.fft.irfft2(
+            np.fft.rfft2(field, axes=(0, 1)) * passed[..., None], (height, width), axes=(0, 1)
+        )
+    return (field / max(1e-6, float(field.std()))).astype(np.float32)
+
+
+def _drawn(rng: np.random.Generator, size: tuple[int, ...], recipe: Recipe) -> np.ndarray:
+    """Draw independent numbers of mean 0 and, nearly, variance 1."""
+    if recipe.tail == "student":
+        return rng.standard_t(recipe.shape, size) / np.sqrt(recipe.shape / (recipe.shape - 2))
+    if recipe.tail == "gamma":
+        shape = recipe.shape / 4
+        return (rng.standard_gamma(shape, size) - shape) / np.sqrt(shape)
+    if recipe.tail == "laplace":
+        return rng.laplace(0, np.sqrt(0.5), size)
+    return rng.standard_normal(size, np.float32)
+
+
+def _mask(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.ndarray:
+    """Draw where noise is at its full strength, from 0 to 1."""
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    if kind == "chess":
+        side = int(rng.integers(24, 128))
+        mask = (y // side + x // side) % 2
+    elif kind == "halves":
+        angle, middle = (
+            rng.uniform(0, 2 * np.pi),
+            (rng.uniform(0.2, 0.8) * shape[0], rng.uniform(0.2, 0.8) * shape[1]),
+        )
+        mask = (y - middle[0]) * np.sin(angle) + (x - middle[1]) * np.cos(angle) > 0
+    else:
+        coarse = rng.uniform(-0.3, 1.3, (3, 3, 1)).astype(np.float32)
+        return np.clip(_to_size(coarse, shape[1], shape[0], 1), 0, 1)
+    return mask.astype(np.float32)[..., None]
+
+
+# H. Malvar, L. He, R. Cutler, "High-quality linear interpolation for demosaicing of Bayer-patterned images", 2004,
+# times 8: green at red or blue; red at green in rows of red; red at blue.
+_GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]])
+_ALONG = np.array(
+    [[0, 0, 0.5, 0, 0], [0, -1, 0, -1, 0], [-1, 4, 5, 4, -1], [0, -1, 0, -1, 0], [0, 0, 0.5, 0, 0]]
+)
+_ACROSS = np.array(
+    [[0, 0, -1.5, 0, 0], [0, 2, 0, 2, 0], [-1.5, 0, 6, 0, -1.5], [0, 2, 0, 2, 0], [0, 0, -1.5, 0, 0]]
+)
+
+
+def _demosaiced(colours: np.ndarray, method: str) -> np.ndarray:
+    """Keep one channel of each texel, in the pattern of Bayer, and interpolate the others."""
+    shape = colours.shape[:2]
+    seen = np.zeros((3, *shape), bool)
+    seen[0, ::2, ::2] = seen[2, 1::2, 1::2] = seen[1, ::2, 1::2] = seen[1, 1::2, ::2] = True
+    raw = np.einsum("crk,rkc->rk", seen, colours).astype(np.float32)
+    if method == "bilinear":
+        cross, square = (
+            np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]),
+            np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]),
+        )
+        planes = [
+            convolve(raw * own, (square, cross, square)[c] / 4, mode="mirror") for c, own in enumerate(seen)
+        ]
+        return np.stack(planes, axis=2).astype(np.float32)
+    green, along, down, across = (
+        convolve(raw, own / 8, mode="mirror") for own in (_GREEN, _ALONG, _ALONG.T, _ACROSS)
+    )
+    in_red_rows = np.zeros(shape, bool)
+    in_red_rows[::2] = True
+    red = np.where(seen[0], raw, np.where(seen[2], across, np.where(in_red_rows, along, down)))
+    blue = np.where(seen[2], raw, np.where(seen[0], across, np.where(in_red_rows, down, along)))
+    return np.stack([red, np.where(seen[1], raw, green), blue], axis=2).astype(np.float32)
+
+
+def _resized(colours: np.ndarray, factor: float, kernel: int) -> np.ndarray:
+    return _to_size(colours, *(max(8, round(size * factor)) for size in colours.shape[1::-1]), kernel)
+
+
+def _to_size(colours: np.ndarray, width: int, height: int, kernel: int) -> np.ndarray:
+    planes = (Image.fromarray(np.ascontiguousarray(plane)) for plane in np.moveaxis(colours, 2, 0))
+    return np.stack([np.asarray(plane.resize((width, height), KERNELS[kernel])) for plane in planes], axis=2)
+
+
+def _coded(colours: np.ndarray, recipe: Recipe) -> np.ndarray:
+    """Write and read a picture."""
+    file, options = io.BytesIO(), {"subsampling": recipe.subsampling} if recipe.codec == "JPEG" else {}
+    Image.fromarray(np.rint(colours.clip(0, 1) * 255).astype(np.uint8)).save(
+        file, recipe.codec, quality=recipe.quality, **options
+    )
+    return np.asarray(Image.open(file).convert("RGB"), np.float32) / 255

@@ -1,0 +1,297 @@
+"""Train the network that reads noise, print how well it reads, and write its weights.
+
+``python noise_model/train.py FOLDER...`` takes clean pictures from folders of unpacked packages; `make noise-model`
+fetches them. Training needs NumPy alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from functools import cache
+from multiprocessing import Pool
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+import features
+import network
+import pictures
+import table
+from configuration import configuration
+from network import QUANTILES, TOTAL_QUANTILES, Layers, Weights, read
+from observations import Observation, random_observation
+
+WEIGHTS = Path(__file__).with_name("grid_weights.npz")
+OBSERVATIONS = {"training": 60_000, "validation": 4_000}
+CHUNK = 2_000  # observations that are made together
+EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1
+SEED = 49
+# What the heads count for in the loss.
+COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5, "levels": 0.5}
+
+
+class Node:
+    """A value of the network and the gradient of the loss by it."""
+
+    def __init__(self, value):
+        self.value, self.gradient = value, None
+
+    def add(self, gradient):
+        """Add to the gradient."""
+        self.gradient = gradient if self.gradient is None else self.gradient + gradient
+
+
+class Tape(Layers):
+    """The operations of the network, recorded to go back over."""
+
+    def __init__(self, weights):
+        super().__init__(weights)
+        self.steps, self.gradients = [], {}
+
+    def _record(self, value, back):
+        node = Node(value)
+        self.steps.append(lambda: None if node.gradient is None else back(node.gradient))
+        return node
+
+    def product(self, rows, matrix):
+        return rows @ matrix
+
+    def dense(self, rows, name, *, is_last=False):
+        value = super().dense(rows.value, name, is_last=is_last)
+
+        def back(gradient):
+            gradient = gradient if is_last else gradient * (value > 0)
+            self.gradients[f"{name}.matrix"] = rows.value.T @ gradient
+            self.gradients[f"{name}.bias"] = gradient.sum(axis=0)
+            rows.add(gradient @ self.weights[f"{name}.matrix"].T)
+
+        return self._record(value, back)
+
+    def pool(self, rows, starts):
+        value = super().pool(rows.value, starts)
+        counts = np.diff(np.append(starts, len(rows.value)))
+        _, most, least = np.split(value, 3, axis=1)
+
+        def back(gradient):
+            of_mean, of_most, of_least = np.split(gradient, 3, axis=1)
+            total = np.repeat(of_mean / counts[:, None], counts, axis=0)
+            for extreme, own in ((most, of_most), (least, of_least)):
+                is_it = rows.value == np.repeat(extreme, counts, axis=0)
+                held = np.maximum(np.add.reduceat(is_it, starts, dtype=np.float32), 1)
+                total += is_it * np.repeat(own / held, counts, axis=0)
+            rows.add(total)
+
+        return self._record(value, back)
+
+    def spread(self, rows, counts):
+        starts = np.append(0, np.cumsum(counts)[:-1])
+        value = super().spread(rows.value, counts)
+        return self._record(value, lambda gradient: rows.add(np.add.reduceat(gradient, starts)))
+
+    def join(self, parts):
+        ends = np.cumsum([part.value.shape[1] for part in parts])[:-1]
+
+        def back(gradient):
+            for part, own in zip(parts, np.split(gradient, ends, axis=1), strict=True):
+                part.add(own)
+
+        return self._record(super().join([part.value for part in parts]), back)
+
+    def go_back(self):
+        """Find the gradients of the weights, once those of the results are known."""
+        for step in reversed(self.steps):
+            step()
+
+
+@cache
+def crops_of(roots: tuple[Path, ...], part: str) -> list[pictures.Crop]:
+    """Return clean crops, once for each process."""
+    return pictures.clean_crops(list(roots), part, SEED)
+
+
+def make_observations(job: tuple[str, int, int, list[Path]]) -> list[Observation]:
+    """Make some observations of a part of the pictures; `job`: the part, the seed, how many, the folders."""
+    part, seed, count, roots = job
+    crops = crops_of(tuple(roots), part)
+    rng, found = np.random.default_rng([SEED, seed, part == "training"]), []
+    while len(found) < count:
+        made = random_observation(rng, crops)
+        if made is not None:
+            found.append(made)
+    return found
+
+
+class Batches:
+    """Observations side by side, in half precision; features are standardised as they are taken."""
+
+    def __init__(self, observations: list[Observation]) -> None:
+        self.counts = np.array([len(own.squares) for own in observations])
+        self.starts = np.append(0, np.cumsum(self.counts))
+        self.parts = {
+            "squares": np.concatenate([own.squares for own in observations]).astype(np.float16),
+            "places": np.concatenate([own.by_square for own in observations]).astype(np.float32)[:, None],
+        }
+        for name, attribute in (
+            ("even", "even"), ("channels", "levels"), ("total", "total"), ("deviations", "deviations"),
+            ("correlations", "correlations"), ("levels", "by_level"),
+        ):  # fmt: skip
+            self.parts[name] = np.stack([getattr(own, attribute) for own in observations]).astype(np.float32)
+        self.parts["total"] = self.parts["total"][:, None]
+
+    def standard(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return the means and standard deviations of features."""
+        some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
+        channels = self.parts["channels"].reshape(-1, self.parts["channels"].shape[-1])
+        kinds = {
+            "squares": some,
+            "even": self.parts["even"],
+            "levels": channels,
+        }
+        return {name: own.mean(axis=0) for name, own in kinds.items()}, {
+            name: own.std(axis=0) + 1e-3 for name, own in kinds.items()
+        }
+
+    def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict[str, np.ndarray]]:
+        """Return what `read` takes of some observations, and the truths."""
+        rows = np.concatenate([np.arange(self.starts[own], self.starts[own + 1]) for own in chosen])
+        counts = self.counts[chosen]
+        channels = self.parts["channels"][chosen]
+        given = (
+            weights.standardised("squares", self.parts["squares"][rows].astype(np.float32)),
+            np.append(0, np.cumsum(counts)[:-1]),
+            weights.standardised("even", self.parts["even"][chosen]),
+            weights.standardised("levels", channels.reshape(-1, channels.shape[-1])),
+        )
+        truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
+        # Levels and squares are read by how they differ from their mean, which may be all that is uncertain.
+        levels = self.parts["levels"][chosen].reshape(-1, features.LEVEL_BINS)
+        known = np.isfinite(levels)
+        means = np.nan_to_num(levels).sum(axis=1, keepdims=True) / np.maximum(
+            known.sum(axis=1, keepdims=True), 1
+        )
+        truths["levels"] = levels - means
+        places, starts = self.parts["places"][rows], given[1]
+        means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
+            np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
+        )
+        truths["places"] = places - np.repeat(means, counts, axis=0)
+        return given, truths
+
+
+def losses(
+    found: dict[str, np.ndarray], truths: dict[str, np.ndarray]
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Return the loss of each head, and its gradient: pinball losses of quantiles; of correlations, squares."""
+    values, gradients = {}, {}
+    for name, own in found.items():
+        truth, known = truths[name], np.isfinite(truths[name])
+        count = max(1, known.sum())
+        if name == "correlations":
+            limited = np.tanh(own)
+            error = np.where(known, limited - np.nan_to_num(truth), 0)
+            values[name] = float(np.square(error).sum() / count)
+            gradients[name] = COUNTED[name] * 2 * error * (1 - limited**2) / count
+            continue
+        shares = np.array(TOTAL_QUANTILES if name == "total" else QUANTILES, np.float32)
+        error = np.nan_to_num(truth)[..., None] - own.reshape(*truth.shape, len(shares))
+        slope = np.where(error > 0, shares, shares - 1) * known[..., None]
+        values[name] = float((slope * error).sum() / count / len(shares))
+        gradients[name] = (-COUNTED[name] * slope / count / len(shares)).reshape(own.shape).astype(np.float32)
+    return values, gradients
+
+
+def initial(rng: np.random.Generator, columns: dict[str, int]) -> dict[str, np.ndarray]:
+    """Draw weights, by the number of features of each kind."""
+    width = network.WIDTHS
+    inner, context = width["square 2"], width["whole 2"]
+    inputs = {
+        "square 1": columns["squares"], "square 2": width["square 1"], "whole 1": 3 * inner + columns["even"],
+        "whole 2": width["whole 1"], "place 1": inner + context, "place 2": width["place 1"],
+        "level 1": columns["levels"] + context, "level 2": width["level 1"],
+        "total": context + columns["even"], "deviations": context + columns["even"],
+        "correlations": context + columns["even"],
+    }  # fmt: skip
+    weights = {}
+    for name, size in inputs.items():
+        outputs = width.get(name) or network.OUTPUTS[name]
+        weights[f"{name}.matrix"] = rng.normal(0, np.sqrt(2 / size), (size, outputs)).astype(np.float32)
+        weights[f"{name}.bias"] = np.zeros(outputs, np.float32)
+    return weights
+
+
+def train(training: Batches, validation: Batches, epochs: int) -> Weights:
+    """Train by Adam with a rate that falls to 0 along a cosine."""
+    rng = np.random.default_rng(SEED)
+    means, scales = training.standard()
+    weights = Weights(
+        initial(rng, {name: len(own) for name, own in means.items()}), means, scales, configuration()
+    )
+    layers, moments = weights.layers, {}
+    step, steps, began = 0, epochs * (len(training.counts) // BATCH), time.monotonic()
+    for epoch in range(epochs):
+        order, sums = rng.permutation(len(training.counts)), {}
+        for at in range(0, len(order) - BATCH + 1, BATCH):
+            given, truths = training.take(order[at : at + BATCH], weights)
+            tape = Tape(layers)
+            squares, starts, *others = given
+            found = read(tape, Node(squares), starts, *map(Node, others))
+            values, gradients = losses({name: own.value for name, own in found.items()}, truths)
+            for name, own in found.items():
+                own.gradient = gradients[name].astype(np.float32)
+            tape.go_back()
+            step += 1
+            rate = RATE * min(1, step / 500) * (1 + np.cos(np.pi * step / steps)) / 2
+            for name, gradient in tape.gradients.items():
+                first, second = moments.setdefault(name, (np.zeros_like(gradient), np.zeros_like(gradient)))
+                first += 0.1 * (gradient - first)
+                second += 0.001 * (gradient**2 - second)
+                change = (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
+                layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
+            for name, value in values.items():
+                sums[name] = sums.get(name, 0) + value * BATCH / len(order)
+        if epoch % 5 == 4 or epoch == epochs - 1:
+            given, truths = validation.take(np.arange(len(validation.counts)), weights)
+            found = read(Tape(layers), *map(Node, given[:1]), given[1], *map(Node, given[2:]))
+            valued, _ = losses({name: own.value for name, own in found.items()}, truths)
+            line = ", ".join(f"{name} {sums[name]:.4f} / {valued[name]:.4f}" for name in sums)
+            print(f"epoch {epoch + 1}, {time.monotonic() - began:.0f} s: {line}", flush=True)
+    return weights
+
+
+def main() -> None:
+    """Make observations, train, judge and write."""
+    parser = argparse.ArgumentParser(description="Train the network that reads noise.")
+    parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
+    parser.add_argument("--observations", type=int, default=OBSERVATIONS["training"])
+    parser.add_argument("--epochs", type=int, default=EPOCHS)
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument(
+        "--judged", default="test", choices=["validation", "test"], help="the part that is judged"
+    )
+    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="where they are written")
+    options = parser.parse_args()
+    roots, began = [*options.folders, *pictures.folders_of_packages()], time.monotonic()
+    jobs = [("training", seed, CHUNK, roots) for seed in range(options.observations // CHUNK)]
+    jobs.append(("validation", 0, OBSERVATIONS["validation"], roots))
+    with Pool(options.processes) as pool:
+        *parts, validation = pool.imap(make_observations, jobs)
+    training = Batches([own for part in parts for own in part])
+    print(
+        f"{len(training.counts)} observations, {training.starts[-1]} squares: {time.monotonic() - began:.0f} s",
+        flush=True,
+    )
+    del parts
+    train(training, Batches(validation), options.epochs).save(str(options.weights))
+    print(
+        f"{options.weights.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s",
+        flush=True,
+    )
+    table.main(roots, options.judged, Weights.load(options.weights))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""What the trained noise model must read, whatever its weights are, and what every training must have taught it."""
+
+import dataclasses
+from functools import partial
+
+import numpy as np
+import pytest
+
+from beltrami_cli.flow.noise.haar_noise import draw_haar_noise
+from features import MAX_SQUARES, SIDE, choose_corners
+from reading import Given, Grid, estimate_noise
+
+SHAPE = (128, 192)  # of whole squares, so that turning the picture keeps them
+
+
+def estimate(planes, filled=None, **given):
+    filled = np.ones(planes.shape[1:], bool) if filled is None else filled
+    return estimate_noise(np.ascontiguousarray(planes, np.float32), Grid(filled), Given(**given))
+
+
+def ramp(shape=SHAPE):
+    y, x = np.mgrid[: shape[0], : shape[1]] / max(shape)
+    return np.stack([0.3 + 0.4 * x, 0.7 - 0.4 * y, 0.3 + 0.2 * (x + y)]).astype(np.float32)
+
+
+def rounded(planes):
+    return np.rint(planes.clip(0, 1) * 255).astype(np.float32) / 255
+
+
+def painting(sigma, seed=0, covariance=None):
+    """Return a ramp with edges and noise of the channels with a covariance, one unit being sigma."""
+    planes = ramp()
+    planes[:, 40:70, 20:90] = np.array([0.8, 0.2, 0.5])[:, None, None]
+    root = np.linalg.cholesky(np.eye(3) if covariance is None else np.array(covariance))
+    noise = np.einsum("ij,jrc->irc", root, np.random.default_rng(seed).standard_normal(planes.shape))
+    return rounded(planes + sigma / 255 * noise)
+
+
+def test_white_noise_lies_in_its_interval():
+    models = {
+        sigma: estimate(rounded(ramp() + np.random.default_rng(sigma).normal(0, sigma / 255, (3, *SHAPE))))
+        for sigma in (3, 5, 8, 12, 18, 25, 35)
+    }
+    held = [model.interval[0] < sigma / 255 < model.interval[1] for sigma, model in models.items()]
+    # Nine in ten do; of seven, fewer than five do by chance in 0.3 % of all cases.
+    assert sum(held) >= 5, {sigma: np.array(model.interval) * 255 for sigma, model in models.items()}
+    for sigma, model in models.items():
+        assert model.overall == pytest.approx(sigma / 255, rel=0.3)
+        assert model.by_place is None
+
+
+@pytest.mark.parametrize("level", [0, 0.4, 1])
+def test_constants_have_no_noise(level):
+    model = estimate(np.full((3, *SHAPE), level))
+    assert model.is_none
+    assert model.overall == 0
+    assert model.by_level is None
+
+
+@pytest.mark.parametrize("clean", [ramp(), rounded(ramp())], ids=["real", "8 bits"])
+def test_ramps_have_no_noise(clean):
+    assert estimate(clean).is_none
+
+
+def test_the_order_of_channels_does_not_matter():
+    planes = painting(12, covariance=[[1, 0.3, 0], [0.3, 0.5, 0.2], [0, 0.2, 2]])
+    model, order = estimate(planes), [2, 0, 1]
+    other = estimate(planes[order])
+    # Sums of floats in another order differ in their last bits, and the logarithms of deviations by that much.
+    expected = model.covariances[:, order][:, :, order]
+    np.testing.assert_allclose(other.covariances, expected, rtol=1e-4, atol=1e-4 * expected.max())
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [partial(np.flip, axis=1), partial(np.flip, axis=2), partial(np.rot90, axes=(1, 2))],
+    ids=["upside down", "mirrored", "by a quarter"],
+)
+def test_the_direction_does_not_matter(turn):
+    model, other = estimate(painting(12)), estimate(turn(painting(12)))
+    np.testing.assert_allclose(other.covariances, model.covariances, rtol=1e-3, atol=1e-3 * model.overall**2)
+
+
+def test_one_channel_is_read_as_the_same_grey_in_three():
+    grey = painting(12)[:1]
+    alone, three = estimate(grey), estimate(np.repeat(grey, 3, axis=0))
+    np.testing.assert_array_equal(alone.covariances[:, 0, 0], three.covariances[:, 0, 0])
+    assert alone.interval == three.interval
+
+
+def test_grey_noise_in_three_channels_is_shared_by_them():
+    noise = 15 / 255 * np.random.default_rng(3).standard_normal((1, *SHAPE))
+    covariance = estimate(rounded(ramp() + noise)).covariance
+    deviations = np.sqrt(np.diag(covariance))
+    assert (covariance / np.outer(deviations, deviations)).min() > 0.9
+    independent = estimate(painting(15)).covariance
+    assert np.abs(independent - np.diag(np.diag(independent))).max() < 0.25 * independent.max()
+
+
+def test_the_loudest_channel_is_found():
+    deviations = estimate(painting(8, covariance=np.diag([1, 4, 16]))).sigma * 255
+    np.testing.assert_allclose(deviations, [8, 16, 32], rtol=0.3)
+
+
+def test_coarse_grain_is_found_at_coarse_scales():
+    covariances = np.stack([share * 0.002 * np.eye(3) for share in (0.1, 0.5, 1, 1)])
+    noise = draw_haar_noise(covariances, SHAPE, np.random.default_rng(5))
+    found = np.trace(estimate(rounded(ramp() + noise)).covariances, axis1=1, axis2=2) / 3
+    assert found[0] < found[1] < found[2]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 6])
+def test_any_number_of_channels_has_a_covariance(count):
+    planes = np.concatenate([painting(10, seed) for seed in (0, 1)])[:count]
+    model = estimate(planes)
+    assert model.covariances.shape == (4, count, count)
+    assert np.linalg.eigvalsh(model.covariances).min() > -1e-9
+    low, high = model.interval
+    assert low <= 10 / 255 <= high
+
+
+def test_cells_that_are_not_filled_do_not_count():
+    planes, filled = painting(10), np.zeros(SHAPE, bool)
+    filled[5:90, 8:100], filled[100:120, 10:180] = True, True
+    noisier = np.where(filled, planes, np.random.default_rng(1).random(planes.shape))
+    one, other = estimate(planes, filled), estimate(noisier, filled)
+    np.testing.assert_array_equal(one.covariances, other.covariances)
+    assert one.overall == pytest.approx(10 / 255, rel=0.3)
+
+
+def test_nothing_filled_has_no_noise():
+    assert estimate(painting(10), np.zeros(SHAPE, bool)).is_none
+
+
+def test_light_beyond_full_scale_is_read_on_its_own_scale():
+    planes = painting(10)
+    model, brighter = estimate(planes), estimate(4 * planes, full_scale=4)
+    np.testing.assert_allclose(brighter.covariances, 16 * model.covariances, rtol=1e-5)
+    np.testing.assert_allclose(brighter.interval, np.multiply(4, model.interval), rtol=1e-5)
+
+
+def test_signed_numbers_are_read_as_if_they_were_not():
+    planes = painting(10)
+    signed, model = estimate(planes - 0.5), estimate(planes)
+    assert signed.overall == pytest.approx(model.overall, rel=0.2)  # without what clipping tells
+    assert signed.by_level is None
+
+
+def test_a_given_strength_keeps_the_structure():
+    model = estimate(painting(12, covariance=[[1, 0.9, 0.9], [0.9, 1, 0.9], [0.9, 0.9, 1]]))
+    scaled = model.scaled_to(20 / 255)
+    assert scaled.overall == pytest.approx(20 / 255)
+    np.testing.assert_allclose(
+        scaled.covariances / scaled.overall**2, model.covariances / model.overall**2, rtol=1e-9
+    )
+    none = dataclasses.replace(model, covariances=np.zeros_like(model.covariances)).scaled_to(0.1)
+    np.testing.assert_allclose(none.sigma, 0.1)
+
+
+def test_noise_that_grows_with_the_level_is_stabilised():
+    x = np.broadcast_to(np.linspace(0, 1, 2 * SHAPE[1]), (SHAPE[0], 2 * SHAPE[1]))
+    clean = np.stack([x, x, x]) * 0.9 + 0.05
+    noise = 0.1 * clean * np.random.default_rng(2).standard_normal(clean.shape)
+    stabiliser = estimate(rounded(clean + noise)).stabiliser()
+    assert stabiliser is not None
+    dark, bright = (stabiliser.sigma_at(level, 1) for level in (0.25, 0.75))
+    assert 1.3 < bright / dark < 4.5  # 3 in truth
+
+
+def test_noise_in_one_half_is_placed():
+    planes = ramp((192, 256))
+    sigma = np.where(np.arange(256) < 128, 3, 24) / 255
+    noise = sigma * np.random.default_rng(4).standard_normal(planes.shape)
+    by_place = estimate(rounded(planes + noise)).by_place
+    assert by_place is not None
+    relative = by_place.over_cells((192, 256))
+    assert relative[:, 160:].mean() > 9 * relative[:, :96].mean()  # 64 in truth
+
+
+def test_large_pictures_are_read_in_some_squares():
+    filled = np.ones((2048, 3000), bool)
+    corners = choose_corners(filled)
+    assert len(corners) == MAX_SQUARES
+    assert not (corners % SIDE).any()
+    counts = np.histogram2d(*corners.T, bins=4, range=((0, 2048), (0, 3000)))[0]
+    assert counts.min() >= MAX_SQUARES / 16 / 2
