@@ -141,15 +141,14 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
     assert np.mean(differences["unlike"]) < -0.07
 
 
-@pytest.mark.parametrize("sigma", [2, 5, 20])
-def test_independent_noise_is_not_taken_for_shared_noise(sigma):
+def test_independent_noise_is_not_taken_for_shared_noise():
     random = np.random.default_rng(0)
     # Texture of which each channel is another would be grain.
     grain = gaussian_filter(random.standard_normal((256, 256)), 1.5)[..., None] * [1.0, 0.9, 0.8]
     grain /= grain.std()
     rich, dark = 0.5 + 0.1 * grain, (0.05 + 0.05 * grain).clip(0, 1)
     for clean in (painting(256), rich, dark):
-        assert found(stored(clean, sigma) / 255)[0] is None
+        assert found(stored(clean, 5) / 255)[0] is None
 
 
 @pytest.mark.parametrize(("grain", "contrast", "mean"), [(1.5, 0.05, 0.05), (3.0, 0.1, 0.1)])
@@ -174,7 +173,7 @@ def test_fewer_than_three_channels_show_nothing():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (80, "4:4:4", 10), (92, "4:2:0", 20)]
+    ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (92, "4:2:0", 20)]
 )
 def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path):
     """Within a third of what JPEG made of a plain picture with that noise; a fourth channel keeps its own."""
@@ -186,8 +185,7 @@ def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path
     assert sigma_of_covariances(covariances)[3] == pytest.approx(sigma[3], rel=0.03)  # by other even tiles
 
 
-@pytest.mark.parametrize("quality", [75, 85, 95])
-@pytest.mark.parametrize("black", [0, 120])
+@pytest.mark.parametrize(("quality", "black"), [(95, 0), (75, 120)])
 def test_white_noise_that_jpeg_left_in_the_mean_of_channels_is_found(quality, black, tmp_path):
     """Within a third of what is left of it, beside black, too, though differences of channels have next to none."""
     clean = painting(256)
@@ -205,7 +203,7 @@ def test_white_noise_that_jpeg_left_in_the_mean_of_channels_is_found(quality, bl
 
 @pytest.mark.parametrize(
     ("hue", "quality", "subsampling", "sigma"),
-    [((1, 0.7, 0.1), 92, "4:2:0", 6), ((0.2, 0.4, 1), 92, "4:2:0", 6), ((0.1, 0.8, 0.3), 85, "4:4:4", 10)],
+    [((1, 0.7, 0.1), 92, "4:2:0", 6), ((0.1, 0.8, 0.3), 85, "4:4:4", 10)],
 )
 def test_the_noise_that_jpeg_left_in_rich_colours_is_found(hue, quality, subsampling, sigma, tmp_path):
     """Within 15 %: beside the hue, JPEG leaves up to half of the finest noise of what lies along it."""
@@ -217,7 +215,7 @@ def test_the_noise_that_jpeg_left_in_rich_colours_is_found(hue, quality, subsamp
     assert np.sqrt(np.mean(read**2)) == pytest.approx(np.sqrt(np.mean((image - clean) ** 2)), rel=0.15)
 
 
-@pytest.mark.parametrize("side", [72, 80, 128, 144])
+@pytest.mark.parametrize("side", [72, 144])
 def test_the_noise_that_jpeg_left_is_found_in_small_pictures(side, tmp_path):
     """Within 30 %, also where the coarsest scale has too few tiles to show any."""
     clean = painting(side)
@@ -245,8 +243,8 @@ def test_the_relief_of_normals_is_no_noise():
 
 @pytest.mark.parametrize(
     "true",
-    [np.array([7.4, 14.4, 19.4, 21.7]), np.array([7.2, 17.4, 26.4, 31.1]), np.array([5.0, 15.4, 32.2, 44.0])],
-    ids=["demosaiced", "grain of 2", "grain of 3"],
+    [np.array([7.4, 14.4, 19.4, 21.7]), np.array([5.0, 15.4, 32.2, 44.0])],
+    ids=["demosaiced", "grain of 3"],
 )
 def test_texture_at_the_coarsest_scale_is_not_taken_for_noise(true):
     """Noise that a low-pass filter left grows ever less: within 20 % of what `beltrami noise` makes of grey."""
@@ -269,10 +267,9 @@ def test_the_fabric_of_an_armchair_is_no_shared_noise():
     )
 
 
-@pytest.mark.parametrize("factor", [1.3, 2.0])
-def test_the_noise_of_an_enlarged_picture_is_found(factor):
+def test_the_noise_of_an_enlarged_picture_is_found():
     """Within a third, though its finest detail has next to none."""
-    noise = enlarged((512, 512), factor, 10 / 255)
+    noise = enlarged((512, 512), 1.3, 10 / 255)
     covariances, least = found(stored(painting(512) + noise, 0) / 255)
     assert sigma_of_covariances(covariances) == pytest.approx(noise.std(axis=(0, 1)), rel=1 / 3)
     assert (least < 0.7 * noise.std()).all()  # or nothing had to be found
@@ -292,7 +289,7 @@ def test_the_channel_with_more_of_the_noise_is_known():
     assert sigma_of_covariances(covariances) == pytest.approx(sigma, rel=0.2)
 
 
-@pytest.mark.parametrize("colour", [(0.4, 0.4, 0.4), (0.3, 0.45, 0.6), (0.6, 0.2, 0.3)])
+@pytest.mark.parametrize("colour", [(0.4, 0.4, 0.4), (0.6, 0.2, 0.3)])
 def test_the_noise_of_a_camera_in_plain_pictures_is_known_to_a_tenth(colour):
     """In each channel: what is missing is left in them, and what is too much takes detail."""
     plain = np.broadcast_to(np.float32(colour), (256, 256, 3))
@@ -317,25 +314,20 @@ def test_the_noise_of_a_large_picture_is_estimated_from_bands(monkeypatch):
     )
 
 
-@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
-def test_jpeg_without_noise_stays(subsampling, tmp_path):
-    image = jpeg(stored(painting(256), 0), 80, subsampling, tmp_path)
+def test_jpeg_without_noise_stays(tmp_path):
+    image = jpeg(stored(painting(256), 0), 80, "4:2:0", tmp_path)
     result = beltrami_cli.smooth_image(image, space="data")
     assert np.mean(np.square(result.colours - image)) < 10**-4.5
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("quality", "subsampling", "sigma"),
-    [(80, "4:4:4", 5), (92, "4:2:0", 10)],
-)
-def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(quality, subsampling, sigma, tmp_path):
+def test_the_choice_is_not_far_from_the_best_on_what_jpeg_left(tmp_path):
     """Steps are no noise, and make edges ring; a fixed rule for the finest noise loses up to 10 dB.
 
     Where noise was left as a few large details the estimate of the error alone loses 4 dB.
     """
-    clean = painting(320)
-    image = jpeg(stored(clean, sigma), quality, subsampling, tmp_path)
+    clean, sigma = painting(256), 10
+    image = jpeg(stored(clean, sigma), 92, "4:2:0", tmp_path)
     result = beltrami_cli.smooth_image(image, space="data")
     assert result.choice.correlated
     assert result.choice.psnr is not None
@@ -379,13 +371,12 @@ def test_noise_that_cells_share_makes_black_no_brighter_and_white_no_darker(dark
     assert off.mean() < 0.04 * sigma
 
 
-@pytest.mark.parametrize("quality", [75, 85])
-def test_the_estimated_psnr_is_doubted_where_jpeg_took_noise_and_detail(quality):
+def test_the_estimated_psnr_is_doubted_where_jpeg_took_noise_and_detail():
     """What it took is not seen in the noise that is left, of which less would be an error of 2 to 7 dB."""
     rng = np.random.default_rng(5)
     detail = rng.standard_normal((256, 256, 1))
     clean = 0.5 + 0.2 * (painting(256) - 0.5) + 0.08 * gaussian_filter(detail, (1, 1, 0)) / 0.28
-    image = as_jpeg(np.float32(clean + 10 / 255 * rng.standard_normal(clean.shape)), quality)
+    image = as_jpeg(np.float32(clean + 10 / 255 * rng.standard_normal(clean.shape)), 75)
     result = beltrami_cli.smooth_image(image)
     least, most = result.choice.interval
     true = psnr(result.colours, clean)

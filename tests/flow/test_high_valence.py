@@ -81,15 +81,15 @@ def test_what_is_no_surface_takes_seconds_by_default(mesh):
 def test_the_cost_of_a_fan_grows_as_its_valence(beta):
     """Beyond what is swept at any rate, twice the valence takes twice as long; a factor of 4 is that of all pairs."""
     seconds = []
-    for count in (4_000, 8_000, 16_000):
+    for count in (4_000, 16_000):
         positions, faces = fan(count)
         core, colours, times = core_of(positions, faces, beta), noisy(count + 1), []
-        for _ in range(3):
+        for _ in range(2):
             start = time.process_time()
             core.smooth(colours, None, 2.4, 6.6, 200, 1, None)
             times.append(time.process_time() - start)
         seconds.append(min(times))
-    assert seconds[2] / seconds[0] < 2.5**2
+    assert seconds[1] / seconds[0] < 2.5**2
 
 
 def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
@@ -114,7 +114,7 @@ def test_the_cost_of_fast_marching_on_a_fan_grows_as_its_valence():
     for count in (4_000, 16_000):
         positions, faces = fan(count)
         core, colours, times = marching_core(positions, faces, 6.0), noisy(count + 1), []
-        for _ in range(3):
+        for _ in range(2):
             start = time.process_time()
             core.smooth(colours, None, 2.4, 6.6, 100, 1, None)
             times.append(time.process_time() - start)

@@ -48,7 +48,7 @@ def psnr(image, truth=CLEAN):
 # qualities leave fewer. The estimate is the least of several.
 @pytest.mark.parametrize(
     ("sigma", "quality", "subsampling"),
-    [(5, 85, "4:2:0"), (10, 75, "4:2:0"), (10, 80, "4:4:4"), (10, 92, "4:2:0"), (20, 75, "4:4:4")],
+    [(5, 85, "4:2:0"), (20, 75, "4:4:4")],
 )
 def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_path):
     found = noise_before_jpeg([picture(stored(CLEAN, sigma), quality, subsampling, tmp_path)])
@@ -66,33 +66,29 @@ def test_grey_pictures_are_read_too(tmp_path):
     assert 255 * noise_before_jpeg([picture(grey, 80, "4:4:4", tmp_path)]) == pytest.approx(10, rel=0.12)
 
 
-@pytest.mark.parametrize("quality", [75, 92])
-def test_noise_is_read_where_most_of_a_picture_is_near_a_limit(quality, tmp_path):
+def test_noise_is_read_where_most_of_a_picture_is_near_a_limit(tmp_path):
     # JPEG leaves no pixel at the limit in white blocks of which it takes all noise: these tell nothing of it.
     pale = np.where(np.arange(256)[:, None, None] < 192, 0.99, CLEAN)
     dark = CLEAN * [0.6, 0.6, 0.02]  # a channel that is cut off, but hardly counts
     for image in (pale, dark):
-        found = noise_before_jpeg([picture(stored(image, 10), quality, "4:2:0", tmp_path)])
+        found = noise_before_jpeg([picture(stored(image, 10), 75, "4:2:0", tmp_path)])
         assert found is not None
         assert 255 * found == pytest.approx(10, rel=0.12)
 
 
-@pytest.mark.parametrize("quality", [75, 92])
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("limit", [0.0, 1.0])
-def test_noise_is_read_where_it_was_cut_off(limit, channels, quality, tmp_path):
+@pytest.mark.parametrize(("limit", "channels"), [(0.0, 1), (1.0, 3)])
+def test_noise_is_read_where_it_was_cut_off(limit, channels, tmp_path):
     # At the limit itself a third of the variance is left, and a half at 0.4 standard deviations from it.
     image = np.broadcast_to(abs(limit - np.linspace(0, 0.02, 256)[:, None, None]), (256, 256, channels))
-    found = noise_before_jpeg([picture(stored(image, 12), quality, "4:2:0", tmp_path)])
+    found = noise_before_jpeg([picture(stored(image, 12), 92, "4:2:0", tmp_path)])
     assert found is not None
     assert 255 * found == pytest.approx(12, rel=0.12)
 
 
-@pytest.mark.parametrize("quality", [75, 85])
-def test_noise_is_read_where_all_that_is_not_white_is_texture(quality, tmp_path):
+def test_noise_is_read_where_all_that_is_not_white_is_texture(tmp_path):
     image = np.ones_like(CLEAN)
     image[:, 192:] = np.random.default_rng(5).uniform(0.2, 0.8, (256, 64, 1))
-    found = noise_before_jpeg([picture(stored(image, 10), quality, "4:2:0", tmp_path)])
+    found = noise_before_jpeg([picture(stored(image, 10), 75, "4:2:0", tmp_path)])
     assert found is not None
     assert 255 * found == pytest.approx(10, rel=0.12)
 
@@ -113,16 +109,15 @@ def test_noise_is_read_where_few_places_are_without_texture(tmp_path):
     assert 255 * found == pytest.approx(10, rel=0.12)
 
 
-@pytest.mark.parametrize("quality", [60, 75, 85, 92])
+@pytest.mark.parametrize("quality", [60, 92])
 def test_a_picture_without_noise_has_none(quality, tmp_path):
     assert noise_before_jpeg([picture(stored(CLEAN, 0), quality, "4:2:0", tmp_path)]) is None
 
 
-@pytest.mark.parametrize("quality", [75, 85, 92])
-def test_noise_that_neighbours_shared_is_not_taken_for_white_noise(quality, tmp_path):
+def test_noise_that_neighbours_shared_is_not_taken_for_white_noise(tmp_path):
     noise = gaussian_filter(np.random.default_rng(3).standard_normal(CLEAN.shape), (1, 1, 0))
     pixels = np.rint(255 * CLEAN + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
-    assert noise_before_jpeg([picture(pixels, quality, "4:2:0", tmp_path)]) is None
+    assert noise_before_jpeg([picture(pixels, 92, "4:2:0", tmp_path)]) is None
 
 
 def test_noise_of_grey_in_all_channels_is_not_taken_for_white_noise(tmp_path):
@@ -183,9 +178,8 @@ def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
     np.testing.assert_allclose(far, [995, -995], atol=0.01)
 
 
-@pytest.mark.parametrize(("quality", "subsampling"), [(75, "4:4:4"), (80, "4:2:0")])
-def test_decoding_with_the_noise_known_comes_closer_to_the_truth(quality, subsampling, tmp_path):
-    own = picture(stored(CLEAN, 10), quality, subsampling, tmp_path)
+def test_decoding_with_the_noise_known_comes_closer_to_the_truth(tmp_path):
+    own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
     pilot = gaussian_filter(own.pixels / 255, (1, 1, 0)).astype(np.float32)
     result = pilot.copy()
     decode(own, result, 10 / 255)
@@ -230,9 +224,8 @@ def test_chroma_is_known_although_decoders_interpolate_it(subsampling, tmp_path)
         assert np.sqrt(np.mean((found - np.rint(found)) ** 2)) < 0.22
 
 
-@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
-def test_the_noise_that_decoding_leaves_is_foretold(subsampling, tmp_path):
-    own = picture(stored(CLEAN, 10), 80, subsampling, tmp_path)
+def test_the_noise_that_decoding_leaves_is_foretold(tmp_path):
+    own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
     result = CLEAN.astype(np.float32)
     decode(own, result, 10 / 255)
     left, before = noise_after([own], [CLEAN.astype(np.float32)], 10 / 255)
@@ -241,9 +234,9 @@ def test_the_noise_that_decoding_leaves_is_foretold(subsampling, tmp_path):
         np.testing.assert_allclose(told, true, rtol=0.05)  # of 65,536 pixels, and ringing of paint
 
 
-@pytest.mark.parametrize("subsampling", ["4:4:4", "4:2:0"])
-def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(subsampling, tmp_path):
-    data = jpeg_file(stored(SMALL, 10), 80, subsampling)
+@pytest.mark.slow
+def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(tmp_path):
+    data = jpeg_file(stored(SMALL, 10), 80)
     pixels = decoded(data, tmp_path / "in.jpg")
     (tmp_path / "in.png").write_bytes(encode(pixels, "png"))
     results = {}
@@ -259,6 +252,7 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(subsampling, tmp_p
     assert np.sqrt(np.mean(np.square(read))) == pytest.approx(true, rel=0.3)
 
 
+@pytest.mark.slow
 def test_patches_do_not_take_ringing_that_repeats_itself_for_detail(tmp_path):
     down, across = np.mgrid[:192, :192]
     stripes = np.where(((across + 2 * down) // 32 % 3 == 0)[..., None], [0.8, 0.2, 0.2], [0.2, 0.6, 0.3])
@@ -282,6 +276,7 @@ def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tm
         np.testing.assert_array_equal(*(decoded(out.read_bytes(), out) for out in outs))
 
 
+@pytest.mark.slow
 def test_noise_that_is_given_is_that_before(tmp_path):
     decoded(jpeg_file(stored(SMALL, 10), 80, "4:4:4"), tmp_path / "in.jpg")
     results = {}
@@ -293,7 +288,7 @@ def test_noise_that_is_given_is_that_before(tmp_path):
 
 
 def test_the_number_of_threads_changes_nothing(tmp_path):
-    decoded(jpeg_file(stored(SMALL, 10), 80), tmp_path / "in.jpg")
+    decoded(jpeg_file(stored(SMALL[:64, :64], 10), 80), tmp_path / "in.jpg")
     outs = [tmp_path / f"{count}.png" for count in (1, 2)]
     for out in outs:
         beltrami("smooth", tmp_path / "in.jpg", out, "--threads", out.stem)

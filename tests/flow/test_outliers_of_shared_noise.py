@@ -17,7 +17,7 @@ from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr
 
-SIDE = 192
+SIDE = 128
 SIGMA = 12 / 255
 DEEP_BLUE = 0.06, 0.27, 0.52
 RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)[:, :, None]
@@ -50,7 +50,7 @@ def test_a_plain_sky_keeps_no_dots():
     clean = sky()
     noisy = photographed(clean)
     result = beltrami_cli.smooth_image(noisy)
-    assert dots(noisy, 0.05) > 100
+    assert dots(noisy, 0.05) > 40
     assert dots(result.colours, 0.05) == 0
     # Noise of 14 of 255 is averaged over thousands of samples; what is left is its mean, which encoding shifts.
     assert psnr(result.colours, clean) > psnr(noisy, clean) + 12

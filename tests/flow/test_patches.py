@@ -225,9 +225,8 @@ class Seen:
         ]
 
 
-@pytest.mark.parametrize("contrast", [0.05, 0.1])
-def test_the_estimated_gain_is_the_true_one_on_white_noise(contrast, monkeypatch):
-    clean = photograph(128, contrast=contrast)
+def test_the_estimated_gain_is_the_true_one_on_white_noise(monkeypatch):
+    clean = photograph(128, contrast=0.1)
     plan = pixel_plan(with_noise(clean, SIGMA, cut_off=False), **{**ON, "iterations": 3})
     known = dataclasses.replace(plan.manifold.noise, sigma=np.full(3, SIGMA))
     plan = dataclasses.replace(plan, manifold=plan.manifold.having(noise=known))
@@ -250,8 +249,9 @@ CLEAN = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", [5, 10, 40])
-@pytest.mark.parametrize("name", CLEAN)
+@pytest.mark.parametrize(
+    ("name", "sigma"), [("photograph", 10), ("faint photograph", 40), ("flat paint", 5), ("line art", 10)]
+)
 def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, monkeypatch):
     """To 0.2 dB, or to a thousandth of the noise: less does not show in an estimate from 50,000 colours."""
     clean = CLEAN[name](128)
@@ -270,7 +270,6 @@ def test_plain_areas_are_averaged_over_many_samples(monkeypatch):
     assert blend < min(kernel, alone) / 1.3
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_a_plain_texture_loses_little_by_the_patterned_one_beside_it(tmp_path):
     clean, noisy = TORUS_TWO, tmp_path / "noisy.gltf"
@@ -395,7 +394,7 @@ def test_channels_without_noise_stay_and_do_not_stop_the_others():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 6])
+@pytest.mark.parametrize("channels", [1, 2, 6])
 def test_any_number_of_channels_is_smoothed(channels):
     clean = np.dstack([photograph(64), photograph(64, seed=2)])[..., :channels]
     noisy = with_noise(clean, SIGMA)

@@ -31,46 +31,37 @@ def head():
     [({}, 12), ({"clipped": True}, 8), ({"fall_off": True}, 8)],
     ids=["plain", "clipped", "fall-off"],
 )
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_known_exposures_are_taken_out(head, kind, least, seed):
-    truth, exposed = head.exposed(seed, **kind)
+def test_known_exposures_are_taken_out(head, kind, least):
+    truth, exposed = head.exposed(1, **kind)
     after, _ = head.levelled(exposed)
     assert fall(exposed, after, truth) >= least
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "least"), [("head-tex-noisy.glb", 10), ("scan-noisy.glb", 8), ("sphere-exr-clean.obj", 9)]
+    ("name", "least"), [("head-tex-noisy.glb", 10), ("sphere-exr-clean.obj", 9)]
 )
 def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name, least):
     """What charts with noise of 20/255, or six charts, show of it in each channel is too little by itself."""
     scene = ExposureScene.of(SAMPLES / name)
-    falls = []
-    for seed in (1, 2):
-        truth, exposed = scene.exposed(seed, fall_off=True)
-        falls.append(fall(exposed, scene.levelled(exposed)[0], truth))
-    assert np.mean(falls) >= least
-
-
-@pytest.mark.parametrize(
-    ("name", "least"),
-    [("head-tex-clean.glb", 8), pytest.param("scan-clean.glb", 6, marks=pytest.mark.slow)],
-)
-def test_exposures_are_found_where_jpeg_mixed_hues_over_the_borders_of_charts(name, least):
-    # Who knows the exposures gains 11 and 9 dB, and who does not know of the mixing 3 and 2.
-    scene = ExposureScene.of(SAMPLES / name)
-    truth, exposed = scene.exposed(1)
-    stored = scene.as_jpeg(exposed, 92)
-    assert fall(stored.truth, stored.levelled_as_file(), truth) >= least
+    truth, exposed = scene.exposed(1, fall_off=True)
+    assert fall(exposed, scene.levelled(exposed)[0], truth) >= least
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["head-tex-clean.glb", "torus-two-clean.gltf", "scan-clean.glb"])
+def test_exposures_are_found_where_jpeg_mixed_hues_over_the_borders_of_charts(head):
+    # Who knows the exposures gains 11 dB, and who does not know of the mixing 3.
+    truth, exposed = head.exposed(1)
+    stored = head.as_jpeg(exposed, 92)
+    assert fall(stored.truth, stored.levelled_as_file(), truth) >= 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["head-tex-clean.glb", "torus-two-clean.gltf"])
 def test_a_jpeg_without_exposure_steps_keeps_every_bit(name):
     scene = ExposureScene.of(SAMPLES / name)
-    for quality in (85, 92):
-        stored = scene.as_jpeg(scene.truth, quality)
-        assert np.array_equal(stored.levelled_as_file(), stored.truth)
+    stored = scene.as_jpeg(scene.truth, 85)
+    assert np.array_equal(stored.levelled_as_file(), stored.truth)
 
 
 def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
@@ -111,7 +102,6 @@ def test_two_charts_are_enough():
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param("head-tex-clean.glb", marks=pytest.mark.slow),
         pytest.param("head-tex-noisy.glb", marks=pytest.mark.slow),
         "torus-two-noisy.gltf",
         "sphere-exr-clean.obj",

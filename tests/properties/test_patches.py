@@ -31,12 +31,11 @@ def on_board(board, painting, **parameters):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", [10, 20, 40])
-def test_no_seam_can_be_found_in_a_photograph(sigma):
+def test_no_seam_can_be_found_in_a_photograph():
     """The error of steps across seams is that of steps beside them."""
     side = BOARD.cells * BOARD.texels
     clean = photograph(side)
-    error = on_board(BOARD, with_noise(clean, sigma / 255)) - clean
+    error = on_board(BOARD, with_noise(clean, SIGMA)) - clean
     seam = side // 2 - 1
     for steps in (np.diff(error, axis=0), np.diff(error, axis=1).swapaxes(0, 1)):
         lines = np.abs(steps).mean(axis=(1, 2))
@@ -150,7 +149,7 @@ def test_non_manifold_spots_and_degenerate_triangles_are_smoothed_as_well():
     assert psnr(result, truth) > psnr(kernel, truth) + 0.3
 
 
-@pytest.mark.parametrize("dimension", [2, 3, 5])
+@pytest.mark.parametrize("dimension", [2, 5])
 def test_positions_may_have_any_dimension(dimension):
     positions, faces, clean, noisy = plane()
     placed = np.zeros((len(positions), dimension))

@@ -80,7 +80,7 @@ def test_distances_have_at_most_half_the_error_of_fast_marching(samples, beta, r
 
 @pytest.mark.slow
 @given(strategies.painted(strategies.meshes(general=True)))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)  # each makes a graph of 30 points an edge, which is what takes time
 def test_distances_lie_between_geodesics_and_paths_over_edges_on_any_mesh(painted):
     positions, faces, colours = painted
     manifold = segment_manifold(positions, faces, colours, 2.0)
@@ -124,7 +124,7 @@ def graph_distances(embedded, faces, extra):
 
 
 @given(strategies.painted(strategies.meshes(general=True)), st.sampled_from((0.05, 5.0)))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(painted, t):
     positions, faces, colours = painted
     weights = np.random.default_rng(0).random(len(positions)).astype(np.float32) + 0.1
@@ -139,10 +139,10 @@ def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(painted, t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("t", "most"), [(1.0, 10**6), (1.0, 12), (60.0, 10**6), (60.0, 500)])
+@pytest.mark.parametrize(("t", "most"), [(1.0, 12), (60.0, 10**6), (60.0, 500)])
 def test_kernels_of_any_size_are_those_of_single_marches(t, most):
     """Kernels of the largest t go beyond what sixteen sources may share."""
-    positions, faces = surfaces.terrain(50, 50, 0.3, 1)
+    positions, faces = surfaces.terrain(36, 36, 0.3, 1)
     colours = np.random.default_rng(0).random((len(positions), 2)).astype(np.float32)
     manifold = segment_manifold(positions, faces, colours, 1.0)
     ours, _, truncated = apply_kernel(manifold, colours, t, max_samples=most)
