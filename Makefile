@@ -116,11 +116,11 @@ bench:
 	$(MAKE) --no-print-directory VENV=$(VENV)-bench RESTRAIN="--no-binary gdist" run-bench
 
 run-bench: $(VENV)/.installed-bench
-	$(BIN)/python tests/benchmarks/bench_triangulated.py
-	$(BIN)/python tests/benchmarks/bench_large_meshes.py
-	$(BIN)/python tests/benchmarks/bench_scaling.py --most 1000000
-	$(BIN)/python tests/benchmarks/bench_textures.py
-	$(BIN)/python tests/benchmarks/bench_geometry.py
+	$(BIN)/python benchmarks/bench_triangulated.py
+	$(BIN)/python benchmarks/bench_large_meshes.py
+	$(BIN)/python benchmarks/bench_scaling.py --most 1000000
+	$(BIN)/python benchmarks/bench_textures.py
+	$(BIN)/python benchmarks/bench_geometry.py
 
 # A wheel of Python 3.12 or later is of the stable ABI, and serves all later versions. The test installs it where there
 # is no compiler, and needs the index of packages for what it depends on.

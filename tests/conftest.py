@@ -33,7 +33,9 @@ collect_ignore = _OF_POSIX if sys.platform == "win32" else []
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--cpu", metavar="FILE", help="write the processor time of each test and each test file to FILE")
+    parser.addoption(
+        "--cpu", metavar="FILE", help="write the processor time of each test and each test file to FILE"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -61,7 +63,10 @@ class _ProcessorTime:
     def pytest_runtest_makereport(self):
         report = yield
         now = self.now()
-        report.cpu_seconds, self.last = now - self.last, now   # an attribute, which xdist passes to the controller
+        report.cpu_seconds, self.last = (
+            now - self.last,
+            now,
+        )  # an attribute, which xdist passes to the controller
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:

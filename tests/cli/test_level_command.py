@@ -17,9 +17,9 @@ from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.samples.settings import DEFAULTS
 from beltrami_cli.samples.texel_colours import dithered
-from benchmarks.exposure_scene import ExposureScene
 from cli.commands import SAMPLES, refused
 from cli.commands import beltrami as run_beltrami
+from levelling.exposure_scene import ExposureScene
 from small_models import COLOURED, ply
 
 HEAD = SAMPLES / "head-tex-clean.glb"

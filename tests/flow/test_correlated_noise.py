@@ -172,9 +172,7 @@ def test_fewer_than_three_channels_show_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (92, "4:2:0", 20)]
-)
+@pytest.mark.parametrize(("quality", "subsampling", "sigma"), [(80, "4:4:4", 5), (92, "4:2:0", 20)])
 def test_the_noise_that_jpeg_left_is_found(quality, subsampling, sigma, tmp_path):
     """Within a third of what JPEG made of a plain picture with that noise; a fourth channel keeps its own."""
     image = jpeg(stored(painting(512), sigma), quality, subsampling, tmp_path)

@@ -220,7 +220,9 @@ def test_grey_noise_on_a_plain_picture_is_found_though_channels_share_it():
     plain = np.full((192, 192, 3), 0.5)
     grey = np.random.default_rng(8).standard_normal((192, 192, 1)) * 15 / 255
     image = stored(noisy(plain, 5 / 255) + grey)
-    assert beltrami_cli.smooth_image(image, iterations=0).noise * 255 == pytest.approx(np.hypot(5, 15), rel=0.06)
+    assert beltrami_cli.smooth_image(image, iterations=0).noise * 255 == pytest.approx(
+        np.hypot(5, 15), rel=0.06
+    )
 
 
 @pytest.mark.parametrize("side", [4, 12, 17])

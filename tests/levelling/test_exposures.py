@@ -15,8 +15,8 @@ from beltrami_cli.levelling.fit import Exposures, fit_exposures, known_steps
 from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median, with_noise
 from beltrami_cli.levelling.verdict import STRONG, Verdict, bridges, judge, pattern_goes_on
-from benchmarks.exposure_scene import ExposureScene, error, fall
 from cli.commands import SAMPLES
+from levelling.exposure_scene import ExposureScene, error, fall
 
 HEAD, SPHERE = SAMPLES / "head-tex-clean.glb", SAMPLES / "sphere-exr-clean.obj"
 
@@ -38,9 +38,7 @@ def test_known_exposures_are_taken_out(head, kind, least):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "least"), [("head-tex-noisy.glb", 10), ("sphere-exr-clean.obj", 9)]
-)
+@pytest.mark.parametrize(("name", "least"), [("head-tex-noisy.glb", 10), ("sphere-exr-clean.obj", 9)])
 def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name, least):
     """What charts with noise of 20/255, or six charts, show of it in each channel is too little by itself."""
     scene = ExposureScene.of(SAMPLES / name)

@@ -181,7 +181,7 @@ _SHARED_BY_NEIGHBOURS = 1.5
 _NINETY = 1.645
 
 # Of the variance of the noise, what may be missing in the estimated error, and what too much, so that nine of ten
-# results of tests/benchmarks/bench_honesty.py are within: what neighbours share is rather found too small.
+# results of benchmarks/bench_honesty.py are within: what neighbours share is rather found too small.
 _DOUBT, _DOUBT_IF_SHARED = (0.15, 0.15), (0.6, 0.15)
 
 

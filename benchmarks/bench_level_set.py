@@ -1,6 +1,6 @@
 """Noise removed on level sets, on the mesh that is smoothed and on that of marching cubes: needs the extra volumes.
 
-``python tests/benchmarks/bench_level_set.py``, from the project's root; prints PSNR at the vertices in dB.
+``python benchmarks/bench_level_set.py``, from the project's root; prints PSNR at the vertices in dB.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from beltrami_cli import smooth
 from beltrami_cli.surface import level_set
 from beltrami_cli.surface.level_set import GridColours, Lattice, interpolate_colours, places
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from oracles import level_sets
 
 RADIUS = 40  # voxels

@@ -1,6 +1,6 @@
 """The program without any parameter beside its own best setting by hand: on noise of cameras, and on coarse grain.
 
-``python tests/benchmarks/bench_by_hand.py [IMAGE...]`` judges the images and the noise of bench_camera_noise.py. The
+``python benchmarks/bench_by_hand.py [IMAGE...]`` judges the images and the noise of bench_camera_noise.py. The
 best of some thirty settings is chosen by the truth: the noise given, larger and smaller, the strengths, and parameters
 of the kernel with and without patches. ``--kind grain`` takes the kinds of noise that begin so. Without parameters
 results should be within 0.5 dB of the best on noise of cameras, and within 1 dB on grain.

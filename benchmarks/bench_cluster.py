@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch.cluster import ClusterExecutor
 from beltrami_cli.batch.cluster_partitions import ClusterRunner

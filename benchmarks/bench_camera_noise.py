@@ -1,6 +1,6 @@
 """Noise as cameras make it, and coarse grain, on photographs: the program without any parameter beside BM3D.
 
-``python tests/benchmarks/bench_camera_noise.py [IMAGE...]`` judges four photographs of scikit-image, and named
+``python benchmarks/bench_camera_noise.py [IMAGE...]`` judges four photographs of scikit-image, and named
 images, in windows of 224 x 224. A camera counts photons in linear light on a Bayer mosaic (variance A times the light,
 plus B squared), which is demosaiced, encoded as sRGB, and stored in 8 bit or as JPEG. The truth is the same without
 noise. BM3D is told 1, 1.5 and 2.2 times the true root mean square of the noise, and the best of these counts.

@@ -1,6 +1,6 @@
 """Whether the interval in which the PSNR is said to be holds it, over noise of many kinds; no parameter is given.
 
-``python tests/benchmarks/bench_honesty.py [IMAGE...]`` judges four photographs of scikit-image, and the middle of
+``python benchmarks/bench_honesty.py [IMAGE...]`` judges four photographs of scikit-image, and the middle of
 named images, in windows of 224 x 224, with noise of some thirty kinds: white, by level, correlated, coarse, left by
 JPEG at qualities of 75 to 98, enlarged, of two photographs in one, of dark and bright ones, and of cameras.
 ``--vertices`` judges colours that were baked from such windows onto so many vertices, each from the nearest pixel.

@@ -1,6 +1,6 @@
 """How much is lost where parameters are chosen from the data, against parameters tuned on the truth.
 
-``python tests/benchmarks/bench_tuning.py`` prints the table of docs/tuning.md. Textured models in the folder that the
+``python benchmarks/bench_tuning.py`` prints the table of docs/tuning.md. Textured models in the folder that the
 environment variable BELTRAMI_EXTRA_MESHES names are judged, too; of large textures blocks are, for time. Noise is
 Gaussian, rounded to 8 bit, and cut off at 0 and 255.
 """

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 from bench_levelling import SAMPLES
-from exposure_scene import ExposureScene, fall
 from scipy.ndimage import distance_transform_edt
 
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.surface.grouping import group_places
+from levelling.exposure_scene import ExposureScene, fall
 
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "scan-clean.glb", "scan-noisy.glb")
 # Of the colours as they are, for the tool: as it is set, and for corrections that reach further into charts.

@@ -1,6 +1,6 @@
 """Whether --strength gentle, normal and strong differ as they say, over noise of many kinds; nothing else is given.
 
-``python tests/benchmarks/bench_strengths.py [IMAGE...]`` judges four photographs of scikit-image, and the middle of
+``python benchmarks/bench_strengths.py [IMAGE...]`` judges four photographs of scikit-image, and the middle of
 named images, in windows of 224 x 224: the root mean square change, which must grow with the strength on every one, and
 the PSNR against the truth, of which gentle may cost 1.5 dB and strong 1 dB on average.
 """

@@ -1,4 +1,4 @@
-"""How far `beltrami level` brings charts of known exposure back: python tests/benchmarks/bench_levelling.py [MODEL ...]
+"""How far `beltrami level` brings charts of known exposure back: python benchmarks/bench_levelling.py [MODEL ...]
 
 Each chart gets a gain and an offset in each channel; then with colours that are cut off; then with a gain that falls
 off linearly over each chart. The table has by how many dB the error falls, up to one gain and offset for the whole
@@ -30,12 +30,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-from exposure_scene import GAINS, OFFSET, ExposureScene, fall, from_light, to_light
+from scene import ROOT
 
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
+from levelling.exposure_scene import GAINS, OFFSET, ExposureScene, fall, from_light, to_light
 
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
+SAMPLES = ROOT / "sample_data"
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sphere-exr-clean.obj", "scan-clean.glb",
          "scan-noisy.glb")  # fmt: skip
 KINDS = ({}, {"clipped": True}, {"fall_off": True})

@@ -1,6 +1,6 @@
 """Without any parameter given, against image filters that are tuned on the truth.
 
-``python tests/benchmarks/bench_defaults.py`` prints the table of docs/tuning.md. Textured models in the folder that the
+``python benchmarks/bench_defaults.py`` prints the table of docs/tuning.md. Textured models in the folder that the
 environment variable BELTRAMI_EXTRA_MESHES names are judged, too. Noise is Gaussian, of 20 of 255.
 """
 

@@ -1,6 +1,6 @@
 """How good the chosen parameters are where textures went through JPEG after noise came in.
 
-``python tests/benchmarks/bench_jpeg.py`` prints the table of docs/tuning.md. Textured models in the folder that the
+``python benchmarks/bench_jpeg.py`` prints the table of docs/tuning.md. Textured models in the folder that the
 environment variable BELTRAMI_EXTRA_MESHES names are judged, too, up to a size. Noise is Gaussian, on texels of the
 textures; the truth is what these were before.
 """

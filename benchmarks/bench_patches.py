@@ -1,6 +1,6 @@
 """Collaborative patches beside the kernel alone and beside flat denoisers, on textures and on vertices.
 
-``BELTRAMI_EXTRA_MESHES=FOLDER python tests/benchmarks/bench_patches.py`` judges samples, photographs of scikit-image,
+``BELTRAMI_EXTRA_MESHES=FOLDER python benchmarks/bench_patches.py`` judges samples, photographs of scikit-image,
 and the models of a folder, and prints the tables of docs/performance.md. The program works on whole surfaces; of larger
 images the peers see a part, and all are judged there. Rows go to stderr as soon as they are known.
 """
