@@ -30,7 +30,8 @@ from formats.usd_files import (
     write,
 )
 
-pytestmark = pytest.mark.slow
+# Its own process, and what it makes of damaged files, is tested in test_usd_packages.py.
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("usd_core_here")]
 
 
 @pytest.mark.parametrize(("on", "kind"), [("vertex", "color3h"), ("faceVarying", "color3f")])
