@@ -305,7 +305,6 @@ def test_a_preset_of_a_file_counts_for_more_than_options_for_all(scans, tmp_path
     [
         (("--suffix", "-clean"), "a-clean.ply"),
         (("--suffix", ".clean.obj"), "a.clean.obj"),
-        (("--format", "glb"), "a.glb"),
         (("--format", "obj", "--suffix", ".v2"), "a.v2.obj"),
     ],
 )
@@ -341,7 +340,7 @@ def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+@pytest.mark.parametrize("kind", ["obj", "gltf"])
 def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
     pictures = {"one": PICTURE, "two": OTHER}
     for name, picture in pictures.items():

@@ -38,7 +38,7 @@ def vertices(path):
     return painted.positions[order], painted.colours[order], painted
 
 
-@pytest.mark.parametrize("extension", FORMATS)
+@pytest.mark.parametrize("extension", ["ply", "gltf"])
 def test_smooth_colours_go_to_a_texture_and_come_back(extension, sphere, tmp_path):
     textured, back = tmp_path / f"textured.{extension}", tmp_path / "back.ply"
     beltrami("bake", sphere, textured, "--to", "texture")
@@ -143,13 +143,12 @@ def test_texture_coordinates_can_be_kept_if_every_texel_has_one_place(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("extension", ["ply", "glb"])
-def test_unwrap_smooths_a_mesh_without_texture_coordinates(extension, tmp_path):
-    positions, faces = surfaces.icosphere(4)
+def test_unwrap_smooths_a_mesh_without_texture_coordinates(tmp_path):
+    positions, faces = surfaces.icosphere(3)
     clean = smooth_colours(positions)
     noisy = np.clip(clean + np.random.default_rng(5).normal(0, 0.06, clean.shape), 0, 1)
     source = painted_file(tmp_path / "noisy.ply", positions, faces, noisy)
-    result, back = tmp_path / f"out.{extension}", tmp_path / "back.ply"
+    result, back = tmp_path / "out.glb", tmp_path / "back.ply"
     beltrami("smooth", source, result, "--unwrap")
     assert open_document(str(result)).slots() == ("baseColor",)
     beltrami("bake", result, back, "--to", "vertices")
@@ -159,10 +158,9 @@ def test_unwrap_smooths_a_mesh_without_texture_coordinates(extension, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mirrored-{}.obj", "sphere-exr-{}.obj"])
-def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(name, tmp_path):
+def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(tmp_path):
     """In the new texture noise would be spread over several texels, and take itself for a pattern."""
-    clean, noisy = (SAMPLES / name.format(kind) for kind in ("clean", "noisy"))
+    clean, noisy = (SAMPLES / f"sphere-exr-{kind}.obj" for kind in ("clean", "noisy"))
     truth, before, after = (tmp_path / f"{which}.glb" for which in ("truth", "before", "after"))
     for source, result, number in ((clean, truth, ("-n", 0)), (noisy, before, ("-n", 0)), (noisy, after, ())):
         beltrami("smooth", source, result, "--unwrap", "--fast", *number)
@@ -175,8 +173,8 @@ def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(name, tmp_
 @pytest.mark.slow
 def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_path):
     source, result = SAMPLES / "mirrored-noisy.obj", tmp_path / "out.obj"
-    assert b"several places" in beltrami("smooth", source, result, "-n", 1, "--dry-run").stderr
-    run = beltrami("smooth", source, result, "--unwrap", "-n", 1, "--texture-size", 256)
+    assert b"several places" in beltrami("smooth", source, result, "-n", 1, "--fast", "--dry-run").stderr
+    run = beltrami("smooth", source, result, "--unwrap", "-n", 1, "--fast", "--texture-size", 256)
     assert run.stderr.endswith(b"out.obj: an 8-bit texture of 256 x 256\n")
     assert b"several places" not in beltrami("info", result, "--fast").stdout
     assert b"overlapped 0" in beltrami("info", result, "--fast").stdout

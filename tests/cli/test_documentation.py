@@ -112,7 +112,7 @@ def stand_ins(tmp_path_factory):
         shutil.copy(SAMPLES / name, folder)
     shutil.copy(SAMPLES / "mirrored-noisy.obj", folder / "photoscan.obj")
     for name in ("model", "clean", "noisy", "truth", "reference", "result"):
-        shutil.copy(SAMPLES / "head-tex-noisy.glb", folder / f"{name}.glb")
+        shutil.copy(SAMPLES / "tiled-noisy.glb", folder / f"{name}.glb")
     images = {
         "photo.jpg": ("jpeg", 3), "photo.png": ("png", 3), "colour.png": ("png", 3), "mask.png": ("png", 1),
         "valid.png": ("png", 1), "depth.exr": ("openexr", 1), "xyz.exr": ("openexr", 3), "render.exr": ("openexr", 3),
@@ -169,7 +169,7 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
 @pytest.mark.parametrize("name", ["README.md", "docs/index.md", "docs/api.md"])
 def test_the_python_of_pages_runs(name, stand_ins, tmp_path, monkeypatch):
     folder = shutil.copytree(stand_ins, tmp_path / "work")
-    shutil.copy(SAMPLES / "head-tex-noisy.glb", folder / "scan.glb")
+    shutil.copy(SAMPLES / "tiled-noisy.glb", folder / "scan.glb")
     (folder / "clean.ply").unlink()
     (folder / "clean.glb").unlink()
     monkeypatch.chdir(folder)

@@ -59,9 +59,9 @@ def test_beside_the_source_no_files_pile_up(name, square):
 @pytest.mark.parametrize(
     "name",
     [
-        "head-clean.ply",
-        pytest.param("head-tex-clean.glb", marks=pytest.mark.slow),
-        pytest.param("head-tex-clean.png", marks=pytest.mark.slow),
+        "nonmanifold-clean.ply",
+        pytest.param("tiled-clean.glb", marks=pytest.mark.slow),
+        pytest.param("torus-two-clean-dough.png", marks=pytest.mark.slow),
     ],
 )
 def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path):

@@ -42,15 +42,14 @@ def test_an_existing_file_is_kept_unless_it_may_be_replaced(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "at"),
+    ("name", "at", "options"),
     [
-        ("nonmanifold-noisy.ply", "100"),
-        ("mirrored-noisy.obj", "0.4,0.4"),
-        ("torus-two-noisy-dough.png", "90,70"),
+        ("nonmanifold-noisy.ply", "100", ("--strength", "strong", "-n", 2)),
+        ("mirrored-noisy.obj", "0.4,0.4", ("--fast",)),
+        ("torus-two-noisy-dough.png", "90,70", ()),
     ],
 )
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [(), ("--fast",), ("--strength", "strong", "-n", 2)])
 def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
     source, record = SAMPLES / name, tmp_path / "run.json"
     smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)

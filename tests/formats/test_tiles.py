@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.model_folder import found_tiles, tile_name, tile_of
 from beltrami_cli.formats.registry import open_document
@@ -19,6 +20,7 @@ from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.surface.lookup import look_up
 from formats.image_files import encode
 from formats.tile_files import GIVEN, SIDE, TILES, obj_text, painting, part, sheet, tiled_model
@@ -197,6 +199,7 @@ def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path):
     text = obj_text(corners, np.column_stack([corners, np.zeros(6)]), np.array([[0, 1, 4, 3], [1, 2, 5, 4]]))
     (tmp_path / "model.obj").write_text(text)
     (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd skin.<UDIM>.jpg\n")
-    report = smooth_file(str(tmp_path / "model.obj"), str(tmp_path / "clean.obj"))
+    fast = SmoothSettings(parameters_with({}, fast=True))
+    report = smooth_file(str(tmp_path / "model.obj"), str(tmp_path / "clean.obj"), fast)
     counts = report.textures[0].counts
     assert (counts["seams"], counts["jumps"]) == (1, 0)
