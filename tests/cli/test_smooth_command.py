@@ -35,9 +35,7 @@ def psnr(path, truth):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["nonmanifold.ply", "nonmanifold.obj", "nonmanifold.glb"]
-)
+@pytest.mark.parametrize("name", ["nonmanifold.ply", "nonmanifold.obj", "nonmanifold.glb"])
 def test_samples_come_out_visibly_cleaner_without_any_flag(name, tmp_path):
     noisy, clean = (SAMPLES / name.replace(".", f"-{which}.") for which in ("noisy", "clean"))
     result = tmp_path / name

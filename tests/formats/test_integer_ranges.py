@@ -57,7 +57,12 @@ def test_the_full_scale_is_that_of_the_bits_whatever_type_holds_them(tmp_path, k
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "what", "bits"),
-    [("uint", "colours", 10), ("short", "colours", 12), ("ushort", "intensity", 14), ("float", "intensity", 8)],
+    [
+        ("uint", "colours", 10),
+        ("short", "colours", 12),
+        ("ushort", "intensity", 14),
+        ("float", "intensity", 8),
+    ],
 )
 def test_noise_is_smoothed_on_any_scale(tmp_path, kind, what, bits):
     truth, noisy = scan(kind, bits, what)
