@@ -38,7 +38,7 @@ class Item:
     noise: NoiseSettings | None = None  # that is added to the colours, which are not smoothed then
     outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
-    columns: tuple[str, ...] = ()  # names of those of points in text files
+    columns: tuple[str, ...] = ()  # names of the columns of points in text files
     # Whether an attempt that was cut off may have written files: those that are there must be the same.
     again: bool = False
 

@@ -284,7 +284,7 @@ output_format = click.option(
 allow_outside = click.option(
     "--allow-outside", is_flag=True, cls=GroupedOption, group=_FILES,
     help="Also read files that INPUT names beyond its own folder (absolute paths, '..', links). What OUTPUT needs of "
-    "them anew goes into its own folder; nothing is written out there.",
+    "them again goes into its own folder; nothing is written out there.",
 )  # fmt: skip
 max_memory = click.option(
     "--max-memory", callback=_size, metavar="SIZE", cls=GroupedOption, group=_FILES,

@@ -129,7 +129,7 @@ def choose_parameters(
     *,
     light_in: Space | None = None,
 ) -> Plan[AnyManifold]:
-    """Choose what is left open by the estimated error of the result.
+    """Choose the open parameters by the estimated error of the result.
 
     Where patches follow, noise that neighbouring samples share is first removed from the colours, in place, but for
     its finest details. `tick` is called often, and may raise to stop. `light_in` is the space of colours that stand for
@@ -144,7 +144,7 @@ def choose_parameters(
     split, moves = wanted_split(), manifold.moving is not None
     if moves and split is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
-    if moves:  # positions take the same iterations, and what is best for colours is not best for them
+    if moves:  # positions take the same iterations, for which the best parameters of colours are too strong
         wanted = dataclasses.replace(wanted, free=())
     noise, error = manifold.noise, 0.0
     noisy = is_noisy(noise.of_input)

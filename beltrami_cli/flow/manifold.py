@@ -86,7 +86,7 @@ class Manifold(Domain):
 
     def having(self, **values: Any) -> Self:
         """Return the same manifold with other parameters, noise or colours."""
-        other = object.__new__(type(self))  # a copy would leave out what is not sent to other processes
+        other = object.__new__(type(self))  # copying would drop the compiled core, which is not pickled
         other.__dict__ |= {**self.__dict__, **values}
         return other
 

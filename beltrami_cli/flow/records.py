@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import Indices
 
@@ -126,14 +126,6 @@ class SampledKernel:
     weights: Float32s  # w_q exp(-d(p, q)^2 / (4 t)), eqs. (8, 9), not yet divided by their sum
     colours: Float32s  # I(q), before the iteration, in the working space, shape (K, N)
     offsets: Int64s | None = None  # on a grid, rows and columns from p, shape (K, 2)
-
-    @property
-    def mean(self) -> Float64s:
-        """The colour that the iteration gives p, shape (N,): sum w I / sum w."""
-        weights = self.weights.astype(np.float64)
-        if not weights.any():  # a sample that stands for no area, alone
-            return np.asarray(self.colours[0], np.float64)
-        return np.asarray(np.average(self.colours, axis=0, weights=weights), np.float64)
 
 
 def kernel_values(distances: Float32s, t: float) -> Float32s:

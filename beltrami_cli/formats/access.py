@@ -85,7 +85,7 @@ def is_there(path: str | os.PathLike[str]) -> bool:
 
 
 def most_unpacked(packed: int) -> int:
-    """Return to how many bytes those of a real model are unpacked at most."""
+    """Return the size to which a real model of so many bytes unpacks at most."""
     return max(_LEAST_UNPACKED, _MOST_RATIO * packed)
 
 

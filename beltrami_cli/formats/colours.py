@@ -21,7 +21,7 @@ _BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken
 _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
 _INTENSITY_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)
 
-# Share of the colours that are not 0 which tells the range of float colours: the rest may be spikes of a renderer.
+# Quantile of the colours other than 0 that gives the range of float colours: larger ones may be spikes of a renderer.
 _USUAL_SHARE = 0.99
 
 

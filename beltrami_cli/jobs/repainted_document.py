@@ -37,7 +37,7 @@ def _rounded(document: Document, new: Repainted) -> PaintedVertices:
 
 
 class RepaintedDocument(Document):
-    """A model with the vertices and image files that differ from those of another; all else is as there."""
+    """A model with other vertex colours and image files than its source; the rest is delegated to the source."""
 
     format: ClassVar[str] = "repainted"
 

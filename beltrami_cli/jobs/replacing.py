@@ -72,7 +72,7 @@ class Journal:
             _try_lock(self._descriptor)
 
     def temporary_beside(self, path: Path) -> Path:
-        """Return a name that nobody has, beside a file."""
+        """Return a free name for a temporary file in the folder of a file."""
         file = Aside(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path, overwrite=False)
         self._files.append(file)
         self._list(file, None)
@@ -176,7 +176,7 @@ def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
             name, target, overwrite, put = value
             temporary = journal.parent / name
             file = Aside(temporary, temporary.with_name(target), overwrite)
-            # Nobody can plant a journal for files elsewhere: a temporary file must lie beside them.
+            # A planted journal must not reach files elsewhere: a temporary file must be in their folder.
             is_witnessed = any(map(os.path.lexists, (file.temporary, file.previous)))
             if name_of_temporary.fullmatch(temporary.name) and (is_witnessed or "/" not in name):
                 listed[temporary] = file, None if put is None else tuple(put)

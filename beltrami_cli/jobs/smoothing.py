@@ -71,7 +71,7 @@ class Levelling(Painter[Levelled]):
     works_on_disk: ClassVar[bool] = True
 
     wanted: LevelSettings
-    photographs: Int64s | None = None  # of which each vertex is
+    photographs: Int64s | None = None  # number of the photograph that each vertex is from
 
     def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Levelling:
         """Find the photographs of vertices; errors if there are none, or it is an image."""

@@ -66,7 +66,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
             raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")
         table = archive.read(archive.names[0], _MOST_NUMBERS)
     else:
-        # Columns that are given are those of the points that are smoothed.
+        # The given columns belong to the smoothed points, not to a guide.
         table = document_of(data, path, dataclasses.replace(access, columns=())).painted().colours
     if table.ndim == 1:
         table = table[:, None]

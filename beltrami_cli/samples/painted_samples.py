@@ -65,7 +65,7 @@ class PaintedSamples(Samples):
 
     @property
     def joined(self) -> PaintedVertices:
-        """The vertices with triangles: their own, or those of the surface that points lie on."""
+        """The vertices with triangles: from the file, or of the surface that is fitted to points."""
         return self.painted
 
     @abstractmethod

@@ -47,7 +47,7 @@ class VertexSamples(PaintedSamples):
 
     @cached_property
     def joined(self) -> PaintedVertices:
-        """The vertices with triangles: their own, or those of the surface that points lie on."""
+        """The vertices with triangles: from the file, or of the surface that is fitted to points."""
         return with_surface(self.painted, self.settings) if self.is_cloud else self.painted
 
     @cached_property

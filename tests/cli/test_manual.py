@@ -34,7 +34,7 @@ def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
 
 def test_the_page_of_parameters_is_as_they_are_declared():
     page = Path(__file__).parents[2] / "docs" / "parameters.md"
-    assert page.read_text(encoding="utf-8") == parameter_table(), "make parameters writes it anew"
+    assert page.read_text(encoding="utf-8") == parameter_table(), "make parameters writes it again"
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="there is no groff")

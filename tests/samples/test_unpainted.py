@@ -119,7 +119,7 @@ def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path):
         lambda: view_of(open_document(str(model)), RenderSettings()),
     ):
         with pytest.raises(
-            InputError, match=r"model\.gltf: skin\.png: the PNG image is damaged .*; export it anew"
+            InputError, match=r"model\.gltf: skin\.png: the PNG image is damaged .*; export it again"
         ):
             attempt()
 

@@ -48,7 +48,7 @@ def estimate_noise(
     measured: tuple[Float32s, Float64s] | None = None,
     known: FoundNoise | None = None,
 ) -> NoiseModel:
-    """Estimate what is not given of the noise, and stabilise the colours, in place.
+    """Estimate the noise, as far as it is not given, and stabilise the colours, in place.
 
     If it `varies`, its dependence on level and place is estimated, too; the standard deviation that is assumed is at
     least `least`. `measured` is noise given for each sample: relative variances, and sigma by channel. `known` is the

@@ -1,4 +1,4 @@
-"""What is known of the noise of colours: a value that kernels, patches and all estimates take."""
+"""The noise of colours: an immutable value that kernels, patches and all estimates take."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class NoiseModel:
     def described(self) -> dict[str, float]:
         """Return standard deviations, the mean of colour channels, of full scale 1, and the grain.
 
-        "dark", "middle" and "bright" are deviations at these levels, "quiet" and "loud" those of places that differ.
+        "dark", "middle" and "bright" are deviations at these levels, "quiet" and "loud" at places that differ.
         """
         found: dict[str, float] = {}
         if not len(self.sigma):

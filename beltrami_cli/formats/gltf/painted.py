@@ -27,7 +27,7 @@ _COLOUR_TYPES = ("uint8", "uint16", "float32")  # component types of COLOR_0, th
 _MOST_ROWS = np.iinfo(np.int32).max
 _OTHERWISE = ("POSITION", "COLOR_0", "NORMAL")  # not among the attributes by name
 _INDICES = ("JOINTS_", "WEIGHTS_")
-_STALE = "The vertices moved, but their {} are as they were; make them anew, or leave them out."
+_STALE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
 
 
 @dataclass

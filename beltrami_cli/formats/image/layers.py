@@ -1,4 +1,4 @@
-"""Layers of an EXR file: groups of channels whose names start alike, such as ViewLayer.Combined.R and .G."""
+"""Layers of an EXR file: groups of channels with a common prefix, such as ViewLayer.Combined.R and .G."""
 
 from __future__ import annotations
 
@@ -70,5 +70,5 @@ def _named_colours(names: Sequence[str]) -> tuple[int, ...] | None:
 
 
 def _channel_names(channels: Sequence[str]) -> list[str]:
-    """Return the lower-case names of channels without those of their layers."""
+    """Return the lower-case names of channels without the prefix of their layer."""
     return [channel.rpartition(".")[2].lower() for channel in channels]

@@ -20,7 +20,7 @@ _OF_OTHER_FORMATS = (
 )  # fmt: skip
 _OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
 _MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
-# Values that mean the same as no attribute; the chromaticities are those of Rec. 709.
+# Values that mean the same as no attribute; the chromaticities are from Rec. 709.
 _DEFAULTS: dict[str, Any] = {
     "Orientation": 1, "PixelAspectRatio": 1.0, "ResolutionUnit": "in", "screenWindowWidth": 1.0,
     "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),

@@ -144,7 +144,7 @@ def jpeg_segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memor
         at = end
 
 
-_END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker but those of restarts within a scan
+_END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker except a restart within a scan
 
 
 def _jpeg_end(data: bytes) -> int:
@@ -244,7 +244,7 @@ def webp_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
 
 
 def webp_metadata(data: bytes) -> list[tuple[bytes, bytes]]:
-    """Return the types and payloads of all chunks but those of pixels."""
+    """Return the types and payloads of all chunks without pixels."""
     return [chunk for chunk in webp_chunks(data) if chunk[0] not in _WEBP_STRUCTURE]
 
 

@@ -118,7 +118,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
 
     known = format_of(data, name)
     if not data:
-        raise InputError(name, "the file is empty", "export it anew")
+        raise InputError(name, "the file is empty", "export it again")
     if known is None:
         raise InputError(name, "the content is of no known image format", READABLE)
     if known in EXTRA_CODECS:
@@ -150,7 +150,7 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels))) if finite else 0
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
-            raise InputError(name, cause, "repair or export it anew")
+            raise InputError(name, cause, "repair or export it again")
     picture = described(data, name, known, spec, pixels, notices)
     return replace(picture, parts=tuple(parts), part=part)
 
@@ -213,7 +213,7 @@ def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
     if any(word in shown for word in _NOT_BUILT_IN):
         cause = f"this build of OpenImageIO does not read how the {label_of(known)} image is compressed"
         return InputError(name, f"{cause} ({shown})", "save it without compression, or with another one")
-    return InputError(name, f"the {label_of(known)} image is damaged or cut off ({shown})", "export it anew")
+    return InputError(name, f"the {label_of(known)} image is damaged or cut off ({shown})", "export it again")
 
 
 def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[str, ...]:

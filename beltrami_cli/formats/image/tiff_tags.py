@@ -1,4 +1,4 @@
-"""Tags of TIFF files: those that say nothing of how pixels are stored are copied from one file to another.
+"""Tags of TIFF files: all that do not describe the storage of pixels are copied from one file to another.
 
 References
 ----------
@@ -87,7 +87,7 @@ def with_tags(source: bytes, encoded: bytes) -> bytes:
 
 
 def with_exif(exif: bytes, encoded: bytes) -> bytes:
-    """Return a TIFF image, or EXIF data, with the tags that it has and those of other EXIF data."""
+    """Return a TIFF image, or EXIF data, with its tags and the tags of other EXIF data."""
     old, new = (_Directories(data or _EMPTY).first for data in (exif, encoded))
     has_pixels = any(tag in new for tag in _PIXEL_ADDRESSES)
     return _with_directory(encoded if has_pixels else _EMPTY, new | _of_exif(old))

@@ -180,7 +180,7 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
 
     height, width, channels = shape
     spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
-    # Those of an EXR file need not be UTF-8.
+    # Names in an EXR file need not be UTF-8.
     spec.channelnames = tuple(
         name.encode(errors="surrogateescape").decode(errors="replace") for name in names
     )
@@ -275,14 +275,14 @@ def _square_error(some: Array, others: Array) -> float:
 
 
 def _with_metadata(picture: Picture, encoded: bytes, notices: list[str]) -> ImageFile:
-    """Return pixels, encoded in the format that a picture has, with its metadata, and a notice of what is lost."""
+    """Return pixels, encoded in the format that a picture has, with its metadata, and a notice of lost metadata."""
     data = encoded
     try:
         data = metadata.carry_over(picture.source, encoded, picture.format, picture.part or 0)
     except metadata.DAMAGED as error:
         if len(picture.parts) > 1:
             cause = "the table of its parts is damaged"
-            raise InputError(picture.name, cause, "export it anew") from error
+            raise InputError(picture.name, cause, "export it again") from error
     return ImageFile(data, picture.suffix, (*notices, *lost_metadata(picture, data, picture.format)))
 
 

@@ -60,7 +60,7 @@ from beltrami_cli.surface.records import (
     VertexColours,
 )
 
-_STALE = "The vertices moved, but the normals ('vn') are as they were; make them anew, or leave them out."
+_STALE = "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
 
 

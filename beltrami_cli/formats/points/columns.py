@@ -138,7 +138,7 @@ class _Values:
         rich = [[start for start in starts if self._is_rich(start)] for starts in (bytes_, fractions, words)]
         if rich[0]:
             return rich[0]
-        # Codes of 0 to 255 may stand beside colours of another range.
+        # Codes of 0 to 255 may be next to colours of another range.
         found = sorted({*bytes_, *(rich[1] or rich[2])})
         return found or fractions or words
 

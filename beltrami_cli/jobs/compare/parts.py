@@ -131,7 +131,7 @@ def _differ(one: Float32s | None, other: Float32s | None) -> bool:
 
 
 def _on_one_scale(one: PaintedVertices, other: PaintedVertices) -> tuple[PaintedVertices, PaintedVertices]:
-    """Return colours of one full scale, though those of the smoothed file may fit into fewer bits."""
+    """Return colours of one full scale, since a smoothed file may fit into fewer bits."""
     scales = np.array([one.full_scale, other.full_scale])
     if one.stored != other.stored or scales[0] == scales[1] or scales.min() <= 1:
         return one, other
