@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+from unittest.mock import patch
 
+from beltrami_cli.batch import run
+from beltrami_cli.batch.item import do_item
 from cli.commands import SAMPLES, beltrami
 from hostile.textured_models import write_model
 
@@ -12,13 +16,39 @@ from hostile.textured_models import write_model
 QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
 
 
+class Here(run.Executor):
+    """Does files in this process, where `Workers` would start some: half a second of processor time for each."""
+
+    def __init__(self, _, memory, threads):
+        self.memory, self.threads, self.done = memory, threads, []
+
+    def __exit__(self, *_):
+        pass
+
+    @property
+    def is_full(self):
+        return bool(self.done)
+
+    def start(self, key, item):
+        self.done.append((key, do_item(item, self.memory)))
+
+    def events(self, _):
+        yield self.done.pop()
+
+
+def without_workers():
+    """Have batches do their files in this process."""
+    return patch.object(run, "Workers", Here)
+
+
 def batch(*arguments, code=0, cwd=None):
-    """Run a batch that ends with an exit code, in one worker if not said otherwise; return its standard error."""
-    worker = () if {"-j", "--scheduler"} & set(arguments) else ("-j", 1)
-    run = beltrami("batch", *arguments, *worker, cwd=cwd, code=code)
-    assert run.stdout == b""
-    assert b"unexpected error" not in run.stderr
-    return run.stderr.decode()
+    """Run a batch, in this process unless it has `-j`, which must end with a code; return its standard error."""
+    here = contextlib.nullcontext() if "-j" in arguments else without_workers()
+    with here:
+        done = beltrami("batch", *arguments, cwd=cwd, code=code)
+    assert done.stdout == b""
+    assert b"unexpected error" not in done.stderr
+    return done.stderr.decode()
 
 
 def copies(sample, names, folder):

@@ -69,7 +69,7 @@ def test_failures_are_reported_and_the_others_go_on(scans, tmp_path):
 def test_fail_fast_starts_nothing_more(scans, tmp_path):
     (scans / "0.ply").write_bytes(b"no model")
     out = tmp_path / "out"
-    batch(scans, "--out-dir", out, "-j", 1, "--fail-fast", *QUICK, code=1)
+    batch(scans, "--out-dir", out, "--fail-fast", *QUICK, code=1)
     found = statuses(out)
     assert found.pop("0.ply") == "failed"
     assert set(found.values()) == {"not started"}
