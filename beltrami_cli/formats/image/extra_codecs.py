@@ -115,7 +115,9 @@ def _etc1s_bytes(texels: int) -> int:
 
 
 def _damaged(name: str, label: str, error: object) -> InputError:
-    return InputError(name, f"the {label} image is damaged or cut off ({str(error)[:150]})", "export it again")
+    return InputError(
+        name, f"the {label} image is damaged or cut off ({str(error)[:150]})", "export it again"
+    )
 
 
 def _measured_ktx2(data: bytes, name: str) -> tuple[int, int, int]:
