@@ -195,7 +195,8 @@ def smooth(
     plan = samples.plan()
     result = smooth_manifold(plan, progress)
     report, moving = samples.report(plan, result), result.manifold.moving
-    repainted, counts = samples.repaint(result.manifold.new_colours()), report.counts
+    repainted = samples.repaint(result.manifold.new_colours(), positions=samples.moved(result))
+    counts = report.counts
     assert repainted.colours is not None
     return SmoothResult(
         repainted.colours, plan.beta, plan.manifold.spacing, report.noise, int(counts["samples"]),

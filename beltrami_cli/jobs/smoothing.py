@@ -48,9 +48,10 @@ def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoo
     plan = samples.plan(None if choosing is None else tick)
     result = smooth(plan, job.progress_of(label))
     report, warnings = samples.report(plan, result), samples.warnings(result)
-    new = result.manifold.new_colours()
+    new, positions = result.manifold.new_colours(), samples.moved(result)
+    is_smoothed = plan.parameters.iterations > 0
     del plan, result  # before images as large are made
-    repainted = samples.repaint(new)
+    repainted = samples.repaint(new, is_smoothed=is_smoothed, positions=positions)
     report = dataclasses.replace(report, change=repainted.change.summary())
     return Smoothed(samples.part, repainted, report, warnings)
 
@@ -89,7 +90,7 @@ class Levelling(Painter[Levelled]):
     def paint(self, samples: Samples, job: Job) -> Levelled:
         del job
         report = self.level(samples)
-        repainted = samples.repaint(samples.levelled())
+        repainted = samples.repaint(samples.levelled(), is_smoothed=False)
         return Levelled(repainted, dataclasses.replace(report, change=repainted.change.summary()))
 
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array
+from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
@@ -165,7 +165,10 @@ class PixelSamples(Samples):
         painter = Repainting([self.picture], self.colours, offsets, nothing, None, threads)
         return painter.repaint(0, new)
 
-    def repaint(self, new: NewColours) -> Repainted:
+    def repaint(
+        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
+    ) -> Repainted:
+        del is_smoothed, positions
         notices = self._own_notices()
         if self.suffix is None and not self.valid.all() and not is_exact(self.picture):
             label = label_of(self.picture.format)

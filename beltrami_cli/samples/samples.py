@@ -101,8 +101,14 @@ class Samples(ABC):
         """Return the report of what was done, without the change of colours."""
 
     @abstractmethod
-    def repaint(self, new: NewColours) -> Repainted:
-        """Write new colours of all samples back; the samples cannot be used afterwards."""
+    def repaint(
+        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
+    ) -> Repainted:
+        """Write new colours of all samples back, with positions of the vertices if these moved.
+
+        Where neither smoothing nor levelling changed a texture, its gutter stays.
+        The samples cannot be used afterwards.
+        """
 
     def cells(self) -> Cells | None:
         """Return where the samples lie in pictures; None: they are in none."""
@@ -119,6 +125,11 @@ class Samples(ABC):
     def levelled(self) -> NewColours:
         """Return the colours after `level`."""
         raise NotImplementedError
+
+    def moved(self, result: FlowResult[Any]) -> Float64s | None:
+        """Return the positions of all vertices, if smoothing moved them."""
+        del result
+        return None
 
     def require_writable(self) -> None:  # noqa: B027
         """Raise errors about images as outputs, before anything is computed."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, painted_by
@@ -82,9 +82,8 @@ class TexelSamples(samples.Samples):
             known = self.surface, self.pictures, self.atlas, settings
             self._guides = GuidedTexels(guided[0], *known, guided[1]).guides()
         self.is_data = slot not in COLOUR_SLOTS
-        self._gutter, self._is_smoothed = settings.textures.gutter, True
         self._levelled: Float32s | None = None
-        self._is_levelled = self._is_dithered = False
+        self._level_change: float | None = None  # None: its seams were not levelled
 
     def _picture(self, texture: Texture) -> Picture:
         """Decode a texture, and keep its tables; of those around a group the files are not kept."""
@@ -138,14 +137,11 @@ class TexelSamples(samples.Samples):
         planes, charts = self._on_canvas(), TextureCharts.of(self.atlas, self.surface.textures)
         reference, halved = charts.matching(wanted.reference), halved_colour(self._tables, self.names)
         found, change = level_canvas(self.atlas, planes, wanted.strength, reference, halved)
-        self._levelled, self._is_levelled = planes if change else None, change > 0
-        if not change and not self.settings.level_seams:
-            self._gutter = None  # what is not levelled stays as it is
+        self._levelled, self._level_change = planes if change else None, change
         return level_report(self.label, found, change, charts.facts(self.pictures))
 
     def levelled(self) -> NewColours:
-        self._is_dithered, still = True, self.settings.kernel.with_values(iterations=0)
-        known = self.colours.metric_channels
+        known, still = self.colours.metric_channels, self.settings.kernel.with_values(iterations=0)
         return grid_manifold(self.atlas, self._on_canvas(), still, metric_channels=known).new_colours()
 
     def require_writable(self) -> None:
@@ -175,10 +171,6 @@ class TexelSamples(samples.Samples):
         ]
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> SlotReport:
-        self._is_smoothed = plan.parameters.iterations > 0
-        if not self._is_smoothed and not self._is_levelled:
-            self._gutter = None  # what is neither smoothed nor levelled stays as it is
-        self._is_dithered = not self._is_smoothed and self._is_levelled
         used, counts = self._used(plan, result), self.atlas.counts
         if self._group is not None:
             used |= self._group.common.described
@@ -234,10 +226,14 @@ class TexelSamples(samples.Samples):
         planes = painted_by(atlas, len(self.names), working, kernel.thread_count)
         return choose_parameters(grid_manifold(atlas, planes, kernel), kernel)
 
-    def repaint(self, new: NewColours) -> samples.Repainted:
-        is_covered = len(self.atlas.owned_texels) > 0
-        notices = _notices_of(self.atlas) if self._is_smoothed or not is_covered else []
-        painter = self.painter(self._gutter)
+    def repaint(
+        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
+    ) -> samples.Repainted:
+        del positions
+        is_tried, is_covered = is_smoothed or self._level_change is not None, len(self.atlas.owned_texels) > 0
+        notices = _notices_of(self.atlas) if is_tried or not is_covered else []
+        gutter = self.settings.textures.gutter if is_smoothed or self._level_change else None
+        painter = self.painter(gutter, is_dithered=bool(self._level_change) and not is_smoothed)
         del self.atlas  # all on the canvas but the colours, before pictures as large are made
         wanted, changes = self.settings.textures, []
         images: dict[tuple[Slot, str], ImageFile] = {}
@@ -266,10 +262,10 @@ class TexelSamples(samples.Samples):
         row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
         return Cells(sizes, picture, row, column, atlas.chart_of)
 
-    def painter(self, gutter: int | None) -> Repainting:
+    def painter(self, gutter: int | None, *, is_dithered: bool = False) -> Repainting:
         atlas, threads = self.atlas, self.settings.kernel.thread_count
         places = atlas.texture_offsets, atlas.lone_texels
-        return Repainting(self.pictures, self.colours, *places, gutter, threads, self._is_dithered)
+        return Repainting(self.pictures, self.colours, *places, gutter, threads, is_dithered)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:

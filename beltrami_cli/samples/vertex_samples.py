@@ -39,8 +39,6 @@ class VertexSamples(PaintedSamples):
 
     label = "vertex colours"
 
-    _positions: Float64s | None = None  # of those that moved
-
     @cached_property
     def is_cloud(self) -> bool:
         return not len(self.painted.faces)
@@ -106,11 +104,10 @@ class VertexSamples(PaintedSamples):
         samples = len(self.surface.colours)
         counts |= {"samples": samples, "hard_edge_samples": samples - self.sampling.places}
         report = self._report(plan, result, counts)
-        moving = result.manifold.moving
-        if moving is None:
+        moving, positions = result.manifold.moving, self.moved(result)
+        if moving is None or positions is None:
             return report
-        self._positions = result.manifold.in_order(moving.positions)[self.sampling.sample_of]
-        moves = np.linalg.norm(self._positions - self.painted.positions, axis=1)
+        moves = np.linalg.norm(positions - self.painted.positions, axis=1)
         geometry = {
             "normal_noise": moving.sigma,
             "normal_beta": moving.beta,
@@ -166,13 +163,20 @@ class VertexSamples(PaintedSamples):
     def sample_of(self, plan: Plan[Any]) -> Int64s:
         return self.sampling.sample_of.astype(np.int64)
 
-    def repaint(self, new: NewColours) -> Repainted:
+    def moved(self, result: FlowResult[Any]) -> Float64s | None:
+        moving = result.manifold.moving
+        return None if moving is None else result.manifold.in_order(moving.positions)[self.sampling.sample_of]
+
+    def repaint(
+        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
+    ) -> Repainted:
+        del is_smoothed
         written, sample_of = self.channels.written, self.sampling.sample_of
         after = new.table()[:, written]
         changed = np.any(after != self._stored[:, written], axis=1)[sample_of]
         vertices = np.flatnonzero(changed)
         repainted = self._repainted(vertices, after[sample_of[vertices]])
-        return dataclasses.replace(repainted, positions=self._positions)
+        return dataclasses.replace(repainted, positions=positions)
 
     def warnings(self, result: FlowResult[Any]) -> list[str]:
         found = []
@@ -246,7 +250,10 @@ class RangeSamples(PaintedSamples):
         sample_of[measured] = np.arange(len(measured))
         return sample_of
 
-    def repaint(self, new: NewColours) -> Repainted:
+    def repaint(
+        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
+    ) -> Repainted:
+        del is_smoothed, positions
         written = self.channels.written
         after = new.table()[:, written]
         moved = np.any(self._working(new.places)[:, written] != after, axis=1)

@@ -209,10 +209,8 @@ def _smoothed(
     samples: PaintedSamples, painted: PaintedVertices, rows: Int64s, own: Int64s, progress: Progress | None
 ) -> Patch:
     """Smooth samples of vertices; `rows`: these in the document, `own`: in `painted`."""
-    plan = samples.plan()
-    result = smooth(plan, progress)
-    samples.report(plan, result)
-    made = samples.repaint(result.manifold.new_colours())
+    result = smooth(samples.plan(), progress)
+    made = samples.repaint(result.manifold.new_colours(), positions=samples.moved(result))
     colours = painted.colours if made.colours is None else made.colours
     places = painted.positions[own]
     kept = dataclasses.replace(painted, colours=colours[own], positions=places, faces=_NO_FACES)
