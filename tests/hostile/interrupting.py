@@ -8,7 +8,9 @@ number of steps last.
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import importlib
 import os
 import shutil
 import signal
@@ -42,8 +44,11 @@ def no_link(*_, **__):
     raise PermissionError(errno.EPERM, "Operation not permitted")
 
 
-def child(target, at, number, arguments):
-    """Be a command that by default writes an OBJ file of three; exit with 77 if it did before the step was reached."""
+def child(target, at, number, arguments, loaded):
+    """Be a command that by default writes an OBJ file of three; exit with 77 if it did before the step was reached.
+
+    The modules that it loaded are written to a file, if one is given.
+    """
     from beltrami_cli.cli import main as command
     from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.output import Output
@@ -71,6 +76,8 @@ def child(target, at, number, arguments):
     except SystemExit as stop:
         code = int(stop.code or 0)
     finally:
+        if loaded:
+            loaded.write_text("\n".join(sys.modules))
         os._exit(77 if ending.steps < at and code == 0 else code)
 
 
@@ -89,13 +96,20 @@ def faults(before, after, finished, number):
     return found
 
 
-def run(folder, target, at, number, arguments):
+def run(folder, target, at, number, arguments, loaded=None):
     """Fork, and return how the child ended."""
     pid = os.fork()
     if pid == 0:
         os.chdir(folder)
-        child(target, at, number, arguments)
+        child(target, at, number, arguments, loaded)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def load(modules):
+    """Load modules once for all children; to load them takes longer than what a child does with them."""
+    for name in modules:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
 
 
 def comparable(folder):
@@ -108,12 +122,6 @@ def comparable(folder):
 
 def main(source, target, number, arguments):
     """Try every step."""
-    # Loaded once for all children.
-    import beltrami_cli.cli.main
-    import beltrami_cli.cli.smooth
-    import beltrami_cli.jobs.output
-    import beltrami_cli.jobs.smooth  # noqa: F401
-
     work = source.parent / "work"
 
     def fresh():
@@ -122,9 +130,11 @@ def main(source, target, number, arguments):
 
     fresh()
     before = comparable(work)
-    if run(work, target, MOST_STEPS, number, arguments) != 77:
+    modules = source.parent / "modules"
+    if run(work, target, MOST_STEPS, number, arguments, modules) != 77:
         print("without a signal it fails")
     finished = comparable(work)
+    load(modules.read_text().split())
     for at in range(1, MOST_STEPS):
         fresh()
         code = run(work, target, at, number, arguments)

@@ -7,6 +7,7 @@ import shutil
 
 import pytest
 
+from batch.batches import without_workers
 from beltrami_cli.jobs.compare.files import is_map
 from beltrami_cli.jobs.smoothing import is_report
 from beltrami_cli.view.render import is_preview
@@ -26,7 +27,15 @@ NAMED = {
 OPTIONS = {"report": "--report", "preview": "--preview", "map": "--map", "record": "--report"}
 
 
+@pytest.fixture
+def _without_workers():
+    with without_workers():
+        yield
+
+
+# A preview takes 4 s: it is drawn twice at its full size.
 @pytest.mark.slow
+@pytest.mark.usefixtures("_without_workers")
 @pytest.mark.parametrize("kind", NAMED)
 def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tmp_path):
     arguments, variable, name = NAMED[kind]
@@ -59,6 +68,7 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tm
 
 @pytest.mark.slow
 def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path):
+    """Takes 2 s, as a preview is drawn at its full size."""
     shutil.copy(NOISY, tmp_path / "in.ply")
     shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "photo.png")
     beltrami("smooth", "photo.png", "out.png", *QUICK, "--preview", "preview.png", cwd=tmp_path)

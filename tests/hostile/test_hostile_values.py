@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
+from batch.batches import without_workers
 from beltrami_cli.batch.item import Outcome
 from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
 from beltrami_cli.cli.main import COMMANDS as ALL
@@ -20,6 +21,14 @@ from cli.commands import beltrami
 from small_models import COLOURED, ply
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(autouse=True)
+def _without_workers():
+    """Processes of a batch take what its leader has checked."""
+    with without_workers():
+        yield
+
 
 MESH = ply(
     COLOURED,

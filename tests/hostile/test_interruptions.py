@@ -34,22 +34,30 @@ def folder_with_model(tmp_path):
     return folder
 
 
+TARGETS = ("out/result.obj", "new/result.obj", "model.obj")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL], ids=lambda number: number.name
-)
-@pytest.mark.parametrize("target", ["out/result.obj", "new/result.obj", "model.obj"])
-def test_a_signal_at_any_step_that_touches_files(target, number, tmp_path):
+    ("target", "name"),
+    [
+        *((target, "SIGINT") for target in TARGETS), *((target, "SIGKILL") for target in TARGETS),
+        ("out/result.obj", "SIGTERM"),
+        ("new/result.obj", "SIGHUP"),
+    ],
+)  # fmt: skip
+def test_a_signal_at_any_step_that_touches_files(target, name, tmp_path):
     folder = folder_with_model(tmp_path)
     (folder / "new").mkdir()
-    assert (
-        ended_at_every_step(folder, number, target) >= 7
-    )  # a probe that comes and goes, and three or more files
+    # A probe that comes and goes, and three or more files.
+    assert ended_at_every_step(folder, getattr(signal, name), target) >= 7
 
 
+# Up to 4 s: some forty steps, at each of which the command runs twice.
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["obj", "gltf", "tiles"])
-@pytest.mark.parametrize("has_earlier", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "has_earlier"), [("obj", False), ("obj", True), ("gltf", False), ("tiles", True)]
+)
 def test_a_run_after_one_that_was_killed_writes_the_same_files_under_the_same_names(
     kind, has_earlier, tmp_path
 ):
@@ -70,6 +78,7 @@ def test_a_run_after_one_that_was_killed_writes_the_same_files_under_the_same_na
     assert ended_at_every_step(folder, signal.SIGKILL, target, [*command, "-n", "1"]) >= 7
 
 
+# Up to 4 s, as above.
 @pytest.mark.slow
 @pytest.mark.parametrize("has_earlier", [False, True])
 def test_a_run_after_one_that_was_killed_where_no_file_has_two_names(has_earlier, tmp_path, monkeypatch):
@@ -309,9 +318,12 @@ def test_a_process_of_a_batch_removes_its_temporary_files_whichever_signal_ends_
     number = getattr(signal, name)
     command = [sys.executable, "-P", "-c", WORKER, str(tmp_path / "out.ply")]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert int(process.stdout.readline()) > 0
-        process.send_signal(number)
-        assert process.wait(timeout=30) == 128 + number
+        try:
+            assert int(process.stdout.readline()) > 0
+            process.send_signal(number)
+            assert process.wait(timeout=30) == 128 + number
+        finally:
+            process.kill()  # which waits for more files otherwise
     assert list(tmp_path.iterdir()) == []
 
 

@@ -22,9 +22,7 @@ def run(redirection, *arguments, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "redirection", ["2>&-", "2>/dev/full", "0<&- 1>&- 2>&-", "0<&-", ">&-", ">/dev/full"]
-)
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", "0<&- 1>&- 2>&-", ">/dev/full"])
 def test_a_file_is_written_whatever_the_streams_are(redirection, tmp_path):
     done = run(redirection, "smooth", str(SCAN), str(tmp_path / "out.ply"), *QUICK)
     assert done.returncode == 0
@@ -33,9 +31,14 @@ def test_a_file_is_written_whatever_the_streams_are(redirection, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("redirection", "why"), [(">&-", b"is closed"), (">/dev/full", b"No space left")])
 @pytest.mark.parametrize(
-    "arguments", [("info", str(SCAN)), ("smooth", str(SCAN), "-", *QUICK), ("--help",), ("config",)]
+    ("arguments", "redirection", "why"),
+    [
+        (("info", str(SCAN)), ">&-", b"is closed"),
+        (("smooth", str(SCAN), "-", *QUICK), ">/dev/full", b"No space left"),
+        (("--help",), ">&-", b"is closed"),
+        (("config",), ">/dev/full", b"No space left"),
+    ],
 )
 def test_what_cannot_be_written_to_standard_output_is_said(arguments, redirection, why):
     done = run(redirection, *arguments)
@@ -66,7 +69,7 @@ def test_an_input_that_cannot_be_read_is_said(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("home", [{}, {"HOME": ""}, {"HOME": "/nowhere"}])
+@pytest.mark.parametrize("home", [{}, {"HOME": "/nowhere"}])
 def test_a_working_folder_that_was_removed(home, tmp_path):
     variables = {name: value for name, value in os.environ.items() if name != "HOME"} | home
     gone = 'mkdir gone && cd gone && rmdir ../gone && exec "$@"'
