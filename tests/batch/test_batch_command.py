@@ -39,6 +39,7 @@ def scans(tmp_path):
     return folder
 
 
+# 2 s: the processes of a batch are the point here, and in the tests below that kill some.
 @pytest.mark.slow
 def test_each_file_is_as_smooth_makes_it_to_the_last_byte(scans, tmp_path):
     textured = scans / "skin"

@@ -33,6 +33,7 @@ from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
 pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra cluster")
 
 
+# A scheduler and two workers load Dask for 3 s, and each that is killed is replaced for another.
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
     cluster = Cluster(tmp_path_factory.mktemp("cluster"))
@@ -299,6 +300,7 @@ def certificates(tmp_path):
     return {f"{TLS}CA_FILE": str(certificate), **roles}
 
 
+# 6 s: a scheduler, a worker and three commands, each of which loads Dask.
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
 def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path, monkeypatch):

@@ -55,6 +55,7 @@ def shell(tmp_path):
     return run
 
 
+# 4 s: eight commands, each a process of its own.
 @pytest.mark.slow
 def test_every_line_for_the_shell_works_as_pasted(shell):
     for line in SHELL.splitlines():

@@ -53,6 +53,7 @@ def test_every_command_that_reads_points_takes_their_columns(command, scan, monk
     beltrami(*arguments, "--columns", NAMES)
 
 
+@pytest.mark.slow
 def test_a_configuration_a_variable_and_a_manifest_may_name_the_columns(scan):
     folder = scan.parent
     (folder / "beltrami.toml").write_text(f'columns = "{NAMES}"\n')

@@ -24,7 +24,7 @@ def info(name, *options):
 
 
 def test_the_keys_in_the_examples_of_help_are_there():
-    samples = {"ply": "head-noisy.ply", "glb": "head-tex-noisy.glb", "obj": "head-tex-noisy.obj"}
+    samples = {"ply": "nonmanifold-noisy.ply", "glb": "tiled-noisy.glb", "obj": "mirrored-noisy.obj"}
     examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", EPILOG)
     assert len(examples) == 3
     for suffix, path in examples:
@@ -60,7 +60,7 @@ def test_the_same_mesh_is_the_same_surface_in_every_format(extension):
 
 @pytest.mark.slow
 def test_noise_is_in_units_of_full_scale():
-    noisy, clean = info("head-noisy.ply")["noise"], info("head-clean.ply")["noise"]
+    noisy, clean = info("nonmanifold-noisy.ply")["noise"], info("nonmanifold-clean.ply")["noise"]
     for channel in ("red", "green", "blue"):
         # Clipping takes some away, the pattern adds some.
         assert 15 / 255 < noisy[channel] < 27 / 255
@@ -69,12 +69,12 @@ def test_noise_is_in_units_of_full_scale():
 
 @pytest.mark.slow
 def test_a_larger_time_step_holds_more_samples():
-    few, many = info("head-noisy.ply", "-t", "0.5")["smooth"], info("head-noisy.ply", "-t", "5")["smooth"]
+    few, many = (info("nonmanifold-noisy.ply", "-t", t)["smooth"] for t in ("0.5", "5"))
     assert many["samples_per_kernel"] > 1.5 * few["samples_per_kernel"]
 
 
 def test_the_text_has_the_same_sections():
-    run = beltrami("info", SAMPLES / "head-noisy.ply")
+    run = beltrami("info", SAMPLES / "nonmanifold-noisy.ply")
     for section in ("file", "colours", "surface", "noise", "smooth"):
         assert f"\n{section}\n" in f"\n{run.stdout.decode()}"
     assert run.stderr == b""

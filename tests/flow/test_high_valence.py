@@ -62,6 +62,7 @@ def marching_core(positions, faces, beta):
     return image_manifold(positions, faces, noisy(len(positions)), beta)
 
 
+# Up to 3 s: unbounded work shows on large tangles only.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "mesh",

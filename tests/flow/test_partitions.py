@@ -91,7 +91,7 @@ def test_kernels_that_are_too_large_for_groups_have_the_bits_of_the_whole_too():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["segments", "marching", "areas", "cut short"])
+@pytest.mark.parametrize("name", ["segments", "marching"])
 def test_partitions_that_are_too_narrow_are_found_out_and_cut_anew(name, monkeypatch):
     parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
     whole = smooth_mesh(SURFACE, parameters)

@@ -93,6 +93,7 @@ def test_parts_do_not_carry_the_graph_of_the_whole():
     assert len(pickle.dumps(manifold.cut(part))) < 1.1 * before + 1000
 
 
+@pytest.mark.slow
 def test_plain_colours_lose_noise_that_single_vertices_keep(monkeypatch):
     positions, faces = surfaces.icosphere(5)
     random = np.random.default_rng(3)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gc
 import importlib
 import os
 import shutil
@@ -110,6 +111,7 @@ def load(modules):
     for name in modules:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
+    gc.freeze()  # so that no child copies pages in which nothing changes but marks of its collector
 
 
 def comparable(folder):

@@ -24,8 +24,8 @@ from hostile.textured_models import PICTURE, write_model
 LIMIT = "300M"
 # What the program takes before it has read anything, and the limit: more than that was not taken by the bomb.
 MOST = (160 + 300) << 20
-# Runs commands in forks of itself, and measures each. What it has loaded counts as their memory, so it loads no more than
-# a command does. That each command loads its modules by itself would take most of the time.
+# Runs commands in forks of itself, and measures each. What it has loaded counts as their memory, so it loads no more
+# than a command does. That each command loads its modules by itself would take most of the time.
 MEASURING = """
 import contextlib, importlib, json, os, pkgutil, sys
 import beltrami_cli.formats, beltrami_cli.jobs.smooth, beltrami_cli.cli.smooth

@@ -28,6 +28,7 @@ def textured(tmp_path):
     return folder
 
 
+# With a preview 3 s, as it is drawn at its full size.
 @pytest.mark.slow
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
 @pytest.mark.parametrize(("option", "exists"), [("--report", False), ("--report", True), ("--preview", True)])

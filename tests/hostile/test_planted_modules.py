@@ -34,7 +34,6 @@ def Mesh "triangle" {
 
 COMMANDS = {
     "batch": ["batch", ".", "--out-dir", "out", "-j", "2", *QUICK],
-    "batch of a glob": ["batch", "[ab].ply", "--out-dir", "out", "-j", "2", *QUICK],
     "batch with new textures": ["batch", "a.ply", "--out-dir", "out", "--format", "glb", "--unwrap", *QUICK],
     "batch on a cluster": ["batch", "a.ply", "--out-dir", "out", "--scheduler", "tcp://127.0.0.1:1"],
     "bake": ["bake", "a.ply", "out.glb", "--to", "texture", "--size", "64"],
@@ -49,7 +48,6 @@ COMMANDS = {
     "render": ["render", "a.ply", "out.png", "--size", "40"],
     "report": ["report", "a.ply", "b.ply", "out.html"],
     "smooth": ["smooth", "a.ply", "out.ply"],
-    "smooth with a new texture": ["smooth", "a.ply", "out.glb", "--unwrap", *QUICK],
     "smooth a texture": ["smooth", "model.obj", "out.obj", *QUICK],
     "sweep": ["sweep", "a.ply", "out.html", "--beta", "4,8", "-n", "1", "--size", "40"],
     "view": ["view", "a.ply", "--no-open", "--fast"],

@@ -50,6 +50,7 @@ def test_what_cannot_be_written_to_standard_output_is_said(arguments, redirectio
     assert b"unexpected" not in done.stderr
 
 
+@pytest.mark.slow
 def test_the_device_of_standard_output_goes_through_a_pipe():
     done = run("", "smooth", str(SCAN), "/dev/stdout", *QUICK)
     assert done.stdout.startswith(b"ply")

@@ -102,7 +102,7 @@ def test_two_charts_are_enough():
     [
         pytest.param("head-tex-noisy.glb", marks=pytest.mark.slow),
         "torus-two-noisy.gltf",
-        "sphere-exr-clean.obj",
+        pytest.param("sphere-exr-clean.obj", marks=pytest.mark.slow),
     ],
 )
 def test_a_model_without_exposure_steps_keeps_every_bit(name):
@@ -239,6 +239,7 @@ def star(pattern):
     )
 
 
+@pytest.mark.slow
 def test_a_chart_with_one_seam_is_told_by_the_pattern_that_goes_on_over_it():
     verdict = judge(star(0.15))
     assert verdict.is_sure

@@ -45,6 +45,7 @@ def border_loops(triangles):
     return loops
 
 
+# 4 s: all samples are made.
 @pytest.mark.slow
 def test_the_files_are_what_the_script_makes(make, capsys):
     assert make.main(["--check"]) == 0, capsys.readouterr().err

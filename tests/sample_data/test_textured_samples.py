@@ -13,7 +13,7 @@ import pytest
 from oracles import topology
 
 OpenImageIO = pytest.importorskip("OpenImageIO")
-pytestmark = pytest.mark.slow  # they are baked anew
+pytestmark = pytest.mark.slow  # 3 s for each process of pytest-xdist in which the textures are baked
 FOLDER = Path(__file__).parents[2] / "sample_data"
 NAMES = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
 CHARTS = {"head-tex": 24, "torus-two": 2, "mirrored": 1, "tiled": 1, "sphere-exr": 6, "scan": 100}

@@ -106,6 +106,7 @@ def tiles_of(model, folder, memory, settings):
     return pixels, list(labels), report.textures[0]
 
 
+@pytest.mark.slow
 def test_many_tiles_are_smoothed_in_groups_with_the_same_result(tmp_path, monkeypatch, on_disk):
     model = tiled_model(tmp_path / "in", size=SIDE)
     whole, _, expected = tiles_of(model, tmp_path / "whole", None, GIVEN)
@@ -166,7 +167,8 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
         assert np.array_equal(other.noise.sigma, first.noise.sigma)
 
 
-@pytest.mark.parametrize("noise", ["12", pytest.param("shot:0.002,read:0.03", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", ["12", "shot:0.002,read:0.03"])
 def test_groups_take_the_noise_that_is_given(tmp_path, monkeypatch, noise):
     model = tiled_model(tmp_path / "in", size=SIDE)
     settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=noise))

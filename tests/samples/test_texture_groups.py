@@ -113,6 +113,7 @@ def test_parts_have_enough_texels(monkeypatch, covered, expected):
     assert texture_groups._large_parts(np.arange(len(covered)), np.array(covered)) == expected
 
 
+@pytest.mark.slow
 def test_info_says_the_same(tmp_path, noisy):
     model = write_model(tmp_path / "apart", noisy, gap=0.5)
     told = inspect_file(model, SETTINGS)["textures"]

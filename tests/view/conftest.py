@@ -1,4 +1,4 @@
-"""One browser for the tests of a file."""
+"""One browser for the tests of a file: some 3 s of processor time, which count for the last of them."""
 
 from __future__ import annotations
 
