@@ -72,8 +72,11 @@ $(VENV)/.gltf-validator: Makefile | $(VENV)/.installed-test
 # What pytest compiles is kept for the next run, even where Python would keep nothing: that saves a fifth of `make quick`.
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
+# With the processor time of each test file, the most expensive first.
 test: $(VENV)/.installed-test $(VENV)/.gltf-validator
-	$(PYTEST)
+	@mkdir -p build
+	$(PYTEST) --cpu build/cpu.txt
+	@head -n 26 build/cpu.txt
 
 quick: $(VENV)/.installed-test
 	$(BIN)/lint-imports

@@ -62,15 +62,12 @@ class _ProcessorTime:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self):
         report = yield
-        now = self.now()
-        report.cpu_seconds, self.last = (
-            now - self.last,
-            now,
-        )  # an attribute, which xdist passes to the controller
+        before, self.last = self.last, self.now()
+        report.cpu_seconds = self.last - before  # which xdist passes to the process that reports
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.by_test[report.nodeid] += report.cpu_seconds
+        self.by_test[report.nodeid] += getattr(report, "cpu_seconds", 0.0)  # none where the process died
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if not self.path or hasattr(session.config, "workerinput"):
