@@ -76,19 +76,19 @@ def parameters_shown(source, tmp_path, *options):
 
 @pytest.mark.slow
 def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path):
-    shown, done = parameters_shown(SAMPLES / "knot-noisy.ply", tmp_path, "--metric-scale", 0.7)
+    shown, done = parameters_shown(SAMPLES / "nonmanifold-noisy.ply", tmp_path, "--metric-scale", 0.7)
     assert shown["beta"] == (f"{done['beta']:.4g}", "chosen from the data")
     assert shown["iterations"] == (str(done["iterations"]), "chosen from the data")
     assert shown["metric scale"] == ("0.7", "given")
     assert shown["space"] == ("srgb", "default")
     assert not {"None", "True", "False"} & {value for row in shown.values() for value in row}
-    shown, done = parameters_shown(SAMPLES / "knot-noisy.ply", tmp_path, "--fast", "-n", 5)
+    shown, done = parameters_shown(SAMPLES / "nonmanifold-noisy.ply", tmp_path, "--fast", "-n", 5)
     assert shown["iterations"] == ("5", "given")  # though it is the default
     assert shown["beta"] == (f"{done['beta']:.4g}", "by the fixed rule")
-    shown, done = parameters_shown(SAMPLES / "scan-noisy.jpg", tmp_path, "--preset", "paper")
+    shown, done = parameters_shown(SAMPLES / "torus-two-noisy-dough.png", tmp_path, "--preset", "paper")
     assert shown["time step, t"] == ("0.5", "given")
     assert shown["beta"] == (f"{done['beta']:.4g}", "from the noise")
-    shown, _ = parameters_shown(SAMPLES / "head-clean.ply", tmp_path, "--on", "vertices")
+    shown, _ = parameters_shown(SAMPLES / "nonmanifold-clean.ply", tmp_path, "--on", "vertices")
     assert shown["iterations"] == ("0", "no more noise than rounding makes")
     assert shown["smoothed, --on"] == ("vertices", "given")
     assert "beta" not in shown

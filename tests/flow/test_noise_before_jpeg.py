@@ -254,6 +254,7 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(tmp_path):
 
 @pytest.mark.slow
 def test_patches_do_not_take_ringing_that_repeats_itself_for_detail(tmp_path):
+    """Takes 2 s: it needs stripes that repeat often."""
     down, across = np.mgrid[:192, :192]
     stripes = np.where(((across + 2 * down) // 32 % 3 == 0)[..., None], [0.8, 0.2, 0.2], [0.2, 0.6, 0.3])
     decoded(jpeg_file(stored(stripes, 10), 80, "4:4:4"), tmp_path / "in.jpg")

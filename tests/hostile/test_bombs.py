@@ -330,7 +330,7 @@ UNLIMITED = [
 
 
 @pytest.fixture(scope="module")
-def measured():
+def measured():  # its processor time counts for the last test
     """Returns the exit code of a command, what it said, the most memory that it took in bytes, and its seconds."""
     with subprocess.Popen(
         [sys.executable, "-P", "-c", MEASURING], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,

@@ -10,7 +10,7 @@ import pytest
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow  # 2 s for each figure, which is computed as docs/figures.md shows it
 
 
 @pytest.fixture(scope="module")
