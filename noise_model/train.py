@@ -26,7 +26,7 @@ from network import QUANTILES, TOTAL_QUANTILES, Layers, Weights, read
 from observations import Observation, random_observation
 
 WEIGHTS = Path(__file__).with_name("grid_weights.npz")
-OBSERVATIONS = {"training": 60_000, "validation": 4_000}
+OBSERVATIONS = {"training": 140_000, "validation": 4_000}
 CHUNK = 2_000  # observations that are made together
 EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1
 SEED = 49
