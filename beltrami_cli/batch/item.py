@@ -21,7 +21,7 @@ from beltrami_cli.jobs.output import FileSet
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.recolour import FileReport
+    from beltrami_cli.jobs.file_job import FileReport
     from beltrami_cli.samples.settings import SmoothSettings
 
 Status = Literal["started", "done", "skipped", "failed", "not started"]

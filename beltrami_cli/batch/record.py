@@ -84,7 +84,7 @@ def is_part_of_model(path: str, items: Iterable[Item]) -> bool:
 
 
 def _places_of_parts(name: str, item: Item) -> set[str]:
-    from beltrami_cli.jobs.recolour import open_input
+    from beltrami_cli.jobs.file_job import open_input
 
     places: set[str] = set()
     access = Access(item.outside, note=lambda path, _: places.add(place_of(str(path))))

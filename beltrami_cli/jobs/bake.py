@@ -11,14 +11,12 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
-from beltrami_cli.formats.registry import open_document, sidecar_names, write_contents, write_textured
+from beltrami_cli.formats.registry import write_contents, write_textured
+from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
-from beltrami_cli.jobs.output import Output
-from beltrami_cli.jobs.recolour import FileReport, naming_of
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.selection import choose_format
 from beltrami_cli.samples.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
@@ -48,30 +46,26 @@ def bake_file(
     job: Job = PLAIN_JOB,
 ) -> BakeReport:
     """Write a new file whose colours are in a texture, or in the vertices."""
-    source, target = os.fspath(source), os.fspath(target)
-    access = job.access
-    output = Output(target, overwrite=job.overwrite)
-    document = open_document(source, access)
-    kind = choose_format(document, target, job.format).name
-    image_suffix = ".png" if to == "texture" else None
-    naming = naming_of(document, source, target, output, access)
-    stem = naming.free_stem(lambda stem: sidecar_names(kind, stem, image_suffix))
-    output.check_sidecars(sidecar_names(kind, stem, image_suffix))
-    if to == "texture":
-        made = texture_from_vertices(document, settings, job.progress)
-        counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
-        texture = made.in_words
-        written, notices = write_textured(made.mesh(made.encoded()), kind, stem), made.notices
-    else:
-        require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, access)
-        contents, notices = _colours_from_textures(document)
-        counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
-        written, texture = write_contents(contents, kind, stem), ""
-    output.write(written)
-    return BakeReport(
-        input=source, output=target, format=kind, written=[target, *written.sidecars],
-        warnings=[*document.notices, *notices, *written.notices], counts=counts, texture=texture,
-    )  # fmt: skip
+    file = begin(os.fspath(source), os.fspath(target), DEFAULTS, job, models_only=True)
+    document, kind = file.document, file.format.name
+    with file.watch.stage("read"):
+        stem = file.reserve_new(".png" if to == "texture" else None)
+    notices: tuple[str, ...]
+    with file.watch.stage("bake"):
+        if to == "texture":
+            made = texture_from_vertices(document, settings, job.progress)
+            counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
+            written, notices, texture = (
+                write_textured(made.mesh(made.encoded()), kind, stem),
+                made.notices,
+                made.in_words,
+            )
+        else:
+            require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, file.job.access)
+            contents, notices = _colours_from_textures(document)
+            counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
+            written, texture = write_contents(contents, kind, stem), ""
+    return BakeReport(**vars(file.write(written, notices)), counts=counts, texture=texture)
 
 
 def _colours_from_textures(document: Document) -> tuple[MeshContents, tuple[str, ...]]:

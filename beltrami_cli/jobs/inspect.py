@@ -9,7 +9,7 @@ from typing import cast
 
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.jobs.recolour import open_input
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.samples.levelled_charts import describe_level, photograph_attribute, photographs_of
 from beltrami_cli.samples.memory_check import checked_memory, memory_beside, too_many_together
 from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples

@@ -1,36 +1,32 @@
-"""Give a document new colours: open, select, take samples, paint, give back, convert, write.
+"""Give a document new colours: select, take samples, paint, give back, convert.
 
 A painter gives samples new colours: by the kernel, by adding noise, and the like. Nobody here asks which samples they
-are. OUTPUT has the format that it asks for, and beside it are the files that belong there.
+are. The files of the result have the format that the output asks for.
 """
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.errors import BeltramiError, UsageError
-from beltrami_cli.fields import given_options
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats import registry
-from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
-from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
-from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.repainted_document import with_new_colours
-from beltrami_cli.jobs.shared_files import shared_files
 from beltrami_cli.samples.memory_check import checked_memory
 from beltrami_cli.samples.samples import Repainted, Samples
-from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, choose_format, samples_of, select
+from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, samples_of, select
 from beltrami_cli.samples.settings import SmoothSettings
 from beltrami_cli.samples.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals
@@ -81,67 +77,35 @@ class Painter(ABC, Generic[AnyPainted]):
         """Give samples new colours."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileReport:
-    """What is said of every file that was written; `SmoothReport` describes it."""
-
-    input: str
-    output: str
-    format: str
-    parameters: dict[str, object] = field(default_factory=dict)
-    stages: dict[str, dict[str, float]] = field(default_factory=dict)
-    peak_memory: int | None = field(default_factory=peak_memory)
-    written: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-
-
 def recolour(
     source: str, target: str, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
 ) -> tuple[FileReport, list[AnyPainted]]:
     """Paint what the settings select of a file, and write it with nothing else changed."""
-    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
+    file = begin(source, target, settings, job)
+    document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
-        document = open_input(source, settings, access)
-        kind = choose_format(document, target, job.format)
         selection = select(document, settings)
         if not painter.changes and (kind.is_own or kind.suffix is None):
             selection = NOTHING
         painter = painter.prepared(document, selection, kind)
-        if job.check is not None:
-            job.check(document)
-        others: dict[str, None] = {}
-        naming = naming_of(document, source, target, output, access, others)
-        if output is not None:
-            output.check_sidecars(_names(naming, document, selection, settings, kind))
-    beside = []
-    if others:
-        state = "is of something else, and stays" if len(others) == 1 else "are of something else, and stay"
-        beside = [f"{', '.join(others)} beside OUTPUT {state}; what is new has a number in its name."]
-    place = None if output is None else target
-    use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
-    with checked_memory(
-        document, selection.slots, settings.textures, access, place, image=selection.image, **use
-    ):
+        naming = file.reserve(lambda naming: _names(naming, document, selection, settings, kind))
+    place = None if file.output is None else target
+    with _checked_memory(document, selection, settings, painter, file.job.access, place):
         with watch.stage("smooth"):
-            painted = _paint(document, selection, settings, painter, replace(job, access=access), kind.suffix)
+            painted = paint(
+                document,
+                selection,
+                settings,
+                painter,
+                file.job,
+                kind.suffix,
+                in_groups=painter.works_in_groups,
+            )
         with watch.stage("write"):
             new = [each.repainted for each in painted]
             written = _files(document, new, kind, naming, in_place=not is_moved(source, target))
-            folder = Path(source).parent
-            copied = {new: read_source(str(folder / old), access) for new, old in written.copies.items()}
-            written = replace(written, sidecars={**written.sidecars, **copied})
-            if output is not None:
-                if output.folder is not None and output.overwrite:
-                    beside += shared_files(output.folder, output.path, written.sidecars)
-                output.write(written)
-    names = [] if output is None else [target, *written.sidecars]
-    notices = [*document.notices, *selection.notices, *(notice for each in new for notice in each.notices)]
-    # Several slots say the same of one surface.
-    warnings = list(dict.fromkeys([*notices, *beside, *written.notices]))
-    warnings += [warning for each in painted for warning in each.warnings]
-    report = FileReport(
-        input=source, output=target, format=kind.name, stages=watch.stages, written=names, warnings=warnings
-    )
+        notices = [*selection.notices, *(notice for each in new for notice in each.notices)]
+        report = file.write(written, notices, [warning for each in painted for warning in each.warnings])
     return report, painted
 
 
@@ -151,24 +115,44 @@ def recolour_in_memory(
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
     painter = painter.prepared(document, selection, OutputFormat(document.format, is_own=True))
-    use = {"on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
-    with checked_memory(
-        document, selection.slots, settings.textures, job.access, None, image=selection.image, **use
-    ):
-        painted = _paint(document, selection, settings, painter, job, None)
+    with _checked_memory(document, selection, settings, painter, job.access):
+        painted = paint(document, selection, settings, painter, job, in_groups=painter.works_in_groups)
     return with_new_colours(document, [each.repainted for each in painted]), painted
 
 
-def _paint(
+def _checked_memory(
+    document: Document,
+    selection: Selection,
+    settings: SmoothSettings,
+    painter: Painter[AnyPainted],
+    access: Access,
+    target: str | None = None,
+) -> AbstractContextManager[None]:
+    return checked_memory(
+        document,
+        selection.slots,
+        settings.textures,
+        access,
+        target,
+        image=selection.image,
+        on_disk=painter.works_on_disk,
+        in_groups=painter.works_in_groups,
+    )
+
+
+def paint(
     document: Document,
     selection: Selection,
     settings: SmoothSettings,
     painter: Painter[AnyPainted],
     job: Job,
-    suffix: str | None,
+    suffix: str | None = None,
+    *,
+    in_groups: bool,
 ) -> list[AnyPainted]:
+    """Paint what is selected, layer by layer; `suffix`: of another image format that is written."""
     painted = []
-    options = {"colours_only": painter.colours_only, "in_groups": painter.works_in_groups}
+    options = {"colours_only": painter.colours_only, "in_groups": in_groups}
     for samples in samples_of(document, selection, settings, job.access, suffix, **options):
         samples.require_writable()
         painted.append(painter.paint(samples, job))
@@ -197,24 +181,6 @@ def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
     if slot not in document.slots():
         return True
     return all(image.data != each.data for each in document.textured(slot).textures if each.key == key)
-
-
-def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
-    return document_from(read_source(source, access), source, settings, access)
-
-
-def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Open a source whose bytes have been read already; see `open_input`."""
-    name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
-    line = registry.recognised(data, name)
-    if line is not None and line.kind == "volume":
-        from beltrami_cli.samples.voxels import LevelSetDocument
-
-        return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
-    if wrong := given_options(settings.level_set):
-        raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
-    return registry.open_as(line, data, name, folder, access)
 
 
 def make_files(
@@ -278,32 +244,6 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     return MovedVertices(positions, normals)
 
 
-def naming_of(
-    document: Document, source: str, target: str, output: Output | None, access: Access,
-    others: dict[str, None] | None = None,
-) -> Naming:  # fmt: skip
-    """Return how the files beside an output are named; files of something else that are in the way go to `others`."""
-    folder = None if output is None else output.folder
-    keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
-    if output is not None and keeps:
-        output.replaceable = frozenset(document.references())
-
-    def is_taken(name: str) -> bool:
-        if output is None or folder is None or not os.path.lexists(folder / name):
-            return False
-        if not output.replaceable:
-            with suppress(BeltramiError):  # there may be no output yet, or none that names files
-                there = registry.open_document(target, replace(access, note=None))
-                output.replaceable = frozenset(there.references())
-        if name in output.replaceable:
-            return False
-        if others is not None:
-            others[name] = None
-        return True
-
-    return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
-
-
 def _names(
     naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
 ) -> list[str]:
@@ -325,10 +265,3 @@ def _names(
         return registry.textured_sidecars(mesh, kind.name, stem)
     written = make_files(document, None, images, kind, naming)
     return [*written.sidecars, *written.copies]
-
-
-def is_moved(source: str, target: str) -> bool:
-    """Whether the output is in another folder than the source."""
-    if "-" in (source, target):
-        return source != "-"
-    return Path(source).resolve().parent != Path(os.path.realpath(target)).parent

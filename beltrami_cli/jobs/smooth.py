@@ -10,16 +10,16 @@ import numpy as np
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.formats.registry import sidecar_names, write_textured
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Stopwatch
-from beltrami_cli.jobs.recolour import FileReport, naming_of, open_input, recolour
+from beltrami_cli.formats.registry import write_textured
+from beltrami_cli.jobs.file_job import FileJob, begin
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.recolour import paint, recolour
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_report, smooth_samples
 from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.selection import Selection, choose_format, require_scale, vertex_samples
+from beltrami_cli.samples.selection import Selection, require_scale
 from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.samples.texel_samples import TexelSamples
 from beltrami_cli.samples.vertex_samples import require_surface
@@ -27,9 +27,6 @@ from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.new_texture import NewTexture
-
-    # A new texture, its smoothed image, what users should know, and what was smoothed.
-    _InTexture = tuple[NewTexture, ImageFile, list[str], list[Smoothed]]
 
 
 def smooth_file(
@@ -87,41 +84,22 @@ def _smooth_unwrapped(
 ) -> SmoothReport:
     """Smooth the base colour, or else the vertex colours, in a new texture, and write a new file with that."""
     _check(settings)
-    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
-    with watch.stage("read"):
-        document = open_input(source, settings, access)
-        shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
-        textured = settings.on == "texture" or (settings.on != "vertices" and bool(shown))
-        if not textured:
-            document.painted()  # raises if there are no colours at all
-        if job.check is not None:
-            job.check(document)
-        kind = choose_format(document, target, job.format).name
-        image_suffix = settings.textures.image_suffix or ".png"
-        naming = naming_of(document, source, target, output, access)
-        stem = naming.free_stem(lambda stem: sidecar_names(kind, stem, image_suffix))
-        if output is not None:
-            output.check_sidecars(sidecar_names(kind, stem, image_suffix))
+    file = begin(source, target, settings, job, models_only=True)
+    with file.watch.stage("read"):
+        selection = _selected(file.document, settings)
+        stem = file.reserve_new(settings.textures.image_suffix or ".png")
     if settings.kernel.iterations:
-        require_scale(document, Selection(not textured, ("baseColor",) if textured else ()))
-    if textured:
-        if settings.embedding.guides:
-            raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
-        require_memory_for_textures(document, ("baseColor",), settings.textures, access)
-        made, image, notices, done = _smooth_in_texture(document, settings, wanted, watch, job)
-    else:
-        made, image, notices, done = _smooth_on_vertices(document, settings, wanted, watch, job, access)
-    with watch.stage("write"):
-        written = write_textured(made.mesh(image), kind, stem)
-        if output is not None:
-            output.write(written)
-    names = [] if output is None else [target, *written.sidecars]
-    late = [warning for each in done for warning in each.warnings]
-    warnings = [*document.notices, *notices, *written.notices, *late]
-    report = FileReport(
-        input=source, output=target, format=kind, stages=watch.stages, written=names, warnings=warnings
-    )
-    return dataclasses.replace(smooth_report(report, done, settings), new_texture=made.in_words)
+        require_scale(file.document, selection)
+    _require_possible(file, selection, settings)
+    made, image, smoothed = _new_texture(file, selection, settings, wanted)
+    notices = [*made.notices]
+    if selection.slots and file.document.has_vertex_colours():
+        notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
+    notices += [notice for each in smoothed for notice in each.repainted.notices]
+    with file.watch.stage("write"):
+        written = write_textured(made.mesh(image), file.format.name, stem)
+    report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
+    return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=made.in_words)
 
 
 def _check(settings: SmoothSettings) -> None:
@@ -139,58 +117,60 @@ def _check(settings: SmoothSettings) -> None:
         raise UsageError(f"--unwrap {cause}")
 
 
-def _smooth_in_texture(
-    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job
-) -> _InTexture:
-    """Smooth the textures, then make the new one; in the opposite order where textures are too small."""
-    from beltrami_cli.jobs.new_texture import texture_from_textures
+def _selected(document: Document, settings: SmoothSettings) -> Selection:
+    """Choose the base colour or the vertex colours; InputError if there are no colours at all."""
+    shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
+    if settings.on == "texture" or (settings.on != "vertices" and shown):
+        return Selection(slots=("baseColor",))
+    document.painted()  # raises if there are none
+    return Selection(vertices=True)
 
-    # A new texture shows the old ones between texels, which spreads noise over several and makes it look like a
-    # pattern.
-    iterations, first = settings.kernel.iterations, None
-    old_surface = document.textured("baseColor")
-    if iterations and _are_large_enough(old_surface):
-        with watch.stage("smooth"):
-            # They are written for the way only, so in a format that loses nothing.
-            textures = dataclasses.replace(settings.textures, image_suffix=".tif", small=False)
-            in_passing = dataclasses.replace(settings, textures=textures)
-            samples = TexelSamples(old_surface, "baseColor", in_passing)
-            samples.require_writable()
-            first = smooth_samples(samples, job)
-    old = {} if first is None else {key: image for (_, key), image in first.repainted.images.items()}
-    with watch.stage("unwrap"):
-        made = texture_from_textures(document, wanted, job.progress, old)
-    notices = list(made.notices)
-    if document.has_vertex_colours():
-        notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
-    if first is not None or not iterations:
-        done = [] if first is None else [first]
-        notices += [notice for each in done for notice in each.repainted.notices]
-        return made, _encoded(made, settings), notices, done
-    with watch.stage("smooth"):
+
+def _require_possible(file: FileJob, selection: Selection, settings: SmoothSettings) -> None:
+    if selection.vertices:
+        require_surface(file.document.painted(), file.document.name)
+        return
+    if settings.embedding.guides:
+        raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
+    require_memory_for_textures(file.document, selection.slots, settings.textures, file.job.access)
+
+
+def _new_texture(
+    file: FileJob, selection: Selection, settings: SmoothSettings, wanted: BakeSettings
+) -> tuple[NewTexture, ImageFile, list[Smoothed]]:
+    """Smooth the colours, then make the texture of them; in the opposite order where textures are too small."""
+    from beltrami_cli.jobs.new_texture import texture_from_textures, texture_from_vertices
+
+    # Between texels and vertices the new texture shows mixtures of the old colours. Their noise is spread over several
+    # texels, where it looks like a pattern and stays.
+    document, job, textures = file.document, file.job, settings.textures
+    smooths, smoothed = bool(settings.kernel.iterations), list[Smoothed]()
+    if smooths and (selection.vertices or _are_large_enough(document.textured("baseColor"))):
+        # The images are only read by what follows, so they are written in a format that loses nothing.
+        exact = dataclasses.replace(
+            settings, textures=dataclasses.replace(textures, image_suffix=".tif", small=False)
+        )
+        with file.watch.stage("smooth"):
+            smoothed = paint(document, selection, exact, Smoothing(exact), job, in_groups=False)
+    with file.watch.stage("unwrap"):
+        if selection.vertices:
+            colours = smoothed[0].repainted.colours if smoothed else None
+            made = texture_from_vertices(document, wanted, job.progress, colours)
+        else:
+            images = {key: image for each in smoothed for (_, key), image in each.repainted.images.items()}
+            made = texture_from_textures(document, wanted, job.progress, images)
+    if smoothed or not smooths:
+        return (
+            made,
+            made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small),
+            smoothed,
+        )
+    with file.watch.stage("smooth"):
         samples = TexelSamples(made.surface(), "baseColor", settings)
         samples.require_writable()
-        smoothed = smooth_samples(samples, job, "the new texture")
-    (image,) = smoothed.repainted.images.values()
-    return made, image, [*notices, *smoothed.repainted.notices], [smoothed]
-
-
-def _smooth_on_vertices(
-    document: Document, settings: SmoothSettings, wanted: BakeSettings, watch: Stopwatch, job: Job, access: Access
-) -> _InTexture:  # fmt: skip
-    """Smooth the vertex colours, then make the texture."""
-    from beltrami_cli.jobs.new_texture import texture_from_vertices
-
-    # In a texture their noise would be spread over several texels each, where it looks like a pattern and stays.
-    smoothed: list[Smoothed] = []
-    require_surface(document.painted(), document.name)
-    if settings.kernel.iterations > 0:
-        with watch.stage("smooth"):
-            smoothed = [smooth_samples(vertex_samples(document, settings, access), job)]
-    with watch.stage("unwrap"):
-        colours = smoothed[0].repainted.colours if smoothed else None
-        made = texture_from_vertices(document, wanted, job.progress, colours)
-    return made, _encoded(made, settings), list(made.notices), smoothed
+        again = smooth_samples(samples, job, "the new texture")
+    (image,) = again.repainted.images.values()
+    return made, image, [again]
 
 
 def _are_large_enough(surface: TexturedSurface) -> bool:
@@ -200,8 +180,3 @@ def _are_large_enough(surface: TexturedSurface) -> bool:
     sizes = [measure_image(texture.data) for texture in surface.textures]
     sides = np.array([(0, 0) if size is None else (size.width, size.height) for size in sizes], np.int64)
     return texels_of(surface, sides.reshape(-1, 2)) >= int(np.count_nonzero(surface.texture_of >= 0))
-
-
-def _encoded(made: NewTexture, settings: SmoothSettings) -> ImageFile:
-    textures = settings.textures
-    return made.encoded(textures.image_suffix, textures.jpeg_quality, small=textures.small)

@@ -13,8 +13,9 @@ from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.formats.document import Document
+from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.recolour import FileReport, Painter
+from beltrami_cli.jobs.recolour import Painter
 from beltrami_cli.samples.levelled_charts import photographs_of
 from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
 from beltrami_cli.samples.samples import Change, Part, Repainted, Samples

@@ -26,8 +26,9 @@ from beltrami_cli.fields import override
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.jobs.file_job import FileReport, open_input
 from beltrami_cli.jobs.job import Job, at_intervals
-from beltrami_cli.jobs.recolour import FileReport, open_input, recolour_in_memory
+from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, smooth_report
 from beltrami_cli.samples.selection import select

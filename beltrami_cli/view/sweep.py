@@ -21,9 +21,10 @@ from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
+from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
+from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.samples.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops

@@ -8,9 +8,12 @@ import pytest
 
 import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.fields import override
 from beltrami_cli.flow.noise.by_place import relative_to_mean
 from beltrami_cli.flow.noise.given import GivenNoise, file_of_noise, given_noise
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.samples.guides import deviation_in_frame
+from hostile.textured_models import ONCE, PICTURE, write_model
 from oracles.paintings import photograph, psnr
 from oracles.surfaces import icosphere
 
@@ -99,6 +102,16 @@ def test_images_of_deviations_have_the_full_scale_one(name, stored, tmp_path):
     sigma = write(tmp_path / name, np.full((SIZE, SIZE, 1), 12 / 255), stored)
     report = beltrami_cli.smooth_file(source, tmp_path / "out.png", noise=str(sigma))
     assert report.image.noise["grey"] == pytest.approx(12 / 255, rel=1e-3)
+
+
+@pytest.mark.parametrize("unwrap", [None, BakeSettings(size=32)])
+def test_an_image_of_deviations_is_that_of_a_texture_also_if_it_is_unwrapped(unwrap, tmp_path):
+    source = write_model(tmp_path, "obj", "skin.png")
+    (tmp_path / "skin.png").write_bytes(PICTURE)
+    sigma = write(tmp_path / "sigma.png", np.full((20, 20, 1), 12 / 255))
+    settings = override(ONCE, noise=str(sigma))
+    report = beltrami_cli.smooth_file(source, tmp_path / "out.obj", settings, unwrap=unwrap)
+    assert list(report.textures[0].noise.values()) == pytest.approx([12 / 255] * 3, rel=1e-3)
 
 
 def test_a_frame_shows_the_deviation_at_each_place(tmp_path):

@@ -26,9 +26,9 @@ from beltrami_cli.formats.registry import recognised
 from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
+from beltrami_cli.jobs.file_job import document_from
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
-from beltrami_cli.jobs.recolour import document_from
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.samples.memory_check import require_memory_for_textures
 from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings, SmoothSettings

@@ -1,0 +1,157 @@
+"""A job on one file: open it, choose the format and the names of the output, write that, and report it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from beltrami_cli.errors import BeltramiError, UsageError
+from beltrami_cli.fields import given_options
+from beltrami_cli.formats import registry
+from beltrami_cli.formats.access import Access, read_source
+from beltrami_cli.formats.document import Document, Naming, Written
+from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
+from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.shared_files import shared_files
+from beltrami_cli.samples.selection import OutputFormat, choose_format
+from beltrami_cli.samples.settings import SmoothSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileReport:
+    """What is said of every file that was written; `SmoothReport` describes it."""
+
+    input: str
+    output: str
+    format: str
+    parameters: dict[str, object] = field(default_factory=dict)
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    peak_memory: int | None = field(default_factory=peak_memory)
+    written: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class FileJob:
+    """A job on one file: the opened source, and where the output goes in which format."""
+
+    source: str
+    target: str
+    job: Job  # whose access notes what is read, so that nothing but OUTPUT replaces it
+    document: Document
+    format: OutputFormat
+    output: Output | None  # None on a dry run
+    watch: Stopwatch
+    occupied: dict[str, None] = field(default_factory=dict)  # names beside OUTPUT that other models have
+
+    def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
+        """Return how the files beside the output are named; OutputError if one of these may not be written."""
+        if self.job.check is not None:
+            self.job.check(self.document)
+        naming = _naming_of(self)
+        if self.output is not None:
+            self.output.check_sidecars(sidecars(naming))
+        return naming
+
+    def reserve_new(self, image_suffix: str | None) -> str:
+        """Return a stem for the files beside a new mesh with one texture, or none, that no other model has."""
+
+        def names(stem: str) -> list[str]:
+            return registry.sidecar_names(self.format.name, stem, image_suffix)
+
+        return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
+
+    def write(self, files: Written, notices: Iterable[str], warnings: Iterable[str] = ()) -> FileReport:
+        """Write the files, unless it is a dry run; `notices` are about the file, `warnings` about what was computed."""
+        with self.watch.stage("write"):
+            folder, access = Path(self.source).parent, self.job.access
+            copied = {new: read_source(str(folder / old), access) for new, old in files.copies.items()}
+            files = replace(files, sidecars={**files.sidecars, **copied})
+            beside, names = self._notices_beside(files.sidecars), list[str]()
+            if self.output is not None:
+                self.output.write(files)
+                names = [self.target, *files.sidecars]
+        # Several slots say the same of one surface.
+        notices = dict.fromkeys([*self.document.notices, *notices, *beside, *files.notices])
+        return FileReport(
+            input=self.source,
+            output=self.target,
+            format=self.format.name,
+            stages=self.watch.stages,
+            written=names,
+            warnings=[*notices, *warnings],
+        )
+
+    def _notices_beside(self, sidecars: Iterable[str]) -> list[str]:
+        notices = []
+        if self.occupied:
+            names = ", ".join(self.occupied)
+            notices.append(
+                f"another model beside OUTPUT has {names}; the new files have a number in their names."
+            )
+        if self.output is not None and self.output.folder is not None and self.output.overwrite:
+            notices += shared_files(self.output.folder, self.output.path, sidecars)
+        return notices
+
+
+def begin(
+    source: str, target: str, settings: SmoothSettings, job: Job, *, models_only: bool = False
+) -> FileJob:
+    """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
+    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
+    with watch.stage("read"):
+        document = open_input(source, settings, access)
+        if models_only and document.kind == "image":
+            document.painted()  # raises the error that it is no model
+        kind = choose_format(document, target, job.format)
+    return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
+
+
+def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
+    return document_from(read_source(source, access), source, settings, access)
+
+
+def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Open a source whose bytes have been read already; see `open_input`."""
+    name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
+    line = registry.recognised(data, name)
+    if line is not None and line.kind == "volume":
+        from beltrami_cli.samples.voxels import LevelSetDocument
+
+        return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
+    if wrong := given_options(settings.level_set):
+        raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
+    return registry.open_as(line, data, name, folder, access)
+
+
+def _naming_of(file: FileJob) -> Naming:
+    source, target, output = file.source, file.target, file.output
+    folder = None if output is None else output.folder
+    keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
+    if output is not None and keeps:
+        output.replaceable = frozenset(file.document.references())
+
+    def is_taken(name: str) -> bool:
+        if output is None or folder is None or not os.path.lexists(folder / name):
+            return False
+        if not output.replaceable:
+            with suppress(BeltramiError):  # there may be no output yet, or none that names files
+                there = registry.open_document(target, replace(file.job.access, note=None))
+                output.replaceable = frozenset(there.references())
+        if name in output.replaceable:
+            return False
+        file.occupied[name] = None
+        return True
+
+    return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
+
+
+def is_moved(source: str, target: str) -> bool:
+    """Whether the output is in another folder than the source."""
+    if "-" in (source, target):
+        return source != "-"
+    return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
