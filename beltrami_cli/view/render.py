@@ -21,7 +21,7 @@ from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import is_image, new_picture
-from beltrami_cli.formats.image.reading import scratch_file
+from beltrami_cli.formats.image.reading import error_of, scratch_file
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
 from beltrami_cli.samples.settings import SmoothSettings
@@ -156,7 +156,7 @@ def _gif(frames: Frames, rate: int) -> bytes:
     with scratch_file(suffix=".gif") as path:
         file = OpenImageIO.ImageOutput.create(str(path))
         if file is None or not file.open(str(path), (spec,) * len(frames)):
-            raise ProcessingError(f"the GIF file cannot be written ({OpenImageIO.geterror()})")
+            raise ProcessingError(f"the GIF file cannot be written ({error_of(OpenImageIO)})")
         for number, frame in enumerate(frames):
             if number:
                 file.open(str(path), spec, "AppendSubimage")

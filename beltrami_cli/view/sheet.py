@@ -11,6 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
+from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.surface.colour_values import as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.camera import Window, pixels_of
 
@@ -155,7 +156,7 @@ def _lettering(text: str, size: tuple[int, int], height: int) -> Float32s:
     x = (size[0] - box.width) // 2 - box.xbegin
     y = round(size[1] / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
     if not OpenImageIO.ImageBufAlgo.render_text(strip, x, y, words, height, _FONT, (1.0,)):
-        raise ProcessingError(f"labels cannot be drawn ({strip.geterror()}); use --no-labels")
+        raise ProcessingError(f"labels cannot be drawn ({error_of(strip)}); use --no-labels")
     return np.clip(np.asarray(strip.get_pixels(OpenImageIO.FLOAT), np.float32)[..., 0], 0, 1)
 
 

@@ -75,7 +75,7 @@ def _measured(data: bytes, name: str) -> ImageSize | None:
 
     with opened(data, name=name) as (file, _):
         if file is None:
-            OpenImageIO.geterror()
+            error_of(OpenImageIO)
             return None
         _seek_colours(file)
         spec = file.spec()
@@ -133,12 +133,12 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
     config.attribute("oiio:UnassociatedAlpha", 1)
     with opened(data, config, name) as (file, path):
         if file is None:
-            raise _damaged(name, known, OpenImageIO.geterror(), path)
+            raise _damaged(name, known, error_of(OpenImageIO), path)
         parts, part = _seek_colours(file)
         spec = file.spec().copy()
         _check(spec, file.format_name(), known, name)
         pixels = file.read_image(part or 0, 0, 0, spec.nchannels, spec.format)
-        error = file.geterror()
+        error = error_of(file)
         if pixels is None or error:
             raise _damaged(name, known, error, path)
         notices = _changes(file, part or 0, data, known, name)
@@ -207,6 +207,14 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
         raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
 
 
+def error_of(source: Any) -> str:
+    """Return, and clear, the error of OpenImageIO or of one of its objects."""
+    try:
+        return str(source.geterror())
+    except UnicodeDecodeError as error:  # The message quotes bytes of the file.
+        return error.object.decode(errors="replace")
+
+
 def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
     lines = [line.strip() for line in error.replace(str(path), "it").splitlines() if line.strip()]
     shown = lines[0][:150] if lines else "no reason given"
@@ -264,8 +272,8 @@ def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tu
             yield file, path
         finally:
             file.close()
-            file.geterror()
-            OpenImageIO.geterror()
+            error_of(file)
+            error_of(OpenImageIO)
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from beltrami_cli.formats.image.picture import (
     label_of,
     without_alpha,
 )
-from beltrami_cli.formats.image.reading import read_image, scratch_file
+from beltrami_cli.formats.image.reading import error_of, read_image, scratch_file
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import ImageFile
@@ -410,8 +410,8 @@ def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> b
     with scratch_file(suffix=FORMATS[known].suffixes[0] if known in _NEEDS_SUFFIX else "") as path:
         written = file.open(str(path), spec) and file.write_image(np.ascontiguousarray(pixels))
         closed = file.close()
-        error = file.geterror()  # TIFF reports a missing EXIF directory though all is written.
-        OpenImageIO.geterror()
+        error = error_of(file)  # TIFF reports a missing EXIF directory though all is written.
+        error_of(OpenImageIO)
         if not (written and closed):
             raise _unwritten(name, known, error.replace(str(path), "it"))
         return path.read_bytes()
