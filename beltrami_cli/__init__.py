@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
     from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
-    from beltrami_cli.samples.image_surface import ImageSurface as ImageSurface
-    from beltrami_cli.samples.settings import EmbeddingSettings as EmbeddingSettings
-    from beltrami_cli.samples.settings import ImageSettings as ImageSettings
-    from beltrami_cli.samples.settings import LevelSetSettings as LevelSetSettings
-    from beltrami_cli.samples.settings import LevelSettings as LevelSettings
-    from beltrami_cli.samples.settings import SmoothSettings as SmoothSettings
-    from beltrami_cli.samples.settings import TextureSettings as TextureSettings
+    from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface
+    from beltrami_cli.layers.settings import EmbeddingSettings as EmbeddingSettings
+    from beltrami_cli.layers.settings import ImageSettings as ImageSettings
+    from beltrami_cli.layers.settings import LevelSetSettings as LevelSetSettings
+    from beltrami_cli.layers.settings import LevelSettings as LevelSettings
+    from beltrami_cli.layers.settings import SmoothSettings as SmoothSettings
+    from beltrami_cli.layers.settings import TextureSettings as TextureSettings
 
 _NAMES_IN = {
     "errors": "BeltramiError InputError OutputError ProcessingError UsageError",

@@ -24,8 +24,8 @@ from beltrami_cli.batch.run import Batch
 from beltrami_cli.flow.beltrami_flow import choose_parameters, in_partitions, smooth
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import SampledSurface
 from cli.commands import SAMPLES
 from oracles import surfaces

@@ -21,7 +21,7 @@ import beltrami_cli
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.layers.texture_layer import TextureLayer
 
 TEXELS = 1024
 STEP = 2.4
@@ -89,7 +89,7 @@ def stage_seconds(source, guided):
     for texture in surface.textures:
         read_image(texture.data, texture.name)
     marks.append(time.process_time())
-    plan = TexelSamples(surface, "baseColor", settings).plan()
+    plan = TextureLayer(surface, "baseColor", settings).plan()
     marks.append(time.process_time())
     smooth(plan)
     decoding, setup, iteration = np.diff([*marks, time.process_time()])

@@ -22,7 +22,7 @@ from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.file_job import FileReport
-    from beltrami_cli.samples.settings import SmoothSettings
+    from beltrami_cli.layers.settings import SmoothSettings
 
 Status = Literal["started", "done", "skipped", "failed", "not started"]
 

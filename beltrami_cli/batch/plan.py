@@ -21,7 +21,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import is_file, is_there
 from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.samples.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
+from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 # What a folder stands for: models and points. Its images may be their textures, and its texts and tables anything: both
 # are named by themselves.

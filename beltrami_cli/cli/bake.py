@@ -10,7 +10,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.samples.settings import BakeTo
+from beltrami_cli.layers.settings import BakeTo
 
 EPILOG = """\b
 Examples:

@@ -20,7 +20,7 @@ from beltrami_cli.fields import parameters
 from beltrami_cli.formats.access import Access, is_file
 from beltrami_cli.jobs.output import Overwrite
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Item, Outcome

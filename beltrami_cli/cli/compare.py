@@ -15,7 +15,7 @@ from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
 from beltrami_cli.cli.console import Messages, printable
 from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.settings import Limits
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.compare.figures import Verdict

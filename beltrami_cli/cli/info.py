@@ -22,7 +22,7 @@ from beltrami_cli.cli.console import (
 )
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.jobs.job import tracked
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 _NO_SAMPLES = "there are no samples"
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")

@@ -11,7 +11,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.cli.smooth import besides, show_levelled, written
-from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 
 EPILOG = """\b
 Examples:

@@ -9,7 +9,7 @@ import click
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, counted
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:

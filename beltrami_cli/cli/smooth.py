@@ -25,13 +25,13 @@ from beltrami_cli.cli.console import (
 )
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job, show_size
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.level import LevelFileReport
     from beltrami_cli.jobs.output import Output
     from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.samples.reports import LevelReport, SamplesReport
+    from beltrami_cli.layers.reports import LayerReport, LevelReport
     from beltrami_cli.view.render import Preview
 
 Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
@@ -252,7 +252,7 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
 
 
 def _show_done(
-    messages: Messages, what: str, done: SamplesReport, samples: float, *, is_empty: bool = False
+    messages: Messages, what: str, done: LayerReport, samples: float, *, is_empty: bool = False
 ) -> None:
     if is_empty:  # `what` or a warning says why.
         messages.say(f"{what}, so the colours are left as they are")

@@ -14,7 +14,7 @@ from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.render import render_settings_from, view
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 
 EPILOG = """\b

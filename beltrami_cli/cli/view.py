@@ -14,7 +14,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:

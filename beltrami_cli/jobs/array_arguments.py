@@ -12,8 +12,8 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.embedding import Guide, centred
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.image_surface import ImageSurface
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Encoding, PaintedVertices, check_scale
 
 _ARRAYS = "the arrays"  # as messages call them

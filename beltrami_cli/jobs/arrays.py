@@ -20,9 +20,9 @@ from beltrami_cli.jobs.array_arguments import (
     require_encoding,
     settings_for,
 )
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.samples.vertex_samples import CloudCounts, VertexSamples, count_cloud
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.vertex_layer import CloudCounts, VertexLayer, count_cloud
 from beltrami_cli.surface.records import Encoding
 
 Progress = Callable[[int, int], None]
@@ -190,7 +190,7 @@ def smooth(
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
     if faces is None and dimensions > 3:
         raise UsageError(f"positions in {dimensions} dimensions need faces")
-    samples = VertexSamples(painted, settings, guides, noise)
+    samples = VertexLayer(painted, settings, guides, noise)
     samples.is_cloud = faces is None
     plan = samples.plan()
     result = smooth_manifold(plan, progress)

@@ -16,8 +16,8 @@ from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.new_texture import as_rgba, texture_from_vertices
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.settings import DEFAULTS, BakeTo
+from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.lookup import look_up, noise_around

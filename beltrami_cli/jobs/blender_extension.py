@@ -13,7 +13,7 @@ from typing import Any
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 
 _FILES = {"addon.py": "__init__.py"}  # all others keep their names
 # Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.

@@ -15,7 +15,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.memory_check import require_memory
+from beltrami_cli.layers.memory_check import require_memory
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
 

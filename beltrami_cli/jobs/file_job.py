@@ -16,8 +16,8 @@ from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.shared_files import shared_files
-from beltrami_cli.samples.selection import OutputFormat, choose_format
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.selection import OutputFormat, choose_format
+from beltrami_cli.layers.settings import SmoothSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ def document_from(data: bytes, source: str, settings: SmoothSettings, access: Ac
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     line = registry.recognised(data, name)
     if line is not None and line.kind == "volume":
-        from beltrami_cli.samples.voxels import LevelSetDocument
+        from beltrami_cli.layers.voxels import LevelSetDocument
 
         return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
     if wrong := given_options(settings.level_set):

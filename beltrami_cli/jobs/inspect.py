@@ -10,13 +10,13 @@ from typing import cast
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.samples.levelled_charts import describe_level, photograph_attribute, photographs_of
-from beltrami_cli.samples.memory_check import checked_memory, memory_beside, too_many_together
-from beltrami_cli.samples.selection import require_scale, samples_of, select, vertex_samples
-from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import choose_textures, only_textures
-from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.tile_groups import TileGroups
+from beltrami_cli.layers.levelled_charts import describe_level, photograph_attribute, photographs_of
+from beltrami_cli.layers.memory_check import checked_memory, memory_beside, too_many_together
+from beltrami_cli.layers.selection import layers_of, require_scale, select, vertex_layer
+from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
+from beltrami_cli.layers.texel_colours import choose_textures, only_textures
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import Slot
@@ -74,7 +74,7 @@ def inspect_file(
             which = "those of some textures, as memory is small for all"
             notices.append(f"{slot}: noise and parameters are {which}.")
         chosen = dataclasses.replace(selection, slots=tuple(rest))
-        for samples in samples_of(document, chosen, settings, access, in_groups=in_groups):
+        for samples in layers_of(document, chosen, settings, access, in_groups=in_groups):
             if samples.part == "textures":
                 textures.append(samples.describe())
             else:
@@ -89,7 +89,7 @@ def inspect_file(
         for slot in rest:
             alike = [each for each in textures if each["slot"] == slot]
             if len(alike) > 1:  # exposures are those of all groups together
-                exposure = TexelSamples(document.textured(slot), slot, settings).exposure()
+                exposure = TextureLayer(document.textured(slot), slot, settings).exposure()
                 for each in alike:
                     each["exposure"] = exposure
     if textures:
@@ -104,12 +104,12 @@ def inspect_file(
 
 def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
     """Describe the textures of a slot one by one, and noise and parameters by some of them."""
-    facts = TexelSamples(groups.evenly_chosen(), slot, settings).describe()
+    facts = TextureLayer(groups.evenly_chosen(), slot, settings).describe()
     del facts["seams_between_textures"], facts["exposure"]
     plain = dataclasses.replace(settings, kernel=dataclasses.replace(settings.kernel, free=()))
     images, counts = list[object](), Counter[str]()
     for index in range(len(groups.surface.textures)):
-        samples = TexelSamples(only_textures(groups.surface, [index]), slot, plain)
+        samples = TextureLayer(only_textures(groups.surface, [index]), slot, plain)
         images += cast("list[object]", samples.describe()["images"])
         counts.update(samples.atlas.counts)
     return {**facts, "images": images, **counts}
@@ -122,7 +122,7 @@ def _describe_under_textures(
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
-        facts = vertex_samples(document, plain, access).describe()
+        facts = vertex_layer(document, plain, access).describe()
         return {key: facts[key] for key in facts if key != "smooth"}
     surface = document.textured(slot)
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)

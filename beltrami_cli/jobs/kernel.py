@@ -24,12 +24,12 @@ from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.painted_samples import PaintedSamples
-from beltrami_cli.samples.samples import Samples
-from beltrami_cli.samples.selection import require_scale, samples_of, select
-from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
-from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.layers.layer import Layer
+from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.painted_layer import PaintedLayer
+from beltrami_cli.layers.selection import layers_of, require_scale, select
+from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 
@@ -74,12 +74,12 @@ def kernel_file(
         remedy = "choose --on vertices, or --on texture and one of --slots"
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     require_memory_for_textures(document, selection.slots, settings.textures, access)
-    (samples,) = samples_of(document, selection, settings, access)
-    drawn_as = ".ply" if isinstance(samples, PaintedSamples) else ".png"
+    (samples,) = layers_of(document, selection, settings, access)
+    drawn_as = ".ply" if isinstance(samples, PaintedLayer) else ".png"
     if suffix != ".csv" and (suffix == ".ply") != (drawn_as == ".ply"):
         raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
     plan = samples.plan()
-    if isinstance(samples, PaintedSamples):
+    if isinstance(samples, PaintedLayer):
         sample_of = samples.sample_of(plan)
         name, index, columns = _vertex_at(at, samples.joined.positions, sample_of, document.name)
     else:
@@ -94,7 +94,7 @@ def kernel_file(
     nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
     if suffix == ".csv":
         written = _table(table)
-    elif isinstance(samples, PaintedSamples):
+    elif isinstance(samples, PaintedLayer):
         written = _mesh(samples, sample_of, kernel, nearness, _greys(manifold.values(), samples))
     else:
         written = _picture(manifold, index, kernel, nearness, samples, suffix)
@@ -130,12 +130,12 @@ def _vertex_at(
     return f"vertex {vertex}", int(sample_of[vertex]), columns
 
 
-def _texel_at(at: str, samples: Samples, document: Document) -> tuple[str, int, dict[str, Array]]:
+def _texel_at(at: str, samples: Layer, document: Document) -> tuple[str, int, dict[str, Array]]:
     """Find the sample nearest to texture coordinates, or to a pixel of an image."""
     glob, _, place = at.rpartition(":")
     cells, numbers, is_image = samples.cells(), np.array(_numbers(place)), samples.part == "image"
     assert cells is not None
-    names = [each.name for each in samples.surface.textures] if isinstance(samples, TexelSamples) else [""]
+    names = [each.name for each in samples.surface.textures] if isinstance(samples, TextureLayer) else [""]
     fitting = [index for index, name in enumerate(names) if fnmatch(name, glob or "*")]
     if len(fitting) != 1:
         which = "several textures" if fitting else "no texture"
@@ -181,7 +181,7 @@ def _table(columns: dict[str, Array]) -> Written:
     return Written([text.getvalue().encode()])
 
 
-def _greys(colours: Float32s, samples: Samples) -> Float32s:
+def _greys(colours: Float32s, samples: Layer) -> Float32s:
     """Return working colours, (S, N), as display values, (S, 3); of data, the first channel by its range."""
     if samples.names[0] in ("red", "grey"):
         shown = from_space(colours[:, : 3 if len(samples.names) > 2 else 1], "srgb", samples.settings.space)
@@ -192,7 +192,7 @@ def _greys(colours: Float32s, samples: Samples) -> Float32s:
 
 
 def _mesh(
-    samples: PaintedSamples, sample_of: Int64s, kernel: SampledKernel, nearness: Float32s, greys: Float32s
+    samples: PaintedLayer, sample_of: Int64s, kernel: SampledKernel, nearness: Float32s, greys: Float32s
 ) -> Written:
     """Colour the whole mesh by nearness, with distance (NaN beyond the kernel) and weight as properties."""
     values = np.full((len(greys), 2), np.nan, np.float32)
@@ -210,7 +210,7 @@ def _picture(
     index: int,
     kernel: SampledKernel,
     nearness: Float32s,
-    samples: Samples,
+    samples: Layer,
     suffix: str,
 ) -> Written:
     """Draw the canvas around a sample three times: its colours, the nearness, the weights."""

@@ -13,8 +13,8 @@ from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import recolour
 from beltrami_cli.jobs.smoothing import Levelling
-from beltrami_cli.samples.reports import LevelReport
-from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
+from beltrami_cli.layers.reports import LevelReport
+from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
 
 @dataclass(frozen=True, kw_only=True)

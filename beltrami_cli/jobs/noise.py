@@ -22,8 +22,8 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.noise_targets import NoiseTargets, coded_as_jpeg, positions_of, repainted, targets_of
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.samples import Repainted, Samples
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.layer import Layer, Repainted
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.colour_values import limits_of
@@ -75,7 +75,7 @@ class Noising(Painter[Noisy]):
     def changes(self) -> bool:
         return self.noise.sigma != 0
 
-    def paint(self, samples: Samples, job: Job) -> Noisy:
+    def paint(self, samples: Layer, job: Job) -> Noisy:
         del job
         targets = targets_of(samples)
         after = _noisy(samples, targets, self.noise)
@@ -120,7 +120,7 @@ def noise_file(
     return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=added)
 
 
-def _noisy(samples: Samples, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
+def _noisy(samples: Layer, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
     if not targets.colours.size or settings.sigma == 0:
         return targets.colours.copy()
     if settings.kind == "jpeg":

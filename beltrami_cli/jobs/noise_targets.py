@@ -22,11 +22,11 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
-from beltrami_cli.samples.painted_samples import PaintedSamples
-from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.samples import Change, Repainted, Samples, encoded
-from beltrami_cli.samples.settings import SLOTS
-from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.layer import Change, Layer, Repainted, encoded
+from beltrami_cli.layers.painted_layer import PaintedLayer
+from beltrami_cli.layers.settings import SLOTS
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.atlas import texels_by_texture
 from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import limits_of
@@ -50,18 +50,18 @@ class NoiseTargets:
         return limits_of(self.colours)
 
 
-def targets_of(samples: Samples) -> NoiseTargets:
+def targets_of(samples: Layer) -> NoiseTargets:
     """Return the coloured vertices, covered texels or pixels."""
     space = samples.settings.space
-    if isinstance(samples, PaintedSamples):
+    if isinstance(samples, PaintedLayer):
         painted, rows = samples.painted, samples.coloured()
         colours = to_space(painted.colours[rows][:, samples.channels.changing], painted.encoding, space)
         return NoiseTargets(colours, _places(painted, rows), space=space)
-    if isinstance(samples, PixelSamples):
+    if isinstance(samples, ImageLayer):
         pixels = np.flatnonzero(samples.valid)
         colours = samples.colours.working(samples.picture, pixels)
         return NoiseTargets(colours, np.arange(len(pixels)), space=space)
-    assert isinstance(samples, TexelSamples)
+    assert isinstance(samples, TextureLayer)
     # They are numbered by their place in the textures, and not on the canvas.
     atlas = samples.atlas
     number = np.empty(len(atlas.owned_texels), np.int64)
@@ -76,28 +76,28 @@ def targets_of(samples: Samples) -> NoiseTargets:
     )
 
 
-def positions_of(samples: Samples) -> tuple[Float64s, Float64s]:
+def positions_of(samples: Layer) -> tuple[Float64s, Float64s]:
     """Return the positions of the targets, (K, 3), and their distance from neighbours, (K,)."""
-    if isinstance(samples, PaintedSamples):
+    if isinstance(samples, PaintedLayer):
         painted, rows = samples.painted, samples.coloured()
         return painted.positions[rows], _spacing(painted, rows, _places(painted, rows))
-    if isinstance(samples, PixelSamples):
+    if isinstance(samples, ImageLayer):
         row, column = np.nonzero(samples.valid)
         return np.column_stack([column, row, np.zeros_like(row)]).astype(np.float64), np.ones(len(row))
-    assert isinstance(samples, TexelSamples)
+    assert isinstance(samples, TextureLayer)
     return places_of_texels(samples.surface, samples.cells())
 
 
-def coded_as_jpeg(samples: Samples, quality: int) -> Float32s:
+def coded_as_jpeg(samples: Layer, quality: int) -> Float32s:
     """Return the colours of the targets as they are after their pictures went through JPEG."""
-    if isinstance(samples, PaintedSamples):
+    if isinstance(samples, PaintedLayer):
         remedy = "put the colours into a texture first: `beltrami bake --to texture`"
         raise UsageError(f"{samples.label}: JPEG codes pictures; {remedy}")
     if samples.names not in (("red", "green", "blue"), ("grey",)):
         cause = f"{samples.label}: JPEG codes all channels together; leave out --channels and --alpha"
         raise UsageError(cause)
-    assert isinstance(samples, TexelSamples | PixelSamples)
-    if isinstance(samples, PixelSamples):
+    assert isinstance(samples, TextureLayer | ImageLayer)
+    if isinstance(samples, ImageLayer):
         pictures, offsets, places = (
             [samples.picture],
             np.array([0, samples.valid.size]),
@@ -121,23 +121,23 @@ def coded_as_jpeg(samples: Samples, quality: int) -> Float32s:
     return coded
 
 
-def repainted(samples: Samples, targets: NoiseTargets, after: Float32s) -> Repainted:
+def repainted(samples: Layer, targets: NoiseTargets, after: Float32s) -> Repainted:
     """Replace the colours of targets by others; colours beyond seams are shifted by the same amount."""
-    if isinstance(samples, PaintedSamples):
+    if isinstance(samples, PaintedLayer):
         painted, places = samples.painted, (samples.coloured()[:, None], samples.channels.changing)
         back = from_space(after, painted.encoding, targets.space)
         colours = painted.colours.copy()
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
         colours[places] = np.where(after != targets.colours, back, colours[places])
         return Repainted(Change.between(painted.colours, colours), colours)
-    if isinstance(samples, PixelSamples):
+    if isinstance(samples, ImageLayer):
         losses = noise_losses(samples.picture, samples.suffix, "an OUTPUT in .png keeps all")
         return samples.written(NewColours.of(after, np.flatnonzero(samples.valid)), encoded, losses)
-    assert isinstance(samples, TexelSamples)
+    assert isinstance(samples, TextureLayer)
     return _repainted_textures(samples, targets, after)
 
 
-def _repainted_textures(samples: TexelSamples, targets: NoiseTargets, after: Float32s) -> Repainted:
+def _repainted_textures(samples: TextureLayer, targets: NoiseTargets, after: Float32s) -> Repainted:
     atlas, added, wanted = samples.atlas, after - targets.colours, samples.settings.textures
     planes = on_canvas(atlas, added, threads=1)
     beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)

@@ -24,11 +24,11 @@ from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images,
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.repainted_document import with_new_colours
-from beltrami_cli.samples.memory_check import checked_memory
-from beltrami_cli.samples.samples import Repainted, Samples
-from beltrami_cli.samples.selection import NOTHING, OutputFormat, Selection, samples_of, select
-from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import choose_textures
+from beltrami_cli.layers.layer import Layer, Repainted
+from beltrami_cli.layers.memory_check import checked_memory
+from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, layers_of, select
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
@@ -73,7 +73,7 @@ class Painter(ABC, Generic[AnyPainted]):
         return self
 
     @abstractmethod
-    def paint(self, samples: Samples, job: Job) -> AnyPainted:
+    def paint(self, samples: Layer, job: Job) -> AnyPainted:
         """Give samples new colours."""
 
 
@@ -153,7 +153,7 @@ def paint(
     """Paint what is selected, layer by layer; `suffix`: of another image format that is written."""
     painted = []
     options = {"colours_only": painter.colours_only, "in_groups": in_groups}
-    for samples in samples_of(document, selection, settings, job.access, suffix, **options):
+    for samples in layers_of(document, selection, settings, job.access, suffix, **options):
         samples.require_writable()
         painted.append(painter.paint(samples, job))
         del samples

@@ -12,7 +12,7 @@ from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Changes, Document, Naming
 from beltrami_cli.formats.image_document import ImageDocument
-from beltrami_cli.samples.samples import Repainted
+from beltrami_cli.layers.layer import Repainted
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedSurface
 
 

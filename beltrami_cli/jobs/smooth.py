@@ -18,11 +18,11 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import paint, recolour
 from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_report, smooth_samples
-from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.selection import Selection, require_scale
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.vertex_samples import require_surface
+from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.selection import Selection, require_scale
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import require_surface
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _new_texture(
             smoothed,
         )
     with file.watch.stage("smooth"):
-        samples = TexelSamples(made.surface(), "baseColor", settings)
+        samples = TextureLayer(made.surface(), "baseColor", settings)
         samples.require_writable()
         again = smooth_samples(samples, job, "the new texture")
     (image,) = again.repainted.images.values()

@@ -16,11 +16,11 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import Painter
-from beltrami_cli.samples.levelled_charts import photographs_of
-from beltrami_cli.samples.reports import ImageReport, LevelReport, SamplesReport, SlotReport, VertexReport
-from beltrami_cli.samples.samples import Change, Part, Repainted, Samples
-from beltrami_cli.samples.selection import OutputFormat, Selection, require_geometry, require_scale
-from beltrami_cli.samples.settings import LevelSettings, SmoothSettings, describe_settings
+from beltrami_cli.layers.layer import Change, Layer, Part, Repainted
+from beltrami_cli.layers.levelled_charts import photographs_of
+from beltrami_cli.layers.reports import ImageReport, LayerReport, LevelReport, SlotReport, VertexReport
+from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings, describe_settings
 
 _USUAL_TICKS = 30  # while parameters are chosen
 
@@ -31,12 +31,12 @@ class Smoothed:
 
     part: Part
     repainted: Repainted
-    report: SamplesReport
+    report: LayerReport
     warnings: list[str]
     levelled: LevelReport | None = None  # what was done to exposure steps before
 
 
-def smooth_samples(samples: Samples, job: Job, label: str | None = None) -> Smoothed:
+def smooth_samples(samples: Layer, job: Job, label: str | None = None) -> Smoothed:
     """Run the flow on samples, and put the colours back; `label`: their name in progress, if not their own."""
     label = label or samples.label
     choosing, steps = job.progress_of(f"{label}: choosing parameters"), count()
@@ -85,10 +85,10 @@ class Levelling(Painter[Levelled]):
             return self
         return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
 
-    def level(self, samples: Samples) -> LevelReport:
+    def level(self, samples: Layer) -> LevelReport:
         return samples.level(self.wanted, self.photographs if samples.part == "vertices" else None)
 
-    def paint(self, samples: Samples, job: Job) -> Levelled:
+    def paint(self, samples: Layer, job: Job) -> Levelled:
         del job
         report = self.level(samples)
         repainted = samples.repaint(samples.levelled(), is_smoothed=False)
@@ -126,7 +126,7 @@ class Smoothing(Painter[Smoothed]):
             return self
         return dataclasses.replace(self, levelling=self.levelling.prepared(document, selection, target))
 
-    def paint(self, samples: Samples, job: Job) -> Smoothed:
+    def paint(self, samples: Layer, job: Job) -> Smoothed:
         levelled = None if self.levelling is None else self.levelling.level(samples)
         return dataclasses.replace(smooth_samples(samples, job), levelled=levelled)
 
@@ -155,7 +155,7 @@ def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
     return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
 
 
-def _one_report(groups: Sequence[Smoothed]) -> SamplesReport:
+def _one_report(groups: Sequence[Smoothed]) -> LayerReport:
     first = groups[0].report
     reports = [each.report for each in groups if isinstance(each.report, SlotReport)]
     if len(groups) == 1 or not isinstance(first, SlotReport):

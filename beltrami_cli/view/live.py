@@ -31,8 +31,8 @@ from beltrami_cli.jobs.job import Job, at_intervals
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, smooth_report
-from beltrami_cli.samples.selection import select
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.selection import select
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.layers import Layers, Shown
 from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset
 from beltrami_cli.view.parameters import (

@@ -11,7 +11,7 @@ from typing import Any
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, override, parameters
 from beltrami_cli.flow.parameters import TUNABLE
-from beltrami_cli.samples.settings import DEFAULTS, SmoothSettings, describe_settings
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, describe_settings
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view.pages import table
 

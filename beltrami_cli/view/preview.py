@@ -18,12 +18,12 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_texture
-from beltrami_cli.samples.guides import vertex_guides
-from beltrami_cli.samples.painted_samples import PaintedSamples, only_rows
-from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.settings import EmbeddingSettings, SmoothSettings
-from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.vertex_samples import RangeSamples, VertexSamples
+from beltrami_cli.layers.guides import vertex_guides
+from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.painted_layer import PaintedLayer, only_rows
+from beltrami_cli.layers.settings import EmbeddingSettings, SmoothSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import RangeLayer, VertexLayer
 from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 
@@ -84,7 +84,7 @@ class Previewer:
         self._document, self._slot, self._access = document, slot, access
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None
-        self._pixels: PixelSamples | None = None
+        self._pixels: ImageLayer | None = None
         self._guides: tuple[EmbeddingSettings, list[Guide]] | None = None
         self._order: tuple[bytes, Int64s] | None = None  # where somebody looked last, and what is near
         if document.kind == "image":
@@ -126,7 +126,7 @@ class Previewer:
     ) -> list[Patch]:
         kernel = settings.kernel
         if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
-            self._pixels = PixelSamples(self._document, settings, self._access)
+            self._pixels = ImageLayer(self._document, settings, self._access)
         rows, columns = self._pixels.valid.shape
         around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
@@ -148,7 +148,7 @@ class Previewer:
         middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
         part = grid[_window(grid.shape, middle, budget)]
         rows = part[part >= 0]
-        samples = RangeSamples(painted, np.ascontiguousarray(part), settings, self._vertex_guides(settings))
+        samples = RangeLayer(painted, np.ascontiguousarray(part), settings, self._vertex_guides(settings))
         return [_smoothed(samples, painted, rows, rows, progress)]
 
     def _of_vertices(
@@ -163,7 +163,7 @@ class Previewer:
         part = only_rows(painted, rows, faces.astype(np.int32))
         known = self._vertex_guides(settings)
         guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in known]
-        return [_smoothed(VertexSamples(part, settings, guides), part, rows, np.arange(len(rows)), progress)]
+        return [_smoothed(VertexLayer(part, settings, guides), part, rows, np.arange(len(rows)), progress)]
 
     def _vertex_guides(self, settings: SmoothSettings) -> list[Guide]:
         if self._guides is None or self._guides[0] != settings.embedding:
@@ -180,7 +180,7 @@ class Previewer:
         order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
         part = _used(surface, order)
         read = _part_of(self._document, self._own, part, self._faces[order])
-        samples = TexelSamples(part, self._slot, settings, (read, self._access))
+        samples = TextureLayer(part, self._slot, settings, (read, self._access))
         new = smooth(samples.plan(), progress).manifold.new_colours()
         offsets, patches = samples.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
@@ -206,7 +206,7 @@ class Previewer:
 
 
 def _smoothed(
-    samples: PaintedSamples, painted: PaintedVertices, rows: Int64s, own: Int64s, progress: Progress | None
+    samples: PaintedLayer, painted: PaintedVertices, rows: Int64s, own: Int64s, progress: Progress | None
 ) -> Patch:
     """Smooth samples of vertices; `rows`: these in the document, `own`: in `painted`."""
     result = smooth(samples.plan(), progress)

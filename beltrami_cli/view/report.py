@@ -21,7 +21,7 @@ from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_bo
 from beltrami_cli.jobs.compare.models import EVERYTHING
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages

@@ -16,7 +16,7 @@ from beltrami_cli.formats.image.picture import full_scale_one, is_associated
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Progress, tracked
-from beltrami_cli.samples.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
+from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 
 Array = NDArray[np.float64]
 

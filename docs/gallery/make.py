@@ -23,7 +23,7 @@ from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"

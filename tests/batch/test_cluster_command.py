@@ -26,7 +26,7 @@ from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES
 from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
 

@@ -20,7 +20,7 @@ from beltrami_cli.jobs.compare.figures import check_limits
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import Limits, NoiseSettings
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES, beltrami, refused
 from formats.image_files import encode
 from formats.volume_files import sphere_file

@@ -11,8 +11,8 @@ import pytest
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.samples.settings import DEFAULTS
-from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.layers.settings import DEFAULTS
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami, refused
 from oracles import surfaces
@@ -52,7 +52,7 @@ def textured(tmp_path_factory):
 def covered(folder, name):
     """Colours of the covered texels of an image in the folder."""
     surface = open_document(str(folder / "head-tex-noisy.obj")).textured("baseColor")
-    texels = TexelSamples(surface, "baseColor", DEFAULTS).atlas.owned_texels
+    texels = TextureLayer(surface, "baseColor", DEFAULTS).atlas.owned_texels
     return read_image((folder / name).read_bytes(), name).pixels[..., :3].reshape(-1, 3)[texels] / 255
 
 

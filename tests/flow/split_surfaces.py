@@ -10,7 +10,7 @@ from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.partitions import Joined, TooNarrowError, collect, joined, plan_transfers
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces

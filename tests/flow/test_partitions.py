@@ -16,7 +16,7 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,
     ON_GRIDS,

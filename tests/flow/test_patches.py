@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_w
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import NoiseSettings
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,
     InTurn,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from beltrami_cli.samples.samples import store
+from beltrami_cli.layers.layer import store
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,7 +17,7 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_files import only_input_errors, opened, picture
 from formats.gltf_images import EXTENSIONS, with_better_image
 from formats.image_files import encode

@@ -14,7 +14,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from formats.gltf_comparison import byte_differences, json_differences
 from formats.gltf_files import gltf_files, numbers, opened
 from formats.gltf_showcase import photo, showcase

@@ -16,7 +16,7 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_package
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import Model, Textured, gltf_files
 from formats.gltf_images import EXTENSIONS, with_better_image

@@ -16,7 +16,7 @@ from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE
 

@@ -16,7 +16,7 @@ from beltrami_cli.cli.config import load
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import Access
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.view.report import _parameters
 
 _SHARED_MEMORY = "/dev/shm"

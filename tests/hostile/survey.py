@@ -38,7 +38,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from fuzz.test_replay import mutated
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clippin
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
 MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than what is used
-PRELOADED = ("samples.texel_samples", "samples.vertex_samples")
+PRELOADED = ("samples.texture_layer", "samples.vertex_layer")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",

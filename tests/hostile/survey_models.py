@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_files import gltf_files
 from formats.tile_files import tiled_model
 from formats.usd_files import phone_scan

@@ -15,7 +15,7 @@ from beltrami_cli.batch.item import Attempt, Item, do_item, failed
 from beltrami_cli.batch.record import Record
 from beltrami_cli.batch.run import Batch, Executor
 from beltrami_cli.errors import InputError
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.layers.settings import DEFAULTS
 from cli.commands import SAMPLES
 from hostile.folders import snapshot
 from hostile.textured_models import PICTURE, write_model

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 from small_models import ply
 

@@ -12,7 +12,7 @@ from beltrami_cli.cli.compare import table_lines
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.settings import Limits
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import beltrami
 from formats.image_files import encode
 

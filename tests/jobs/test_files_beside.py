@@ -17,7 +17,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES
 from formats.image_files import encode
 from hostile.textured_models import OTHER, PICTURE, write_model

@@ -22,7 +22,7 @@ from beltrami_cli import (
 from beltrami_cli.fields import override
 from beltrami_cli.formats.image import read_image, to_float
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.layers.image_surface import ImageSurface
 from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode, icc_profile
 from hostile.textured_models import ONCE
 

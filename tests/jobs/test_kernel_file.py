@@ -16,7 +16,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel import kernel_file
-from beltrami_cli.samples.settings import DEFAULTS, ImageSettings, SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, ImageSettings, SmoothSettings
 from formats.image_files import encode
 from oracles import surfaces
 from small_models import ply

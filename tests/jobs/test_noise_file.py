@@ -14,7 +14,7 @@ from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.noise import add_noise, noise_file
 from beltrami_cli.jobs.noise_targets import NoiseTargets
 from beltrami_cli.jobs.settings import NoiseSettings, amount, sure_amount
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored
 from formats.volume_files import sphere_file

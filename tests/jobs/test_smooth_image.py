@@ -7,7 +7,7 @@ import pytest
 
 from beltrami_cli import smooth_image
 from beltrami_cli.errors import UsageError
-from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 
 RANDOM = np.random.default_rng(0)

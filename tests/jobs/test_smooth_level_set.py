@@ -11,7 +11,7 @@ import pytest
 from beltrami_cli import InputError, KernelParameters, SmoothSettings, UsageError, smooth_file
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.samples.settings import LevelSetSettings
+from beltrami_cli.layers.settings import LevelSetSettings
 from formats.volume_files import lattice_fields, npz, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
 from small_models import ply
@@ -134,7 +134,7 @@ def test_volumes_without_a_coloured_surface_are_refused_with_the_cause(arrays, l
 
 
 def test_noise_in_place_of_a_level_set_is_refused_before_it_becomes_triangles(tmp_path, monkeypatch):
-    monkeypatch.setattr("beltrami_cli.samples.voxels.MAX_CROSSINGS", 1000)
+    monkeypatch.setattr("beltrami_cli.layers.voxels.MAX_CROSSINGS", 1000)
     values = RANDOM.standard_normal((12, 12, 12))
     path = write(tmp_path / "v.npz", npz(values=values, colours=np.zeros((12, 12, 12, 3), np.uint8)))
     with pytest.raises(InputError, match="as noise does"):

@@ -14,10 +14,10 @@ from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams, with_noise
-from beltrami_cli.samples.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
-from beltrami_cli.samples.texel_samples import TexelSamples
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
 LIGHT_GAINS = 0.6, 1.6  # of linear light
@@ -27,7 +27,7 @@ LIGHT_GAINS = 0.6, 1.6  # of linear light
 class ExposureScene:
     """The texels of a model, in display values, shape (T, N)."""
 
-    samples: TexelSamples
+    samples: TextureLayer
     truth: np.ndarray
 
     @classmethod
@@ -36,14 +36,14 @@ class ExposureScene:
 
     @classmethod
     def on(cls, surface):
-        samples = TexelSamples(surface, "baseColor", DEFAULTS)
+        samples = TextureLayer(surface, "baseColor", DEFAULTS)
         return cls(samples, samples.colours.samples(samples.atlas).astype(float))
 
     def as_jpeg(self, colours, quality, subsampling="4:2:0"):
         """Return the scene of other colours that were stored as JPEG, with those of neighbours in the gutters."""
         surface, textures = self.samples.surface, []
         settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
-        samples = TexelSamples(surface, "baseColor", settings)
+        samples = TextureLayer(surface, "baseColor", settings)
         planes = painted(samples.atlas, colours.astype(np.float32), 1)
         images = samples.repaint(canvas_colours(samples.atlas, planes, 1)).images
         for texture in surface.textures:

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.ndimage import correlate
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.layers.image_surface import ImageSurface
 from oracles.surfaces import grid_faces
 
 SCHEMES = ["triangles", "metric"]

@@ -10,8 +10,8 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.samples.image_surface import ImageSurface
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.image_surface import ImageSurface
+from beltrami_cli.layers.settings import SmoothSettings
 from oracles import surfaces
 from properties.textured_planes import Board, smooth_image
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces
 from oracles.paintings import photograph, psnr, with_noise
 from properties import textured_planes

@@ -11,7 +11,7 @@ import threading
 import pytest
 
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view import server
 from beltrami_cli.view.live import Live
 from beltrami_cli.view.server import PageServer

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.samples.settings import DEFAULTS
+from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sweep import sweep_file
 from cli.commands import SAMPLES, beltrami

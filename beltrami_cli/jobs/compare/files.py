@@ -30,8 +30,8 @@ from beltrami_cli.jobs.file_job import document_from
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.settings import Limits
-from beltrami_cli.samples.memory_check import require_memory_for_textures
-from beltrami_cli.samples.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings, SmoothSettings
+from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings, SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 

@@ -10,9 +10,9 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document
-from beltrami_cli.samples.selection import Selection, select
-from beltrami_cli.samples.settings import DEFAULTS, SLOTS, SmoothSettings
-from beltrami_cli.samples.texel_colours import choose_textures
+from beltrami_cli.layers.selection import Selection, select
+from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
+from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
 Pair = tuple[Document, Document]

@@ -25,14 +25,14 @@ from beltrami_cli.jobs.compare.figures import (
     structural_similarity,
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
-from beltrami_cli.samples.memory_check import COMPARED_PIXEL_BYTES, require_memory
-from beltrami_cli.samples.painted_samples import coloured_rows, columns_of, only_rows
-from beltrami_cli.samples.picture_colours import PictureColours
-from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import choose_textures
-from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.vertex_samples import with_surface
+from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.memory_check import COMPARED_PIXEL_BYTES, require_memory
+from beltrami_cli.layers.painted_layer import coloured_rows, columns_of, only_rows
+from beltrami_cli.layers.picture_colours import PictureColours
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texel_colours import choose_textures
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import with_surface
 from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
@@ -171,7 +171,7 @@ def compare_images(
     both = [(document.name, document.data) for document in documents]
     require_memory(both, access, COMPARED_PIXEL_BYTES)
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
-    samples = [PixelSamples(document, settings, access, colours_only=True) for document in documents]
+    samples = [ImageLayer(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
@@ -218,7 +218,7 @@ def compare_textures(
             for name in _names(slot, olds)
         ]
     require_memory(((texture.name, texture.data) for texture in textures), access)
-    prepared = TexelSamples(surface, slot, settings)
+    prepared = TextureLayer(surface, slot, settings)
     pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
@@ -241,7 +241,7 @@ def compare_textures(
 
 
 def _around(
-    prepared: TexelSamples, colours: PictureColours, pictures: Sequence[Picture], index: int
+    prepared: TextureLayer, colours: PictureColours, pictures: Sequence[Picture], index: int
 ) -> tuple[Float32s, Float32s]:
     """Return the colours, in both files, of a texture's texels that faces look up, but none covers."""
     atlas = prepared.atlas
@@ -261,7 +261,7 @@ def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
 
 
 def _parts(
-    prepared: TexelSamples, both: tuple[Float32s, Float32s], weights: Float64s, slot: Slot, space: Space
+    prepared: TextureLayer, both: tuple[Float32s, Float32s], weights: Float64s, slot: Slot, space: Space
 ) -> list[ComparedColours]:
     """Cut what belongs to all textures together in parts."""
     atlas = prepared.atlas

@@ -8,7 +8,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 
 HEIGHT, WIDTH = 48, 96

@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import view_of
 from hostile.textured_models import PICTURE, write_model

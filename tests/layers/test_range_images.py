@@ -16,7 +16,7 @@ from beltrami_cli import (
 )
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.samples.image_surface import ImageSurface
+from beltrami_cli.layers.image_surface import ImageSurface
 from hostile.textured_models import ONCE
 
 ROWS, COLUMNS = 20, 26

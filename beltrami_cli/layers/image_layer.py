@@ -21,26 +21,26 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, is_exact, label_of
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER, read_jpeg_tables
 from beltrami_cli.formats.image.writing import upright
-from beltrami_cli.samples.guides import noise_of_pixels, read_guide_images
-from beltrami_cli.samples.image_surface import plan_on_image, read_surface, refuse_options_of_meshes
-from beltrami_cli.samples.memory_check import PIXEL_BYTES, require_memory
-from beltrami_cli.samples.picture_colours import PictureColours, with_chosen_layer
-from beltrami_cli.samples.reports import ImageReport
-from beltrami_cli.samples.samples import (
+from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
+from beltrami_cli.layers.image_surface import plan_on_image, read_surface, refuse_options_of_meshes
+from beltrami_cli.layers.layer import (
     Change,
+    Layer,
     Part,
     Repainted,
-    Samples,
     rewritten,
 )
-from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import Repainting
+from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
+from beltrami_cli.layers.picture_colours import PictureColours, with_chosen_layer
+from beltrami_cli.layers.reports import ImageReport
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texel_colours import Repainting
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
 
-class PixelSamples(Samples):
+class ImageLayer(Layer):
     """Pixels of an image that are no holes; `colours_only` leaves out channels that are no colours, unless named."""
 
     part: ClassVar[Part] = "image"
@@ -88,7 +88,7 @@ class PixelSamples(Samples):
         known = self.settings.kernel, self._guides, metric, tick, noise
         return plan_on_image(self.surface, working, *known, coded=coded, light_in=self.colours.light_space)
 
-    def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> PixelSamples:
+    def window(self, place: tuple[slice, slice], kernel: KernelParameters) -> ImageLayer:
         """Return the samples of a part of the image, with other parameters."""
         part = copy.copy(self)
         part.settings = dataclasses.replace(self.settings, kernel=kernel)

@@ -13,9 +13,9 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.samples.picture_colours import PictureColours
-from beltrami_cli.samples.samples import Change, store
-from beltrami_cli.samples.settings import TextureSettings
+from beltrami_cli.layers.layer import Change, store
+from beltrami_cli.layers.picture_colours import PictureColours
+from beltrami_cli.layers.settings import TextureSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import ROWS, Indices, fill_gutter, nearest_covered, within
 from beltrami_cli.surface.records import Texture, TexturedSurface

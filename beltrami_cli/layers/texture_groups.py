@@ -16,8 +16,8 @@ from beltrami_cli.arrays import Int64s
 from beltrami_cli.flow.grid_manifold import Whole
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import only_textures
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.grouping import group_places

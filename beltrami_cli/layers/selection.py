@@ -14,16 +14,16 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
-from beltrami_cli.samples.image_surface import refuse_options_of_meshes
-from beltrami_cli.samples.memory_check import memory_beside, too_many_together
-from beltrami_cli.samples.painted_samples import PaintedSamples
-from beltrami_cli.samples.pixel_samples import PixelSamples
-from beltrami_cli.samples.samples import Samples, SharedImages
-from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import choose_textures
-from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.texture_groups import TextureGroup, separate_groups
-from beltrami_cli.samples.tile_groups import TileGroups
+from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.image_surface import refuse_options_of_meshes
+from beltrami_cli.layers.layer import Layer, SharedImages
+from beltrami_cli.layers.memory_check import memory_beside, too_many_together
+from beltrami_cli.layers.painted_layer import PaintedLayer
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texel_colours import choose_textures
+from beltrami_cli.layers.texture_groups import TextureGroup, separate_groups
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
 
@@ -79,7 +79,7 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     return Selection(vertices=both, slots=slots, notices=tuple(absent))
 
 
-def samples_of(
+def layers_of(
     document: Document,
     selection: Selection,
     settings: SmoothSettings,
@@ -88,22 +88,22 @@ def samples_of(
     *,
     colours_only: bool = False,
     in_groups: bool = False,
-) -> Iterator[Samples]:
+) -> Iterator[Layer]:
     """Take the samples of what is selected; `in_groups`: textures that do not touch, or do not fit, separately."""
-    # For the other parameters see `PixelSamples`.
+    # For the other parameters see `ImageLayer`.
     if document.kind == "image":
         if selection.image:
-            yield PixelSamples(document, settings, access, suffix, colours_only=colours_only)
+            yield ImageLayer(document, settings, access, suffix, colours_only=colours_only)
         return
     if selection.vertices:
-        yield vertex_samples(document, settings, access)
+        yield vertex_layer(document, settings, access)
     chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
     shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
     for slot, surface in zip(selection.slots, chosen, strict=True):
         many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
         groups: list[TextureGroup] = []
         if many is None:
-            samples = TexelSamples(document.textured(slot), slot, settings, (document, access), shared)
+            samples = TextureLayer(document.textured(slot), slot, settings, (document, access), shared)
             if in_groups and len(surface.textures) > 1:
                 groups = separate_groups(samples.surface, samples.atlas, settings.kernel, samples.common)
             if not groups:
@@ -113,20 +113,20 @@ def samples_of(
             tiles = TileGroups(surface, *many)
             groups = tiles.parted(tiles.common(slot, settings))
         for group in groups:
-            yield TexelSamples(group.surface, slot, group.common.settings, shared=shared, group=group)
+            yield TextureLayer(group.surface, slot, group.common.settings, shared=shared, group=group)
 
 
-def vertex_samples(document: Document, settings: SmoothSettings, access: Access) -> PaintedSamples:
+def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
-    from beltrami_cli.samples.guides import noise_of_vertices, vertex_guides
-    from beltrami_cli.samples.vertex_samples import RangeSamples, VertexSamples
+    from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
+    from beltrami_cli.layers.vertex_layer import RangeLayer, VertexLayer
 
     painted, grid = document.painted(), document.grid()
     guides = vertex_guides(document, settings, access)
     noise = noise_of_vertices(settings.kernel, document, access)
     if grid is not None:
-        return RangeSamples(painted, grid, settings, guides, noise)
-    return VertexSamples(painted, settings, guides, noise, in_triangles=document.kind == "volume")
+        return RangeLayer(painted, grid, settings, guides, noise)
+    return VertexLayer(painted, settings, guides, noise, in_triangles=document.kind == "volume")
 
 
 def require_geometry(

@@ -13,7 +13,7 @@ from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel import kernel_file
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples.settings import ImageSettings, SmoothSettings
+from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from formats.image_files import encode
 from hostile.textured_models import PICTURE
 

@@ -10,8 +10,8 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import ImageSize, measure_image
-from beltrami_cli.samples.settings import TextureSettings
-from beltrami_cli.samples.texel_colours import choose_textures
+from beltrami_cli.layers.settings import TextureSettings
+from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.large_arrays import kept_on_disk
 from beltrami_cli.surface.records import Slot, Texture
 

@@ -13,8 +13,8 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.metadata import JpegTables
+from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.levelling.correction import Levelled
-from beltrami_cli.samples.reports import LevelReport
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import Texture

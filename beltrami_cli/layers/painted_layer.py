@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Float32s, Int32s, Int64s
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.embedding import Guide, from_space
-from beltrami_cli.samples.reports import VertexReport
-from beltrami_cli.samples.samples import (
+from beltrami_cli.layers.layer import (
     Change,
     ChosenChannels,
+    Layer,
     Part,
     Repainted,
-    Samples,
     choose_channels,
 )
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers.reports import VertexReport
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import PaintedVertices
 
 
@@ -44,7 +44,7 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
     }
 
 
-class PaintedSamples(Samples):
+class PaintedLayer(Layer):
     """The common part of vertices on a mesh and on a grid; `in_triangles`: vertices in none have no colour."""
 
     part: ClassVar[Part] = "vertices"

@@ -20,12 +20,12 @@ from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.grid_manifold import common_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import ImageSize
-from beltrami_cli.samples import memory_check
-from beltrami_cli.samples.samples import describe_choice
-from beltrami_cli.samples.settings import SmoothSettings
-from beltrami_cli.samples.texel_colours import only_textures
-from beltrami_cli.samples.texel_samples import TexelSamples
-from beltrami_cli.samples.texture_groups import Borders, Common, TextureGroup
+from beltrami_cli.layers import memory_check
+from beltrami_cli.layers.layer import describe_choice
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.texel_colours import only_textures
+from beltrami_cli.layers.texture_groups import Borders, Common, TextureGroup
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, TexturedSurface
 
@@ -57,7 +57,7 @@ class TileGroups:
 
     def common(self, slot: Slot, settings: SmoothSettings) -> Common:
         """Estimate noise and choose parameters on some of the textures, with nothing left to choose."""
-        samples = TexelSamples(self.evenly_chosen(), slot, settings)
+        samples = TextureLayer(self.evenly_chosen(), slot, settings)
         manifold = samples.manifold()
         noise, plan = common_noise(manifold.noise), choose_parameters(manifold, settings.kernel)
         kernel = dataclasses.replace(

@@ -23,10 +23,10 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples import memory_check
-from beltrami_cli.samples.image_surface import ImageSurface, plan_on_image
-from beltrami_cli.samples.settings import SmoothSettings, TextureSettings
-from beltrami_cli.samples.texel_samples import TexelSamples
+from beltrami_cli.layers import memory_check
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, grid_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
@@ -152,8 +152,8 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
             file = model.with_name(tile_name("skin.<UDIM>.png", (u, v)))
             file.write_bytes(encode(np.rint(noisy.clip(0, 1) * 255).astype(np.uint8), "png"))
     made = []
-    take = TexelSamples.manifold
-    monkeypatch.setattr(TexelSamples, "manifold", lambda self, *of: made.append(take(self, *of)) or made[-1])
+    take = TextureLayer.manifold
+    monkeypatch.setattr(TextureLayer, "manifold", lambda self, *of: made.append(take(self, *of)) or made[-1])
     monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 16)
     memory = 1_100_000  # bytes; all tiles take 1,207,000 with their arrays in files
     settings = SmoothSettings(parameters_with({}, fast=True))

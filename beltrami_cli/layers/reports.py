@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, kw_only=True)
-class SamplesReport:
+class LayerReport:
     """What was done to samples of any kind."""
 
     beta: float  # as used
@@ -29,7 +29,7 @@ class SamplesReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VertexReport(SamplesReport):
+class VertexReport(LayerReport):
     """What was done to vertex colours, besides."""
 
     # Vertices, triangles, samples, samples of hard edges, samples per kernel, truncated kernels. For points without
@@ -42,7 +42,7 @@ class VertexReport(SamplesReport):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlotReport(SamplesReport):
+class SlotReport(LayerReport):
     """What was done to the textures of a slot, besides."""
 
     slot: str
@@ -55,7 +55,7 @@ class SlotReport(SamplesReport):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageReport(SamplesReport):
+class ImageReport(LayerReport):
     """What was done to an image, besides."""
 
     # Its size, format and channels, which of them were smoothed, on which surface ("plane", "height" or "positions"),
@@ -80,7 +80,7 @@ class LevelReport:
     tilted: bool  # whether gains change over charts, as by vignetting
     levelled: bool  # whether colours were changed
     reason: str  # why not, if they were not
-    change: dict[str, float] = field(default_factory=dict)  # as for `SamplesReport`
+    change: dict[str, float] = field(default_factory=dict)  # as for `LayerReport`
     # For each chart with seams its number, its texture and place there (the column and row of its centre), its texels,
     # and the gain and offset per channel that it was exposed with, in the working space.
     exposures: list[dict[str, object]] = field(default_factory=list)

@@ -23,9 +23,9 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
-from beltrami_cli.samples.memory_check import require_memory
-from beltrami_cli.samples.picture_colours import PictureColours
-from beltrami_cli.samples.settings import SLOTS, EmbeddingSettings, SmoothSettings
+from beltrami_cli.layers.memory_check import require_memory
+from beltrami_cli.layers.picture_colours import PictureColours
+from beltrami_cli.layers.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface

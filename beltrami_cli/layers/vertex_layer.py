@@ -18,13 +18,13 @@ from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold
 from beltrami_cli.flow.records import NewColours
+from beltrami_cli.layers.image_surface import ImageSurface, options_of_meshes, plan_on_image
+from beltrami_cli.layers.layer import Repainted
+from beltrami_cli.layers.levelled_charts import level_report
+from beltrami_cli.layers.painted_layer import PaintedLayer, describe_colours, only_rows
+from beltrami_cli.layers.reports import LevelReport, VertexReport
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.levelling.correction import level_mesh
-from beltrami_cli.samples.image_surface import ImageSurface, options_of_meshes, plan_on_image
-from beltrami_cli.samples.levelled_charts import level_report
-from beltrami_cli.samples.painted_samples import PaintedSamples, describe_colours, only_rows
-from beltrami_cli.samples.reports import LevelReport, VertexReport
-from beltrami_cli.samples.samples import Repainted
-from beltrami_cli.samples.settings import LevelSettings, SmoothSettings
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
@@ -34,7 +34,7 @@ from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 _PROBED_KERNELS = 1000
 
 
-class VertexSamples(PaintedSamples):
+class VertexLayer(PaintedLayer):
     """Vertices of a mesh; points without triangles are sampled on the surface that they lie on."""
 
     label = "vertex colours"
@@ -192,7 +192,7 @@ class VertexSamples(PaintedSamples):
         return found
 
 
-class RangeSamples(PaintedSamples):
+class RangeLayer(PaintedLayer):
     """Vertices on a grid, shape (H, W), of vertex numbers, or -1 at holes."""
 
     label = "range image"

@@ -12,8 +12,8 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.samples import texture_groups
-from beltrami_cli.samples.settings import SmoothSettings
+from beltrami_cli.layers import texture_groups
+from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 from small_models import textured_squares
 

@@ -21,16 +21,16 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, read_texture
 from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
+from beltrami_cli.layers import layer
+from beltrami_cli.layers.coded_pictures import plan_on_pictures
+from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
+from beltrami_cli.layers.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
+from beltrami_cli.layers.picture_colours import PictureColours
+from beltrami_cli.layers.reports import LevelReport, SlotReport
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
+from beltrami_cli.layers.texel_colours import Repainting, choose_textures, only_textures
+from beltrami_cli.layers.texture_groups import Common, TextureGroup
 from beltrami_cli.levelling.correction import level_canvas
-from beltrami_cli.samples import samples
-from beltrami_cli.samples.coded_pictures import plan_on_pictures
-from beltrami_cli.samples.guides import GuidedTexels, noise_of_pixels
-from beltrami_cli.samples.levelled_charts import TextureCharts, describe_level, halved_colour, level_report
-from beltrami_cli.samples.picture_colours import PictureColours
-from beltrami_cli.samples.reports import LevelReport, SlotReport
-from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
-from beltrami_cli.samples.texel_colours import Repainting, choose_textures, only_textures
-from beltrami_cli.samples.texture_groups import Common, TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas, without_owned
 from beltrami_cli.surface.baking import Cells
@@ -44,10 +44,10 @@ _UNSEEN = (
 _WORTH_REPORTING = 1.0
 
 
-class TexelSamples(samples.Samples):
+class TextureLayer(layer.Layer):
     """Covered and visible texels of the chosen textures of a slot, together."""
 
-    part: ClassVar[samples.Part] = "textures"
+    part: ClassVar[layer.Part] = "textures"
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class TexelSamples(samples.Samples):
         slot: Slot,
         settings: SmoothSettings,
         guided: tuple[Document, Access] | None = None,
-        shared: samples.SharedImages | None = None,
+        shared: layer.SharedImages | None = None,
         group: TextureGroup | None = None,
     ) -> None:
         self.slot, self.settings, self.label = slot, settings, f"{slot} textures"
@@ -71,7 +71,7 @@ class TexelSamples(samples.Samples):
         hidden = self.colours.transparent(self.atlas, self.surface.textures)
         if hidden.any():
             self.atlas = without_owned(self.atlas, hidden)
-        self._shared = shared or samples.SharedImages()
+        self._shared = shared or layer.SharedImages()
         self._guides: list[Guide] = []
         self._noise: Float32s | None = None
         if guided is not None and settings.kernel.noise is not None:
@@ -228,7 +228,7 @@ class TexelSamples(samples.Samples):
 
     def repaint(
         self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
-    ) -> samples.Repainted:
+    ) -> layer.Repainted:
         del positions
         is_tried, is_covered = is_smoothed or self._level_change is not None, len(self.atlas.owned_texels) > 0
         notices = _notices_of(self.atlas) if is_tried or not is_covered else []
@@ -244,12 +244,12 @@ class TexelSamples(samples.Samples):
             large_arrays.leave_memory()
             columns = self.colours.columns(picture)
             pixels, slots = self._shared.join(self.slot, texture.key, pixels, columns)
-            file, said = samples.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=self.is_data)
+            file, said = layer.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=self.is_data)
             notices += said
             if self._group is not None and texture.is_read_anew:
                 file = dataclasses.replace(file, content=large_arrays.kept(file.data))
             images |= {(each, texture.key): file for each in slots}
-        return samples.Repainted(samples.Change.joined(changes), images=images, notices=tuple(notices))
+        return layer.Repainted(layer.Change.joined(changes), images=images, notices=tuple(notices))
 
     def painted(self, index: int, new: NewColours) -> Array:
         """Return the pixels of a texture with new colours, and nothing changed around its charts."""

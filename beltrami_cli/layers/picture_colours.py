@@ -22,8 +22,8 @@ from beltrami_cli.formats.image.picture import (
     with_colours_of,
     without_alpha,
 )
-from beltrami_cli.samples.samples import choose_channels
-from beltrami_cli.samples.settings import COLOUR_SLOTS, SmoothSettings
+from beltrami_cli.layers.layer import choose_channels
+from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
 from beltrami_cli.surface.records import Slot, Texture

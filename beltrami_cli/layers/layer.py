@@ -22,8 +22,8 @@ from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored
-from beltrami_cli.samples.reports import LevelReport, SamplesReport
-from beltrami_cli.samples.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
+from beltrami_cli.layers.reports import LayerReport, LevelReport
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
@@ -84,7 +84,7 @@ def choose_channels(
     return ChosenChannels(sampled, changing, written, metric)
 
 
-class Samples(ABC):
+class Layer(ABC):
     """Coloured samples of a document; UsageError if settings name absent channels or contradict the document."""
 
     part: ClassVar[Part]  # of a document, that they belong to
@@ -97,7 +97,7 @@ class Samples(ABC):
         """Plan their smoothing, which takes over their memory; `tick` is called meanwhile, and may raise."""
 
     @abstractmethod
-    def report(self, plan: Plan[Any], result: FlowResult[Any]) -> SamplesReport:
+    def report(self, plan: Plan[Any], result: FlowResult[Any]) -> LayerReport:
         """Return the report of what was done, without the change of colours."""
 
     @abstractmethod
