@@ -51,8 +51,8 @@ _NAMES_IN = {
     "jobs.settings": "BakeSettings NoiseSettings",
     "jobs.smooth": "smooth_file",
     "jobs.smoothing": "SmoothReport",
-    "samples.image_surface": "ImageSurface",
-    "samples.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
+    "layers.image_surface": "ImageSurface",
+    "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
 }
 _HOME_OF = {name: module for module, names in _NAMES_IN.items() for name in names.split()}
 
