@@ -1,9 +1,9 @@
 """Smooth the colours painted on a surface with the short-time Beltrami kernel.
 
-`smooth` takes the arrays of a mesh or a point cloud, `smooth_image` those of an image; `smooth_file` and `inspect_file`
-take files. `SmoothSettings` and the records in it hold the parameters with their defaults, which keywords override;
-`ImageSurface` holds where the pixels of an image lie, and `Job` what may be read and written. Importing the package
-loads nothing heavy: names are resolved when they are used.
+`smooth` takes the arrays of a mesh or a point cloud, `smooth_image` the pixels of an image; the functions whose names
+end in `_file` or `_files` do what the commands do. `SmoothSettings` and the records in it hold the parameters with
+their defaults, which keywords override; `ImageSurface` holds where the pixels of an image lie, and `Job` what may be
+read and written. Importing the package loads nothing heavy: names are resolved when they are used.
 """
 
 # With ``python -m beltrami_cli`` the working folder comes first on the path until `__main__` takes it off, so nothing
@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.arrays import SmoothResult as SmoothResult
     from beltrami_cli.jobs.arrays import smooth as smooth
     from beltrami_cli.jobs.arrays import smooth_image as smooth_image
+    from beltrami_cli.jobs.bake import BakeReport as BakeReport
+    from beltrami_cli.jobs.bake import bake_file as bake_file
+    from beltrami_cli.jobs.check import CheckReport as CheckReport
+    from beltrami_cli.jobs.check import check_files as check_files
+    from beltrami_cli.jobs.compare.files import Comparison as Comparison
+    from beltrami_cli.jobs.compare.files import compare_files as compare_files
     from beltrami_cli.jobs.inspect import inspect_file as inspect_file
     from beltrami_cli.jobs.job import Job as Job
     from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
@@ -28,6 +34,7 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
     from beltrami_cli.jobs.noise import noise_file as noise_file
     from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
+    from beltrami_cli.jobs.settings import Limits as Limits
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
     from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
@@ -38,21 +45,30 @@ if TYPE_CHECKING:
     from beltrami_cli.layers.settings import LevelSettings as LevelSettings
     from beltrami_cli.layers.settings import SmoothSettings as SmoothSettings
     from beltrami_cli.layers.settings import TextureSettings as TextureSettings
+    from beltrami_cli.view.render import render_file as render_file
+    from beltrami_cli.view.settings import RenderSettings as RenderSettings
+
+    __version__: str
 
 _NAMES_IN = {
     "errors": "BeltramiError InputError OutputError ProcessingError UsageError",
     "flow.parameters": "KernelParameters",
     "formats.access": "Access",
     "jobs.arrays": "ImageResult SmoothResult smooth smooth_image",
+    "jobs.bake": "BakeReport bake_file",
+    "jobs.check": "CheckReport check_files",
+    "jobs.compare.files": "Comparison compare_files",
     "jobs.inspect": "inspect_file",
     "jobs.job": "Job",
     "jobs.level": "LevelFileReport level_file",
     "jobs.noise": "NoiseReport noise_file",
-    "jobs.settings": "BakeSettings NoiseSettings",
+    "jobs.settings": "BakeSettings Limits NoiseSettings",
     "jobs.smooth": "smooth_file",
     "jobs.smoothing": "SmoothReport",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
+    "view.render": "render_file",
+    "view.settings": "RenderSettings",
 }
 _HOME_OF = {name: module for module, names in _NAMES_IN.items() for name in names.split()}
 
@@ -62,6 +78,14 @@ __all__ = sorted(_HOME_OF)
 def __getattr__(name: str) -> object:
     import importlib
 
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("beltrami-cli")
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

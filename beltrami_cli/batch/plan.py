@@ -101,8 +101,21 @@ def _found(text: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:
         named = sorted(root.glob(str(path.relative_to(root))))
         found = [(each, each.relative_to(root)) for each in named if _is_input(each, root, results)]
     if not found:
-        raise InputError(text, "no file that can be smoothed is found there", "check the path")
+        raise InputError(text, *_why_empty(path))
     yield from ((str(each), place) for each, place in found)
+
+
+def _why_empty(path: Path) -> tuple[str, str]:
+    """Return the cause and the remedy where a folder or a glob gives no file to smooth."""
+    images = (
+        sorted({each.suffix.lower() for each in path.glob("*")} & set(IMAGE_SUFFIXES))
+        if path.is_dir()
+        else []
+    )
+    if images:
+        cause = "it holds images and no model; images are not taken from folders, as they may be textures"
+        return cause, f"name them by a pattern, such as '{path / f'*{images[0]}'}'"
+    return "no file that can be smoothed is found there", "check the path"
 
 
 def _found_at(url: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:

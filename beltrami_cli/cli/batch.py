@@ -166,7 +166,7 @@ def command(
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     if lost := sum(outcome.status == "failed" for outcome in outcomes):
-        remedy = "mend them, and run the same again with --resume"
+        remedy = "fix or remove them, and run the same command again with --resume"
         raise ProcessingError(f"{lost} of {len(outcomes)} files failed; {remedy}")
 
 

@@ -108,14 +108,15 @@ def _parts(report: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _remark(outcome: Outcome) -> str:
-    if outcome.error:
-        return outcome.error
+    if outcome.status == "failed":
+        return "see above"  # where `finished` reported it
     report: dict[str, Any] = outcome.report or {}
     remarks = list(report.get("warnings", []))
     parts = _parts(report)
     is_chosen = "iterations" in report.get("parameters", {}).get("free", ())
     if parts and is_chosen and not any(part["iterations"] for part in parts):
-        remarks.append(f"noise {NO_NOISE}, so it is left as it is")
+        is_changed = any(part["change"]["mean"] for part in parts)  # by levelling
+        remarks.append(f"noise {NO_NOISE}, so it is {'not smoothed' if is_changed else 'left as it is'}")
     return "; ".join(remarks)
 
 

@@ -142,14 +142,6 @@ class HelpfulCommand(click.Command):
         self.params.append(help_all)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Take --level without a number, which is the value of a level set, for --level-seams."""
-        if any("--level-seams" in each.opts for each in self.params):
-            args = [
-                "--level-seams"
-                if word == "--level" and not _is_number("".join(args[place + 1 : place + 2]))
-                else word
-                for place, word in enumerate(args)
-            ]
         try:
             self._refuse_repeated_lists(ctx, args)
             return super().parse_args(ctx, args)
@@ -215,14 +207,6 @@ def _misplaced(name: str, context: click.Context) -> click.UsageError | None:
             cause = f"{name} goes before the command: {program.info_name} {name}{behind}"
             return click.UsageError(cause, context)
     return None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 _ALL = "help_all"

@@ -20,6 +20,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 if TYPE_CHECKING:
     from beltrami_cli.jobs.compare.figures import Verdict
     from beltrami_cli.jobs.compare.files import Comparison
+    from beltrami_cli.jobs.output import Output
 
 EPILOG = """\b
 Examples:
@@ -30,6 +31,7 @@ Examples:
   beltrami compare truth.png clean.png --json | jq .overall.psnr
   beltrami compare truth.glb clean.glb --map differences.png             dark is equal, bright differs
   beltrami compare truth.ply clean.ply --map differences.ply
+  beltrami compare truth.glb clean.glb --min-psnr 35 --junit report.xml  what CI services show
 
 \b
 What is measured, for each texture and for the vertices, and for all together:
@@ -62,6 +64,11 @@ _LIMITS = {
 }
 
 
+_SUITE = "beltrami compare"
+_XML = b'<?xml version="1.0" encoding="utf-8"?>\n'
+_JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
+
+
 @click.command("compare", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("reference", metavar="REFERENCE")
 @click.argument("test", metavar="TEST")
@@ -74,8 +81,13 @@ _LIMITS = {
     help="Draw where colours differ: a picture, or a mesh of vertices.",
 )  # fmt: skip
 @click.option(
+    "--junit", "junit_to", metavar="FILE.xml",
+    help="Write a JUnit report, which CI services show, with a test case for each limit and part.",
+)  # fmt: skip
+@click.option(
     "--overwrite", is_flag=True,
-    help="Replace the map if it exists; what is no map, only if --map is given beside it.",
+    help="Replace the map and the JUnit report if they exist; other files only if --map or --junit is on the command "
+    "line, too.",
 )  # fmt: skip
 @options.reading
 @options.messages
@@ -85,6 +97,7 @@ def command(
     weights: Weights,
     as_json: bool,
     map_to: str | None,
+    junit_to: str | None,
     overwrite: bool,
     messages: Messages,
     **values: Any,
@@ -100,10 +113,15 @@ def command(
 
     limits = options.record_from(Limits, values)
     replaced = overwrite_at("map_to", overwrite=overwrite)
+    junit = None if junit_to is None else _open_junit(junit_to, (reference, test), overwrite=overwrite)
     with options.job_from(values, reference, messages) as job:
         comparison = compare_files(
             reference, test, limits, settings, weights=weights, map_to=map_to, overwrite=replaced, job=job
         )
+    if junit is not None:
+        from beltrami_cli.formats.document import Written
+
+        junit.write(Written(main=[_junit(comparison)]))
     if as_json:
         from dataclasses import asdict
 
@@ -119,6 +137,35 @@ def command(
         if not verdict.kept:
             click.echo(printable(f"beltrami: {test}: {_describe(verdict)}"), err=True)
     return 0 if comparison.passed else 1
+
+
+def _open_junit(path: str, reads: tuple[str, str], *, overwrite: bool) -> Output:
+    """Check that a JUnit report can be written, before anything is computed."""
+    from beltrami_cli.jobs.output import Output
+
+    replaced = overwrite_at("junit_to", overwrite=overwrite)
+    return Output(path, overwrite=replaced, what="JUnit report", is_own=_is_junit, is_text=True, reads=reads)
+
+
+def _is_junit(head: bytes) -> bool:
+    return head.startswith(_JUNIT_HEAD)
+
+
+def _junit(comparison: Comparison) -> bytes:
+    """Encode the verdicts as a test suite, with a test case for each; without limits it is empty."""
+    from xml.etree import ElementTree
+
+    broken = [verdict for verdict in comparison.limits if not verdict.kept]
+    counts = {"tests": str(len(comparison.limits)), "failures": str(len(broken))}
+    suite = ElementTree.Element("testsuite", {"name": _SUITE, **counts})
+    for verdict in comparison.limits:
+        name = f"{verdict.part}: {_LIMITS[verdict.limit][0]}"
+        case = ElementTree.SubElement(
+            suite, "testcase", {"classname": printable(comparison.test), "name": printable(name)}
+        )
+        if not verdict.kept:
+            ElementTree.SubElement(case, "failure", {"message": printable(_describe(verdict))})
+    return _XML + bytes(ElementTree.tostring(suite, encoding="utf-8")) + b"\n"
 
 
 def _show(comparison: Comparison) -> None:

@@ -120,7 +120,7 @@ def _found_table(path: Path) -> dict[str, object] | None:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    return InputError(str(path), f"cannot be read ({error})", "mend it, or leave it out")
+    return InputError(str(path), f"cannot be read ({error})", "fix or remove it")
 
 
 def _parsed(path: Path, text: str) -> dict[str, object] | None:

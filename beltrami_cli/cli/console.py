@@ -34,7 +34,7 @@ printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
 NO_NOISE = "no more than rounding makes"
-NO_NOISE_FOUND = "no noise that can be told from paint"
+NO_NOISE_FOUND = "no noise detected"
 NO_AREA = "no face has an area"
 ALL_THE_SAME = "to smooth all the same, give --strength strong, or the noise, as in --noise 5"
 
@@ -51,10 +51,10 @@ def choice_in_words(choice: dict[str, Any]) -> str:
     if not choice["candidates"]:
         return f"{chosen}; by the fixed rule of --fast"
     if choice["psnr"] is None and choice["samples"] == 1:
-        return f"{chosen}; of one sample no PSNR can be told"
+        return f"{chosen}; PSNR is undefined for a single sample"
     if choice["psnr"] is None:
         plain = "most colours are plain, as where JPEG took the noise, or at a limit"
-        return f"{chosen}; {plain}, so no PSNR can be told: give --noise"
+        return f"{chosen}; {plain}, so no PSNR can be estimated: give --noise"
     least, most = choice["interval"]
     within = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
     shared = ""

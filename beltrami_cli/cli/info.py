@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,15 @@ from beltrami_cli.cli.console import (
     NO_NOISE_FOUND,
     Messages,
     choice_in_words,
+    counted,
     printable,
 )
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.jobs.job import tracked
 from beltrami_cli.layers.settings import SmoothSettings
 
+_SUMMARY = 20  # lines
+_SHOWN_IMAGES = 6
 _NO_SAMPLES = "there are no samples"
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
@@ -59,8 +62,12 @@ def command(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: 
         facts = inspect_file(sources[0], settings, access)
     if as_json:
         click.echo(json.dumps(facts, indent=2))
+        return
+    _put_choices_in_words(facts, settings, choice_in_words if verbose else _choice_in_short)
+    if verbose:
+        _show_facts(facts)
     else:
-        _show_facts(facts, settings)
+        _show_summary(facts)
 
 
 def _show_many(
@@ -113,7 +120,76 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
         ]
 
 
-def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
+def _show_summary(facts: dict[str, Any]) -> None:
+    """Print at most 20 lines: each coloured part with its noise and what smoothing it would do, then the notices."""
+    rows = [("file", f"{facts['file']['name']}: {', '.join(_size_in_words(facts))}")]
+    for slot in facts.get("textures", []):
+        charts = f"{slot['covered']} texels in {counted(slot['charts'], 'chart')}"
+        rows += [(f"{slot['slot']} textures", f"{counted(len(slot['images']), 'image')}, {charts}")]
+        images = slot["images"] if len(slot["images"]) > 1 else []
+        rows += [("", f"{each['name']}: {_noise_in_words(each['noise'])}") for each in images[:_SHOWN_IMAGES]]
+        rows += [("", f"and {len(images) - _SHOWN_IMAGES} more")] if len(images) > _SHOWN_IMAGES else []
+        rows += _answer(slot)
+        if slot.get("exposure", {}).get("is_exposure"):
+            step = f"median step {_noise(slot['exposure']['step'])} at seams; `beltrami level` removes them"
+            rows.append(("exposure", step))
+    if "smooth" in facts:
+        colours = facts.get("colours") or facts["image"]
+        names = colours.get("smoothed") or colours["channels"]
+        kind = "pixels" if "image" in facts else "vertex colours"
+        rows += [(kind, f"{', '.join(names)}, stored as {colours['stored']}"), *_answer(facts)]
+    space = _SUMMARY - len(rows) - 1
+    notices = facts["notices"]
+    rows += [("note", text) for text in notices[:space]]
+    more = f"{len(notices) - space} more notices, and " if len(notices) > space else ""
+    width = max(len(label) for label, _ in rows)
+    for label, text in [*rows, ("", f"{more}details with -v or --json")]:
+        click.echo(printable(f"{label:<{width}}  {text}"))
+
+
+def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
+    yield str(facts["file"]["format"])
+    if image := facts.get("image"):
+        yield f"{image['width']} x {image['height']} pixels"
+    if surface := facts.get("surface"):
+        yield counted(surface["vertices"], "vertex") if "vertices" in surface else ""
+        yield counted(surface["triangles"], "triangle") if "triangles" in surface else ""
+    if cloud := facts.get("cloud"):
+        yield counted(cloud["points"], "point")
+
+
+def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Give the noise of a part and what smoothing would do to it."""
+    yield "noise", _noise_in_words(part["noise"])
+    smooth = part["smooth"]
+    choice = (
+        smooth.get("choice")
+        or f"iterations {smooth['iterations']}, t {smooth['t']:.3g}, beta {smooth['beta']:.3g}"
+    )
+    yield "smooth", choice
+
+
+def _noise_in_words(values: dict[str, float]) -> str:
+    strongest = max(values.values(), default=0.0)
+    if not strongest:
+        return NO_NOISE_FOUND
+    each = ", ".join(f"{name} {255 * value:.1f}" for name, value in values.items())
+    return f"{_noise(strongest)}" + (f" ({each})" if len(values) > 1 else "")
+
+
+def _choice_in_short(choice: dict[str, Any]) -> str:
+    words = counted(choice["chosen"].get("iterations", 0), "iteration") if choice["chosen"] else "as given"
+    if choice["psnr"] is None:
+        return f"{words}; details with -v"
+    least, most = choice["interval"]
+    interval = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
+    now = choice["psnr"] - choice["gain"]
+    return f"{words}; estimated PSNR {now:.1f} -> {choice['psnr']:.1f} dB (90 %: {interval})"
+
+
+def _put_choices_in_words(
+    facts: dict[str, Any], settings: SmoothSettings, in_words: Callable[[dict[str, Any]], str]
+) -> None:
     slots: Any = facts.get("textures", [])
     image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
     samples = image["width"] * image["height"] - image["holes"]
@@ -126,11 +202,14 @@ def _show_facts(facts: dict[str, Any], settings: SmoothSettings) -> None:
         if not smooth:
             continue
         if settings.kernel.iterations:
-            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(smooth)
+            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(smooth, in_words)
         if "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
             several = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
             which = several if smooth["iterations"] > 1 else " iteration"
             smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first{which}"
+
+
+def _show_facts(facts: dict[str, Any]) -> None:
     for section, content in facts.items():
         for part in content if isinstance(content, list) and section == "textures" else [content]:
             _print(section, part)
@@ -163,13 +242,13 @@ def _noise_of(values: dict[str, float]) -> dict[str, str]:
     return shown | ({"grain": f"{values['grain']:.1f} samples"} if "grain" in values else {})
 
 
-def _choice(smooth: dict[str, Any]) -> str | None:
+def _choice(smooth: dict[str, Any], in_words: Callable[[dict[str, Any]], str]) -> str | None:
     """Say what would be chosen, and by what; None: all is given."""
     if "choice" in smooth:
-        return choice_in_words(smooth["choice"])
+        return in_words(smooth["choice"])
     if smooth["iterations"]:
         return None
-    why = "smoothing would take nothing of the noise" if smooth.get("noise") else f"there is {NO_NOISE_FOUND}"
+    why = "smoothing would not reduce the noise" if smooth.get("noise") else NO_NOISE_FOUND
     return f"nothing to smooth: {why}; {ALL_THE_SAME}"
 
 

@@ -23,7 +23,7 @@ Examples:
   beltrami level model.obj level.obj --reference "front*"    so do all on textures or materials of such names
   beltrami level cloud.ply level.ply --photographs camera    vertex colours, by an attribute
   beltrami smooth photoscan.obj clean.obj --level            level, and then smooth across the seams
-  beltrami batch scans --out-dir clean --level-seams -n 0    level many files, and do not smooth them
+  beltrami batch scans --out-dir clean --level -n 0          level many files, and do not smooth them
 
 \b
 Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. A step at a seam is taken

@@ -39,6 +39,8 @@ COMMANDS = {
     "view": "Show a model in the browser, and smooth it there.",
 }
 
+_ALIASES = {"denoise": "smooth"}
+
 _INTERRUPTED = "interrupted; files are as they were, or complete"
 
 
@@ -65,6 +67,7 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command that is meant; where there is none, name those that are like it."""
+        args = [_ALIASES.get(args[0], args[0]), *args[1:]]
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:

@@ -45,7 +45,7 @@ class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newe
 
     def __init__(self, declared: Parameter) -> None:
         # Errors name the option, which may be called otherwise than the field.
-        self._declared = dataclasses.replace(declared, name=_flag(declared))
+        self._declared = dataclasses.replace(declared, name=_flag(declared), flags=flags_of(declared))
         self.name = {int: "integer", float: "float"}.get(declared.kind, "text")
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -222,7 +222,7 @@ def is_given(name: str) -> bool:
 
 # Which colours are meant, and how they are written, for the commands that do not smooth them.
 TEXTURES = ("threads", "space", "channels", "on", "slots", "materials", "names")
-COLOURS = (*TEXTURES, "mask", "level", "inside", "colours", "max_voxels")
+COLOURS = (*TEXTURES, "mask", "iso", "inside", "colours", "max_voxels")
 ENCODING = ("gutter", "image_suffix", "jpeg_quality", "small")
 # Averages alone can be taken in Oklab.
 _TAKEN = (

@@ -63,7 +63,7 @@ Examples:
   beltrami smooth photo.png clean.png --height depth.exr --height-scale 200  an image on a height map
   beltrami smooth cloud.ply clean.ply                   points without faces; .xyz, .pts and .npz too
   beltrami smooth fusion.npz clean.ply                  a level set with colours, as a mesh
-  beltrami smooth density.nrrd clean.glb --level 0.5 --inside above --colours points.ply
+  beltrami smooth density.nrrd clean.glb --iso 0.5 --inside above --colours points.ply
   beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
   beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
   beltrami smooth model.glb clean.glb --guide normal    the clean normal map guides the base colour
@@ -202,13 +202,15 @@ def command(source: str, target: str, messages: Messages, **smoothing: Any) -> N
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
     messages.warn_of(report.input, report.warnings)
-    if report.textures and not unwrapped:
-        messages.say(f"{report.output}: no iterations, so only the type of images is changed")
-        return
-    same = Path(report.input).suffix.lower() == f".{report.format}" and not unwrapped
     what = "would be" if dry_run else "is"
-    names = ", but for the names of the files beside it" if len(report.written) > 1 else ""
-    result = f"the file {what} copied unchanged{names}" if same else "the colours are unchanged"
+    if Path(report.input).suffix.lower() != f".{report.format}" or unwrapped:
+        made = "laid out on a new texture" if unwrapped else f"converted to {report.format}"
+        result = f"it {what} {made}, with its colours unchanged"
+    elif report.textures:
+        result = "only the type of images is changed"
+    else:
+        names = ", but for the names of its images and other files" if len(report.written) > 1 else ""
+        result = f"the file {what} copied unchanged{names}"
     messages.say(f"{report.output}: no iterations, so {result}")
 
 

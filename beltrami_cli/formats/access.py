@@ -128,6 +128,9 @@ def read_source(source: str, access: Access = EVERYTHING_INSIDE) -> bytes:
         return _read_stdin(access)
     try:
         return read_regular(Path(source), access)
+    except IsADirectoryError as error:
+        remedy = f"name a file in it; beltrami batch {source} --out-dir OUT smooths all of them"
+        raise InputError(source, "it is a folder", remedy) from error
     except NotRegularError as error:
         remedy = "give a file, or pipe the model in and name it -"
         raise InputError(source, "it is not a regular file", remedy) from error

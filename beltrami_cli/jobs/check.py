@@ -9,14 +9,17 @@ from typing import TypeVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array
+from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
+from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.memory_check import require_memory
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
 from beltrami_cli.surface.records import Texture
 
 Held = TypeVar("Held")
@@ -57,11 +60,37 @@ def check_files(
         raise UsageError(f"{' and '.join(kinds)}; give two alike")
     old, new = (document.fingerprint() for document in documents)
     found = _between(old.colours, new.colours, _of_colours)
-    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, access))
+    visible = _visible_texels(original) if old.images != new.images else {}
+    found += _between(old.images, new.images, lambda one, other: _of_images(one, other, visible, access))
     found += _between(old.parts, new.parts, _of_parts)
     faults = [fault for fault in new.faults if fault not in old.faults]
     found += [Difference("package", fault, of_colour=False) for fault in faults]
     return CheckReport(documents[0].name, documents[1].name, formats[0], found)
+
+
+def _visible_texels(document: Document) -> dict[bytes, Bools]:
+    """Find the texels of each texture, by its content, that lie on the surface; shapes (H, W)."""
+    visible: dict[bytes, Bools] = {}
+    for slot in document.slots():
+        try:
+            surface = document.textured(slot)
+            sizes = [(size.width, size.height) for size in map(_size_of, surface.textures)]
+        except InputError:  # Such a texture can be compared, but not be laid out.
+            continue
+        atlas = build_atlas(surface, sizes, margin=1)
+        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels):
+            del inside
+            width, height = sizes[index]
+            mask = visible.setdefault(surface.textures[index].data, np.zeros((height, width), bool))
+            mask.flat[texels] = True
+    return visible
+
+
+def _size_of(texture: Texture) -> ImageSize:
+    size = measure_image(texture.data, texture.name)
+    if size is None:
+        raise InputError(texture.name, "it is no image that can be read")
+    return size
 
 
 def _between(
@@ -87,6 +116,8 @@ def _of_colours(before: Array, after: Array) -> tuple[str, bool] | None:
 
 def _amount(before: Array, after: Array) -> str:
     """Say how many rows of colours differ, and by how much; integers are shares of the largest of their type."""
+    if np.array_equal(before, after):
+        return f"none of {len(before)} differ"
     rows, total, largest = 0, 0.0, 0.0
     for block in large_arrays.blocks(len(before)):
         change = np.abs(full_scale_one(after[block]).astype(np.float64) - full_scale_one(before[block]))
@@ -96,7 +127,9 @@ def _amount(before: Array, after: Array) -> str:
     return f"{rows} of {len(before)} differ, by {mean:.2f}/255 on average and {255 * largest:.1f}/255 at most"
 
 
-def _of_images(old: Texture, new: Texture, access: Access) -> tuple[str, bool] | None:
+def _of_images(
+    old: Texture, new: Texture, visible: Mapping[bytes, Bools], access: Access
+) -> tuple[str, bool] | None:
     if old.data == new.data:
         return None
     require_memory([(old.name, old.data), (new.name, new.data)], access)
@@ -113,8 +146,12 @@ def _of_images(old: Texture, new: Texture, access: Access) -> tuple[str, bool] |
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
         return f"{names}: {kinds[0]} became {kinds[1]}", True
-    amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
-    return f"{names}: pixels, {amount}", True
+    mask = visible.get(old.data)
+    if mask is None:
+        amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
+        return f"{names}: pixels, {amount}", True
+    on, off = (_amount(before.pixels[part], after.pixels[part]) for part in (mask, ~mask))
+    return f"{names}: on the surface {on}; around charts {off}", True
 
 
 def _cleared(before: Picture, after: Picture) -> int:

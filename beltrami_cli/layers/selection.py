@@ -19,7 +19,7 @@ from beltrami_cli.layers.image_surface import refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer, SharedImages
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.painted_layer import PaintedLayer
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.layers.texture_groups import TextureGroup, separate_groups
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -59,6 +59,12 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
         raise UsageError(f"{', '.join(wrong)}: for images only, but {document.name} is none; leave it out")
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
+    if (
+        not slots
+        and settings.on != "vertices"
+        and settings.textures.slots not in ((), SLOTS, TextureSettings.slots)
+    ):
+        raise _no_such_textures(document, present, settings.textures.slots)
     coloured = settings.on != "texture" and document.has_vertex_colours()
     if settings.on == "auto":
         slots = document.readable(slots)
@@ -72,7 +78,10 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     if not slots:
         raise _nothing_to_smooth(document, present, textures_only=settings.on == "texture")
     slots = _with_chosen_textures(document, slots, settings)
-    absent = [f"it has no {slot} textures" for slot in settings.textures.slots if slot not in present]
+    wanted = settings.textures.slots
+    absent = (
+        [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
+    )
     both = settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
@@ -160,6 +169,13 @@ def require_scale(document: Document, selection: Selection) -> None:
         document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
 
 
+def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Sequence[str]) -> InputError:
+    kinds = f"{', '.join(present)} textures" if present else "no textures at all"
+    cause = f"it has no {' or '.join(wanted)} textures, but {kinds}"
+    remedy = f"give --slots {present[0]}" if present else "leave out --slots"
+    return UnpaintedError(document.name, cause, remedy)
+
+
 def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_only: bool) -> InputError:
     """Return the error that there are no colours of the requested kind, or that they are damaged."""
     why = ""
@@ -174,9 +190,8 @@ def _nothing_to_smooth(document: Document, present: Sequence[Slot], *, textures_
     kinds = "no textures" if textures_only else "neither vertex colours nor textures"
     cause = f"it has {kinds} to smooth"
     if present:
-        remedy = f"give --slots {present[0]}"
         cause = f"{cause}, but textures in the slots {', '.join(present)}"
-        return UnpaintedError(document.name, cause, remedy)
+        return UnpaintedError(document.name, cause, f"give --slots {present[0]}")
     reason = document.notices[0] if document.notices else why
     reason = reason.removesuffix(LEFT_ALONE).rstrip(".")
     return UnpaintedError(document.name, cause + (f" ({reason})" if reason else ""), remedy_for(reason))
@@ -209,6 +224,10 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         name = OUTPUT_FORMATS[wanted]
     elif target == "-" or not wanted:
         name = OUTPUT_FORMATS.get(document.format, "ply")
+    elif format_of_suffix(f".{wanted}") is not None:
+        cause = f".{wanted} is an image format, but {document.name} is a model"
+        drawn = f"beltrami render {document.name} {target} draws it"
+        raise UsageError(f"{target}: {cause}; {drawn}, or end the name in .{document.format}")
     else:
         known = ", ".join("." + f for f in OUTPUT_FORMATS)
         cause = f"no format is known for .{wanted}"

@@ -36,6 +36,24 @@ def _suffix(text: str) -> str:
     return "." + text.lower().lstrip(".")
 
 
+# Names by which people know the slots, without regard to case, spaces, dashes and underscores.
+_SLOT_NAMES = {slot.lower(): slot for slot in SLOTS} | {
+    **dict.fromkeys(("diffuse", "albedo", "color", "colour"), "baseColor"),
+    **dict.fromkeys(("emission", "glow"), "emissive"),
+    **dict.fromkeys(("normals", "bump"), "normal"),
+    "ao": "occlusion",
+    **dict.fromkeys(("metallic", "metalness", "roughness", "orm"), "metallicRoughness"),
+}
+
+
+def _slots(text: str) -> tuple[str, ...]:
+    names = names_in(text)
+    if [name.lower() for name in names] == ["all"]:
+        return SLOTS
+    plain = ("".join(letter for letter in name.lower() if letter.isalpha()) for name in names)
+    return tuple(dict.fromkeys(_SLOT_NAMES.get(key, name) for key, name in zip(plain, names, strict=True)))
+
+
 def _gutter(text: str) -> int | None:
     if text == "keep":
         return None
@@ -63,8 +81,8 @@ class TextureSettings(Checked):
 
     slots: tuple[str, ...] = parameter(
         ("baseColor",),
-        f"Textures of which material slots: {', '.join(SLOTS)}. All but the first two are taken as data.",
-        choices=SLOTS, metavar="LIST", parse=names_in, show=",".join,
+        f"Textures of which material slots: {', '.join(SLOTS)}, or all. All but the first two are taken as data.",
+        choices=SLOTS, metavar="LIST", parse=_slots, show=",".join,
     )  # fmt: skip
     materials: tuple[str, ...] = parameter(
         (),
@@ -174,14 +192,14 @@ class LevelSetSettings(Checked):
 
     group: ClassVar[str] = "Level sets"
 
-    level: float | None = parameter(
+    iso: float | None = parameter(
         None,
         "Of a level set: the value on its surface, such as 0.5 for occupancies.",
-        kind=float, unset="as INPUT says, or 0", metavar="L",
+        kind=float, unset="as INPUT says, or 0", metavar="VALUE",
     )  # fmt: skip
     inside: Inside = parameter(
         "below",
-        "Of a level set: which values are inside, below the level as signed distances, or above it as "
+        "Of a level set: which values are inside: below the surface's, as signed distances, or above it, as "
         "densities. Triangles face outwards.",
         choices=get_args(Inside),
     )  # fmt: skip
@@ -285,9 +303,8 @@ class SmoothSettings:
     )  # fmt: skip
     level_seams: bool = parameter(
         False,
-        "First take out exposure steps between the charts of textures, as `beltrami level` does; so does --level "
-        "without a number.",
-        group="Exposure steps",
+        "First take out exposure steps between the charts of textures, as `beltrami level` does.",
+        group="Exposure steps", flags=("--level", "level_seams"),
     )  # fmt: skip
     textures: TextureSettings = part(TextureSettings)  # images obey its alpha, jpeg_quality and small, too
     image: ImageSettings = part(ImageSettings)

@@ -106,7 +106,7 @@ class LevelSetDocument(Document):
         if access.memory is not None:
             max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
         volume = read_volume(data, name, folder, max_voxels)
-        level = settings.level if settings.level is not None else volume.level or 0.0
+        level = settings.iso if settings.iso is not None else volume.level or 0.0
         known = np.isfinite(volume.values)
         if volume.known is not None:
             known &= volume.known
@@ -162,14 +162,14 @@ def _triangulated(
     crossings = level_set.find_crossings(values, level, known)
     if crossings.count > MAX_CROSSINGS:
         cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
-        raise InputError(name, cause, "choose another --level, or smooth the values first")
+        raise InputError(name, cause, "choose another --iso, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
     if crossings.count:
         vertices, faces = level_set.triangulate_level_set(values, level, crossings, known)
     if not len(faces):
         low, high = _range(values, known)
         cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"
-        raise InputError(name, cause, "choose another --level")
+        raise InputError(name, cause, "choose another --iso")
     # Triangles face larger values where the grid is right-handed in space.
     mirrored = np.linalg.det(volume.lattice.axes) < 0
     return vertices, faces[:, ::-1] if (inside == "above") != mirrored else faces

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import struct
 from collections.abc import Callable, Sequence
 from fractions import Fraction
@@ -44,24 +45,28 @@ _MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguish
 
 
 def render_file(
-    sources: Sequence[str], target: str, settings: RenderSettings = DEFAULT_RENDER, job: Job = PLAIN_JOB
+    sources: Sequence[str | os.PathLike[str]],
+    target: str | os.PathLike[str],
+    settings: RenderSettings = DEFAULT_RENDER,
+    job: Job = PLAIN_JOB,
 ) -> tuple[int, int]:
     """Draw models, points and images side by side, write the picture, and return its width and height."""
-    suffix = _suffix_of(target, settings)
-    labels = _labels(sources, settings)
-    pixels = len(sources) * max(1, settings.turntable) * settings.size[0] * settings.size[1]
+    names, path = [os.fspath(source) for source in sources], os.fspath(target)
+    suffix = _suffix_of(path, settings)
+    labels = _labels(names, settings)
+    pixels = len(names) * max(1, settings.turntable) * settings.size[0] * settings.size[1]
     if pixels > MOST_PIXELS:
         cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
         raise UsageError(f"{cause}; lower --size")
-    output, progress = Output(target, overwrite=job.overwrite, what="picture", reads=sources), job.progress
+    output, progress = Output(path, overwrite=job.overwrite, what="picture", reads=names), job.progress
     access = output.files.watching(job.access)
-    views = open_views(sources, settings, access, progress=progress)
+    views = open_views(names, settings, access, progress=progress)
     if settings.turntable > 1 and suffix in ANIMATIONS:
         frames = draw_turns(views, labels, settings, progress)
         output.write(Written(main=[_ENCODERS[suffix](frames, settings.fps)]))
         return frames[0].shape[1], frames[0].shape[0]
     picture = draw_views(views, labels, settings, progress)
-    output.write(encoded(picture, target, suffix))
+    output.write(encoded(picture, path, suffix))
     return picture.shape[1], picture.shape[0]
 
 

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import OpenImageIO
@@ -339,8 +340,22 @@ def test_the_makefile_of_the_page_passes_good_results_and_fails_on_bad_ones(tmp_
     run = make("--min-psnr 60")
     assert run.returncode == 2, run.stderr
     assert b"PSNR" in run.stderr
-    assert not (tmp_path / "build" / "knot.ply.json").exists()
+    figures = tmp_path / "build" / "knot.ply.json"
+    assert not json.loads(figures.read_text())["passed"]  # kept, so that the failure can be looked at
     run = make("--min-psnr 25 --max-delta-e 8")
     assert run.returncode == 0, run.stderr
-    assert json.loads((tmp_path / "build" / "knot.ply.json").read_text())["passed"]
+    assert json.loads(figures.read_text())["passed"]
     assert b"smooth" not in run.stdout  # what was made by the first run is kept
+
+
+def test_junit_has_a_case_for_each_limit_and_part(tmp_path):
+    one = picture(tmp_path / "a & b.png", np.full((8, 8, 3), 100, np.uint8))
+    other = picture(tmp_path / "c.png", np.full((8, 8, 3), 110, np.uint8))
+    report = tmp_path / "report.xml"
+    beltrami("compare", one, other, "--min-psnr", 60, "--max-delta-e", 50, "--junit", report, code=1)
+    suite = ElementTree.parse(report).getroot()
+    assert (suite.tag, suite.get("tests"), suite.get("failures")) == ("testsuite", "2", "1")
+    assert [case.find("failure") is None for case in suite] == [False, True]
+    beltrami("compare", one, one, "--junit", report, code=4)  # nothing is replaced without --overwrite
+    beltrami("compare", one, one, "--min-psnr", 60, "--junit", report, "--overwrite")
+    assert ElementTree.parse(report).getroot().get("failures") == "0"

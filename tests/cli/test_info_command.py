@@ -74,7 +74,7 @@ def test_a_larger_time_step_holds_more_samples():
 
 
 def test_the_text_has_the_same_sections():
-    run = beltrami("info", SAMPLES / "nonmanifold-noisy.ply")
+    run = beltrami("info", SAMPLES / "nonmanifold-noisy.ply", "-v")
     for section in ("file", "colours", "surface", "noise", "smooth"):
         assert f"\n{section}\n" in f"\n{run.stdout.decode()}"
     assert run.stderr == b""
@@ -82,7 +82,7 @@ def test_the_text_has_the_same_sections():
 
 @pytest.mark.slow
 def test_the_text_on_textures_says_what_would_be_chosen_and_how_sure_that_is():
-    noisy = beltrami("info", SAMPLES / "torus-two-noisy.gltf").stdout.decode()
+    noisy = beltrami("info", SAMPLES / "torus-two-noisy.gltf", "-v").stdout.decode()
     # Noise as `beltrami noise --sigma` takes it.
     (icing,) = re.findall(
         r"icing.png: 512 x 136 png, uint8 R G B; covered \d+ %.* noise red ([\d.]+)/255", noisy
@@ -92,6 +92,15 @@ def test_the_text_on_textures_says_what_would_be_chosen_and_how_sure_that_is():
     clean = beltrami("info", SAMPLES / "head-tex-clean.glb").stdout.decode()
     assert "nothing to smooth" in clean
     assert "None" not in clean
+
+
+@pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "torus-two-noisy.gltf", "head-tex-clean.png"])
+def test_the_short_text_has_the_answer_in_few_lines(name):
+    lines = beltrami("info", SAMPLES / name, "--fast").stdout.decode().splitlines()
+    assert len(lines) <= 20
+    labels = [line.split("  ")[0] for line in lines]
+    assert labels.index("noise") < labels.index("smooth")
+    assert "_" not in "".join(line for line in lines if not line.startswith("file"))  # no name of a field
 
 
 def test_a_file_without_colours_is_refused(tmp_path):

@@ -74,7 +74,7 @@ def test_a_clean_file_comes_out_as_it_was_and_the_report_says_why(name, tmp_path
     assert done["iterations"] == 0
     # One line says what was measured and what to give, and that does it.
     (line,) = run.stderr.decode().splitlines()
-    what = r"(?:noise ([\d.]+)/255|no noise that can be told from paint), "
+    what = r"(?:noise ([\d.]+)/255|no noise detected), "
     way_out = what + ".*; to smooth all the same, give (.*), or the noise, as in (.*)"
     noise, *ways = re.search(way_out, line).groups()
     assert float(noise or 0) == pytest.approx(255 * max(done["noise"].values()), abs=0.05)

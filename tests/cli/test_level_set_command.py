@@ -23,7 +23,7 @@ def volume(tmp_path_factory):
     return path
 
 
-OPTIONS = ("--level", 0.5, "--inside", "above")
+OPTIONS = ("--iso", 0.5, "--inside", "above")
 
 
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb", "gltf"])
@@ -35,7 +35,7 @@ def test_the_surface_is_written_in_the_format_of_the_name(extension, volume, tmp
     np.testing.assert_allclose(radii, 1, atol=0.5 * 0.15**2)
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["vertices"]["counts"]["vertices"] == len(radii)
-    assert report["parameters"]["level_set"]["level"] == 0.5
+    assert report["parameters"]["level_set"]["iso"] == 0.5
 
 
 def test_a_pipe_takes_an_archive_and_gives_a_ply_file(volume):

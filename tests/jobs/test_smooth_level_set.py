@@ -85,7 +85,7 @@ def test_surfaces_face_outwards_whatever_way_the_axes_point(tmp_path):
 def test_densities_have_their_inside_above_the_level(tmp_path):
     values, _, _ = sphere(0.25)
     path = write(tmp_path / "v.npz", npz(values=1 - values, colours=np.full((*values.shape, 1), 0.5)))
-    above = LevelSetSettings(level=1.2, inside="above")
+    above = LevelSetSettings(iso=1.2, inside="above")
     for level_set, faces_outwards in ((above, True), (dataclasses.replace(above, inside="below"), False)):
         document = opened(path, SmoothSettings(level_set=level_set))
         assert outward(document) == faces_outwards
@@ -117,7 +117,7 @@ def test_without_the_extra_one_line_names_it_and_nothing_is_written(module, pack
 @pytest.mark.parametrize(
     ("arrays", "level_set", "cause"),
     [
-        ({}, {"level": 7.0}, "no surface at level 7"),
+        ({}, {"iso": 7.0}, "no surface at level 7"),
         ({"values": np.full((4, 4, 4), np.nan)}, {}, "no surface"),
         ({}, {"max_voxels": 63}, "63 are allowed"),
         ({"colours": np.full((4, 4, 4, 3), np.nan)}, {}, "none of its colours"),
@@ -151,8 +151,8 @@ def test_options_of_level_sets_are_refused_for_meshes_and_out_of_range(tmp_path)
     smooth_file(
         sphere_file(tmp_path, 0.3), tmp_path / "mesh.ply", SmoothSettings(KernelParameters(iterations=0))
     )
-    with pytest.raises(UsageError, match="--level, --inside"):
-        opened(tmp_path / "mesh.ply", SmoothSettings(level_set=LevelSetSettings(level=1.0, inside="above")))
+    with pytest.raises(UsageError, match="--iso, --inside"):
+        opened(tmp_path / "mesh.ply", SmoothSettings(level_set=LevelSetSettings(iso=1.0, inside="above")))
 
 
 def any_numbers(shape):

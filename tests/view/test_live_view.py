@@ -284,7 +284,7 @@ def test_the_address_that_a_browser_is_started_with_is_good_once():
 
 @pytest.mark.slow
 def test_a_page_says_why_there_is_no_preview(browser, served):
-    viewer = Live(browser, served(SAMPLES / "torus-two-noisy.gltf", "--level-seams", "-n", "1").address)
+    viewer = Live(browser, served(SAMPLES / "torus-two-noisy.gltf", "--level", "-n", "1").address)
     viewer.page.locator("#state", has_text="No preview: exposure steps are levelled").wait_for(timeout=30_000)
     viewer.wait_for("whole")
     assert viewer.page.locator("#state").inner_text() == "Done."

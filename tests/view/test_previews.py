@@ -46,7 +46,7 @@ def parsed(words):
         "--preset paper -n 4",
         "--strength gentle --patches off --window 9",
         "--noise shot:0.01,read:0.005 --beta 3",
-        "--level-seams -n 3",
+        "--level -n 3",
         "--slots baseColor,normal --gutter keep --space linear --fast",
         "--material 'a b' --material c --metric-channels none --channels r,g",
         "--guide normal --guide-beta 3.0 --smooth-geometry --texture-format png",
