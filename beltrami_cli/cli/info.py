@@ -178,9 +178,9 @@ def _noise_in_words(values: dict[str, float]) -> str:
 
 
 def _choice_in_short(choice: dict[str, Any]) -> str:
-    words = counted(choice["chosen"].get("iterations", 0), "iteration") if choice["chosen"] else "as given"
-    if choice["psnr"] is None:
-        return f"{words}; details with -v"
+    if choice["psnr"] is None or "iterations" not in choice["chosen"]:
+        return choice_in_words(choice)
+    words = counted(choice["chosen"]["iterations"], "iteration")
     least, most = choice["interval"]
     interval = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
     now = choice["psnr"] - choice["gain"]

@@ -205,7 +205,8 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
     what = "would be" if dry_run else "is"
     if Path(report.input).suffix.lower() != f".{report.format}" or unwrapped:
         made = "laid out on a new texture" if unwrapped else f"converted to {report.format}"
-        result = f"it {what} {made}, with its colours unchanged"
+        kept = "only the type of images is changed" if report.textures else "its colours are unchanged"
+        result = f"it {what} {made}, and {kept}"
     elif report.textures:
         result = "only the type of images is changed"
     else:

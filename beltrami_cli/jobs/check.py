@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import TypeVar
 
 import numpy as np
@@ -60,7 +61,7 @@ def check_files(
         raise UsageError(f"{' and '.join(kinds)}; give two alike")
     old, new = (document.fingerprint() for document in documents)
     found = _between(old.colours, new.colours, _of_colours)
-    visible = _visible_texels(original) if old.images != new.images else {}
+    visible = cache(partial(_visible_texels, original))
     found += _between(old.images, new.images, lambda one, other: _of_images(one, other, visible, access))
     found += _between(old.parts, new.parts, _of_parts)
     faults = [fault for fault in new.faults if fault not in old.faults]
@@ -128,7 +129,7 @@ def _amount(before: Array, after: Array) -> str:
 
 
 def _of_images(
-    old: Texture, new: Texture, visible: Mapping[bytes, Bools], access: Access
+    old: Texture, new: Texture, visible: Callable[[], Mapping[bytes, Bools]], access: Access
 ) -> tuple[str, bool] | None:
     if old.data == new.data:
         return None
@@ -146,7 +147,7 @@ def _of_images(
     kinds = [f"{p.stored} {'/'.join(p.channels)} in {p.format}" for p in (before, after)]
     if kinds[0] != kinds[1]:
         return f"{names}: {kinds[0]} became {kinds[1]}", True
-    mask = visible.get(old.data)
+    mask = visible().get(old.data)
     if mask is None:
         amount = _amount(*(p.pixels.reshape(-1, len(p.channels)) for p in (before, after)))
         return f"{names}: pixels, {amount}", True

@@ -52,7 +52,7 @@ SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clippin
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
 MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than what is used
-PRELOADED = ("samples.texture_layer", "samples.vertex_layer")
+PRELOADED = ("layers.texture_layer", "layers.vertex_layer")
 OUTCOMES = {
     "smoothed": "only colours changed",
     "converted": "read, written as PLY",
