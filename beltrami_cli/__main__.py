@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 
-# Warnings of libraries name lines of source, and nobody can act on them; what matters is said in a sentence.
+# Warnings of libraries name lines of source, which users cannot act on; messages say all that matters.
 if not sys.warnoptions:
     warnings.simplefilter("ignore")
 

@@ -28,7 +28,7 @@ _NOUNS = {bool: "True or False", int: "a whole number", float: "a number", str: 
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """What is declared of a parameter."""
+    """The declaration of a parameter."""
 
     name: str
     default: Any
@@ -41,15 +41,15 @@ class Parameter:
     high: float | None = None
     is_open: bool = False  # whether `low` and `high` themselves are excluded
     is_odd: bool = False
-    also: tuple[float, ...] = ()  # values beside the range
+    also: tuple[float, ...] = ()  # values allowed outside the range
     allowed: str = ""  # in words, where the record checks it by itself
     unit: str = ""
-    unset: str = ""  # what is done where no value is given, if that is not the default
+    unset: str = ""  # behaviour without a value, if it differs from the default
     # Of the option, as click takes them; empty: from the name; None: no option.
     flags: tuple[str, ...] | None = ()
     metavar: str | None = None
     repeatable: bool = False  # whether the option of several values is given once for each
-    # Makes the value from text; ValueError says what is wrong with it.
+    # Makes the value from text; ValueError names the fault.
     parse: Callable[[str], Any] | None = None
     show: Callable[[Any], str] = str  # makes that text from the value
     is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
@@ -176,7 +176,7 @@ def number_in(text: str) -> tuple[float, bool]:
 
 
 def share_in(text: str) -> float:
-    """Read a part of something, such as 0.001 or 0.1%; ValueError says what is wrong."""
+    """Read a part of something, such as 0.001 or 0.1%; ValueError names the fault."""
     try:
         return number_in(text)[0]
     except ValueError:
@@ -189,7 +189,7 @@ def part(record: type[Record], make: Callable[[], Record] | None = None) -> Any:
 
 
 def parameters(record: Any, *, deep: bool = False) -> tuple[Parameter, ...]:
-    """Return the parameters of a record, or its class, in their order; deep: also those of the records in it."""
+    """Return the parameters of a record, or its class, in order; deep: with the parameters of nested records."""
     return _parameters_of(record if isinstance(record, type) else type(record), deep)
 
 
@@ -230,7 +230,7 @@ def named_files(record: Any) -> Iterator[str]:
 
 
 def with_files(record: Record, renamed: Callable[[str], str]) -> Record:
-    """Return a record in which parameters, and those of records in it, name other files."""
+    """Return a record whose parameters, nested ones included, name other files."""
     changed: dict[str, Any] = {name: with_files(getattr(record, name), renamed) for name in parts(record)}
     for each in parameters(record):
         changed[each.name] = each.with_files(getattr(record, each.name), renamed)
@@ -268,7 +268,7 @@ def override(record: Record, **values: Any) -> Record:
 
 
 class _Docstring:
-    """A docstring to which the parameters of its class are added when somebody reads it."""
+    """A docstring to which the parameters of its class are added when it is read."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -311,5 +311,5 @@ def _enumerated(words: tuple[str, ...]) -> str:
 def _alike(name: str, known: set[str]) -> str:
     from difflib import get_close_matches
 
-    alike = get_close_matches(name, sorted(known))
-    return f"; did you mean {_enumerated(tuple(alike))}?" if alike else ""
+    similar = get_close_matches(name, sorted(known))
+    return f"; did you mean {_enumerated(tuple(similar))}?" if similar else ""

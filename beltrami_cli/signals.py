@@ -15,6 +15,6 @@ ENDING_SIGNALS = frozenset(map(int, signal.valid_signals() - {getattr(signal, ea
 
 
 def unhandled_endings() -> set[int]:
-    """Return the signals that would end this process as it is; not those that it ignores, as under nohup."""
+    """Return the signals that would end this process; ignored ones, as under nohup, are left out."""
     ends = (signal.SIG_DFL, signal.default_int_handler)
     return {number for number in ENDING_SIGNALS if signal.getsignal(number) in ends}

@@ -74,7 +74,7 @@ def _require_encryption(address: str, security: Any) -> None:
 
 
 def _require_listener(address: str) -> None:
-    """Raise ValueError or OSError if nobody listens at an address, where a client would try for long."""
+    """Raise ValueError or OSError at once if nothing listens at an address; a client would keep trying."""
     parts = urlsplit(address if "://" in address else f"tcp://{address}")
     if parts.scheme == "inproc" and parts.path.count("/") == 2:  # one of this process
         return

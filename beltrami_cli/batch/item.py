@@ -1,4 +1,4 @@
-"""One file of a batch: what is to be done, doing it, and what came of it."""
+"""One file of a batch: the task, its execution, and the outcome."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Item:
     outside: bool = False  # whether files are followed that the model names beyond its own folder
     overwrite: bool = False
     columns: tuple[str, ...] = ()  # names of the columns of points in text files
-    # Whether an attempt that was cut off may have written files: those that are there must be the same.
+    # Whether an attempt that was cut off may have written files; existing ones must then be equal.
     again: bool = False
 
     @property
@@ -128,14 +128,14 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
         except BeltramiError as error:
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
             raise
-        beside = report.written[1:]
-        names = [item.target, *beside]
+        sidecars = report.written[1:]
+        names = [item.target, *sidecars]
         report = dataclasses.replace(report, input=item.source, output=item.target, written=names)
         if to_url:
-            written = stage.send(beside, overwrite=item.overwrite, again=item.again)
+            written = stage.send(sidecars, overwrite=item.overwrite, again=item.again)
         else:
             output = Path(os.path.realpath(item.target))
-            files = (output, *(output.parent / name for name in beside))
+            files = (output, *(output.parent / name for name in sidecars))
             written = {str(file): hash_at(str(file)) for file in files}
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 

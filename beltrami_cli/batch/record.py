@@ -30,14 +30,14 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 class Record:
     """A report as it grows: a line when a file is started, and one when it is finished.
 
-    `resume`: go on from what is there; InputError if that cannot be read.
+    `resume`: go on from an earlier report; InputError if it cannot be read.
     `overwrite`: replace it, or only another record ("own").
     """
 
     def __init__(self, path: str, *, resume: bool, overwrite: Overwrite) -> None:
         self.path = path
         if not resume and not overwrite and is_there(path):
-            raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts anew")
+            raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts again")
         self._output = Output(
             path, overwrite=resume or overwrite, what="report", is_own=lambda head: _HEAD.match(head) is not None
         )  # fmt: skip
@@ -60,7 +60,7 @@ class Record:
             raise OutputError(self.path, f"cannot be written ({error.strerror})", "free space") from error
 
     def close(self, outcomes: Iterable[Outcome]) -> None:
-        """Write the report anew, with one line a file: those of this run in their order, after the others."""
+        """Rewrite the report with one line per file: earlier files first, then this run's in order."""
         now = {place_of(outcome.output): outcome for outcome in outcomes}
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
         lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]

@@ -44,7 +44,7 @@ class Watcher(Protocol):
 
 
 class Executor(ABC):
-    """Does items, to be used as a context; what is still in work at its end is given up."""
+    """Does items, to be used as a context; items still in work at its end are given up."""
 
     threads: int | None = None  # for each file whose settings leave it open; None: as many as there are
     queues = False  # whether items may wait after `start`; then a file begins with its first progress

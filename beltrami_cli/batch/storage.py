@@ -1,6 +1,6 @@
 """Files by name: on this machine, or at URLs that fsspec opens.
 
-A file at a URL is smoothed on a copy: it is downloaded into a folder of this machine, with what it names beside it, and
+A file at a URL is smoothed on a copy: it is downloaded into a folder of this machine, with the files that it names, and
 the results are uploaded.
 """
 
@@ -58,7 +58,7 @@ def fixed_part(pattern: PurePath) -> PurePath:
 
 
 def joined(folder: str, place: PurePath) -> str:
-    """Return the name of a file in a folder, either of which may be a URL."""
+    """Return the name of a file in a folder; both may be URLs."""
     if is_url(folder):
         return f"{folder.rstrip('/')}/{PurePosixPath(place)}"
     return str(Path(folder) / place)
@@ -135,7 +135,7 @@ class Stage:
         self._from, _, source_name = source.rpartition("/")
         self._to, _, target_name = target.rpartition("/")
         self._inside = folder / "in"
-        # What lies in one folder stays in one, so that files beside a model are left alone or copied as they would be.
+        # Files of one folder stay in one folder, so that the files of a model are kept or copied as in a local run.
         self._outside = self._inside if self._from == self._to else folder / "out"
         if is_url(target):
             self._outside.mkdir()
@@ -206,6 +206,6 @@ def _upload(path: Path, url: str) -> None:
         files.put_file(str(path), there)
         return
     folder, _, name = there.rpartition("/")
-    beside = f"{folder}/.{name}.{uuid.uuid4().hex[:12]}.tmp"
-    files.put_file(str(path), beside)
-    files.mv(beside, there)
+    temporary = f"{folder}/.{name}.{uuid.uuid4().hex[:12]}.tmp"
+    files.put_file(str(path), temporary)
+    files.mv(temporary, there)

@@ -68,7 +68,7 @@ class Run:
         return (Path(self._said.name).read_text(encoding="utf-8", errors="replace")).splitlines()
 
     def progress(self):
-        """Return what is being done, and how much of it is, in percent."""
+        """Return the current stage, and its progress in per cent."""
         shown = [line for line in self.lines() if line.startswith("progress: ")]
         if not shown:
             return "reading", 0

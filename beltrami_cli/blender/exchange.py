@@ -36,7 +36,7 @@ def _numbers(items, name, width, kind):
 
 
 def _positions(mesh, matrix):
-    """Return places in the world, where distances are those that are seen."""
+    """Return positions in world space, so that object scale counts."""
     places = _numbers(mesh.vertices, "co", 3, np.float32).astype(np.float64)
     matrix = np.array(matrix)
     return (places @ matrix[:3, :3].T + matrix[:3, 3]).astype("<f4")
@@ -101,7 +101,7 @@ class ColourAttribute:
         self._colours, self._folder = colours, folder
 
     def take(self):
-        """Give the mesh the new colours; those that did not change keep their bits."""
+        """Give the mesh the new colours; unchanged ones keep their bits."""
         data = (self._folder / "out.ply").read_bytes()
         body = data[data.index(b"end_header\n") + len(b"end_header\n") :]
         kind = "u1" if self._is_byte else "<f4"
@@ -152,7 +152,7 @@ class ImageTextures:
         _write_ply(folder / "in.ply", _positions(mesh, item.matrix_world), None, faces, names)
 
     def take(self):
-        """Give the images the new pixels, tile by tile; return those of before, of the images that are one tile."""
+        """Replace the pixels tile by tile; return the previous pixels of images with a single tile."""
         head = (self._folder / "out.ply").read_bytes().partition(b"end_header")[0]
         names = [name.decode() for name in _TEXTURE_COMMENT.findall(head)]
         new = {(image, tile): name for (image, tile, _), name in zip(self._files, names, strict=True)}

@@ -45,7 +45,7 @@ def _annotations():
 
 
 class BeltramiParameters(bpy.types.PropertyGroup):
-    """All parameters, and what is smoothed."""
+    """All parameters, and the choice of colours."""
 
     __annotations__ = {
         "target": bpy.props.EnumProperty(
@@ -64,7 +64,7 @@ class BeltramiParameters(bpy.types.PropertyGroup):
 
 
 def arguments(values):
-    """Return the options for the command line: those that are not as by default."""
+    """Return command-line options for all values that differ from the defaults."""
     given = []
     for declared in DECLARED["parameters"]:
         name, flag, default = declared["name"], declared["flag"], declared["default"]

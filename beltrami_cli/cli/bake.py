@@ -43,6 +43,6 @@ def command(source: str, target: str, to: BakeTo, messages: Messages, **values: 
         report = bake_file(source, target, to, settings, job)
     messages.warn_of(report.input, report.warnings)
     for path in report.written[1:]:
-        messages.detail(f"beside it: {path}")
+        messages.detail(f"written with it: {path}")
     made = ", ".join(counted(number, noun) for noun, number in report.counts.items())
     messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))

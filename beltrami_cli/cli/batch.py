@@ -69,7 +69,7 @@ def _adding_noise(command: Callable[..., Any]) -> Callable[..., Any]:
     return wanted(options.options_of(NoiseSettings, changed=changed)(command))
 
 
-# The options that concern a single file: those of `smooth` that change its result, and those of `noise`.
+# The options that concern a single file: the options of `smooth` that change its result, and all of `noise`.
 _LIKE_SMOOTH = click.command("file")(options.smoothing(options.unwrapping(options.columns(lambda **_: None))))
 _OF_A_FILE = click.command("file")(
     options.smoothing(options.unwrapping(options.columns(_adding_noise(lambda **_: None))))
@@ -236,16 +236,16 @@ def _settings_from(values: dict[str, Any]) -> Settings:
 def _settings(request: Request, given: dict[str, Any]) -> Settings:
     own = values_for(options_by_name(_OF_A_FILE), request.options)
 
-    def beside(name: str, *, may_be_other: bool) -> str:
+    def next_to_manifest(name: str, *, may_be_other: bool) -> str:
         path = request.folder / name
         return name if may_be_other and not is_file(path) else str(path)
 
     for each in parameters(SmoothSettings, deep=True):
-        if each.name in own:  # a file is looked for beside the manifest; guides may be something else
-            renamed = partial(beside, may_be_other=each.repeatable)
+        if each.name in own:  # files are relative to the manifest; guides may be something else
+            renamed = partial(next_to_manifest, may_be_other=each.repeatable)
             own[each.name] = each.with_files(own[each.name], renamed)
     context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
-    for name in own:  # counts for more than what is for all files, also beside a preset
+    for name in own:  # overrides the options for all files, also with a preset
         context.set_parameter_source(name, ParameterSource.COMMANDLINE)
     with context.scope():
         return _settings_from(context.params)

@@ -1,4 +1,4 @@
-"""What is shown of a batch: lines that move while it runs, and a table in the end."""
+"""Progress of a batch: lines that move while it runs, and a table in the end."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Display:
             self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
 
     def _print(self, *lines: str) -> None:
-        """Print lines above those that move."""
+        """Print lines above the progress bars."""
         for line in map(printable, lines):
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 

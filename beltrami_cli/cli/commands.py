@@ -80,7 +80,7 @@ def _scalar(option: click.Option, value: object) -> object:
 
 
 def with_variables(command: click.Command, name: str, shared: Collection[str]) -> click.Command:
-    """Give every option of a command its variable; for `shared` options those of `smooth` count as well.
+    """Give every option of a command its variable; `shared` options also obey the variables of `smooth`.
 
     The click library could do that alone, but would name them after arguments of functions, not after options.
     """
@@ -149,7 +149,7 @@ class HelpfulCommand(click.Command):
             raise _misplaced(error.option_name, ctx) or error from None
 
     def _refuse_repeated_lists(self, ctx: click.Context, args: list[str]) -> None:
-        """Refuse a list that is given in parts, of which click would take the last."""
+        """Refuse a list option that is repeated, as click would silently take the last list."""
         _, _, order = self.make_parser(ctx).parse_args([*args])
         for option, times in Counter(order).items():
             declared = getattr(option, "declared", None)
@@ -159,7 +159,7 @@ class HelpfulCommand(click.Command):
                 raise UsageError(f"{cause}; give one list, with commas between its names")
 
     def option_groups(self, context: click.Context) -> dict[str, list[click.Option]]:
-        """Return the options by their groups, those that matter daily first."""
+        """Return the options by group, the daily ones first."""
         options = [each for each in self.get_params(context) if isinstance(each, click.Option)]
         if not self._is_long:
             return {DAILY: options}

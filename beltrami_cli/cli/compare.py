@@ -34,16 +34,16 @@ Examples:
   beltrami compare truth.glb clean.glb --min-psnr 35 --junit report.xml  what CI services show
 
 \b
-What is measured, for each texture and for the vertices, and for all together:
+Measured for each texture and for the vertices, and for all of them together:
   PSNR       10 log10 (1 / mean squared error) over samples and channels, full scale 1
   SSIM       structural similarity of images, and of textures where the surface covers the whole window
   dE         Delta E 2000 from colour to colour: mean, 95th percentile, worst. 1 can hardly be seen
   seams      PSNR and mean dE within 4 texels of seams; of vertices, where the file splits them
   jump       the mean step of colours over seams, extrapolated from three texels on either side (of vertices,
              between those at one place), in TEST minus in REFERENCE. Noise makes steps too
-All that is coloured is compared: each texture of each slot, and vertex colours; parts that are equal beside others
+All that is coloured is compared: each texture of each slot, and vertex colours; equal parts among several
 are called identical. A limit holds for each part alone. Vertices that moved break any limit unless --max-move allows
-it. What is not compared is said, such as opacity.
+it. A line names colours that are not compared, and a difference in opacity.
 SSIM is of Wang et al. 2004, Delta E of CIE 142-2001 (Sharma et al. 2005).
 
 \b
@@ -102,7 +102,7 @@ def command(
     messages: Messages,
     **values: Any,
 ) -> int:
-    """Measure how far the colours of TEST are from those of REFERENCE, and fail if they are further than allowed.
+    """Measure how far the colours of TEST are from REFERENCE, and fail if they are further than allowed.
 
     Both are files of one model, with the same triangles, vertices and sizes of textures, or two images of one size;
     formats and types may differ. All that is coloured is compared, if --slots and --on do not narrow it. Of textures

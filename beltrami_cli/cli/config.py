@@ -1,6 +1,6 @@
 """Values of options from a TOML file: which file it is, what it says for a command, and the command `beltrami config`.
 
-A file that is merely found, and not named, may have come with an archive or a repository of somebody else. So it sets
+A file that is merely found, and not named, may have come with someone else's archive or repository. So it sets
 parameters of the method and of how results are encoded. What reaches a network, runs code, names files to read or
 write, or lifts a limit on resources comes from the command line, the environment, or a file that the user names.
 """
@@ -176,7 +176,7 @@ def candidates(here: Path) -> Iterator[Path]:
 
 def read_found(path: Path) -> str:
     """Read a file that only the user or root can have written; UntrustedError otherwise."""
-    # Nobody else can have put a link there either, and what is looked at is what is read.
+    # No other user can have put a link there either, and the file that is checked is the one that is read.
     _require_own(path.lstat())
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     with os.fdopen(descriptor, "rb") as file:
@@ -224,7 +224,7 @@ What counts, first to last:
 \b
 A file that was only found sets parameters of the method and of how results are encoded. Options that
 name files or a scheduler, allow something or lift a limit (--report, --overwrite, --out-dir ...) are
-refused in it. It is not read if it, or a link to it, belongs to somebody else than you and root, or
+refused in it. It is not read if it, or a link to it, belongs to a user other than you and root, or
 if others may write to it.
 
 \b
@@ -281,7 +281,7 @@ def _lines(
 
 
 def _all_values(group: click.Context, name: str) -> click.Context:
-    """Let click find the values of all options of a command, none of which it must have."""
+    """Let click find the values of all options of a command, and require none."""
     commands: Any = group.command
     optional: list[click.Parameter] = []
     for parameter in commands.get_command(group, name).params:

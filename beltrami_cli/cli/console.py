@@ -305,7 +305,7 @@ def prepare_streams(*, hear_libraries: bool) -> None:
 
 def _fill_descriptors() -> None:
     """Open the descriptors that are closed, so that no file gets the number of a standard stream."""
-    # What is written to a descriptor that is open for reading only is an error, and not lost.
+    # Writing to a descriptor that is open for reading only is an error, so nothing is lost silently.
     for number, mode in ((_INPUT, os.O_RDONLY), (_OUTPUT, os.O_RDONLY), (_ERROR, os.O_WRONLY)):
         try:
             os.fstat(number)

@@ -48,7 +48,7 @@ Examples:
 @options.reading
 @options.verbose
 def command(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any) -> None:
-    """Show what is coloured in FILE and how, how noisy it is, and what smoothing it would do.
+    """Show the coloured parts of FILE, how noisy they are, and what smoothing would do.
 
     Of several files, of a folder and of a glob, a table with a line for each part that would be smoothed.
     """

@@ -33,7 +33,7 @@ OUTPUT by its extension:
 """
 
 
-# Parameters of what is done with the averages, which are only looked at here.
+# Parameters that concern the averages, while this command looks at the kernel only.
 _OF_WRITING = (
     "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry",
     "normal_beta", "level_seams",
@@ -50,7 +50,7 @@ _OF_WRITING = (
 )  # fmt: skip
 @click.option(
     "--iteration", type=click.IntRange(1), default=1, show_default=True, metavar="K",
-    help="Of which iteration; those before it are run.",
+    help="Kernel of this iteration; the iterations before it are run.",
 )  # fmt: skip
 @options.options_of(SmoothSettings, without=_OF_WRITING)
 @options.preset

@@ -66,7 +66,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that is meant; where there is none, name those that are like it."""
+        """Resolve aliases; for an unknown name, suggest similar commands."""
         args = [_ALIASES.get(args[0], args[0]), *args[1:]]
         try:
             return super().resolve_command(ctx, args)
@@ -74,8 +74,8 @@ class LazyGroup(click.Group):
             from difflib import get_close_matches
 
             hint = ""
-            if alike := get_close_matches(args[0], COMMANDS):
-                hint = f" Did you mean {' or '.join(alike)}?"
+            if similar := get_close_matches(args[0], COMMANDS):
+                hint = f" Did you mean {' or '.join(similar)}?"
             elif "." in args[0]:
                 hint = f" To smooth a file: beltrami smooth {printable(args[0])} OUTPUT"
             raise click.UsageError(f"{error.message}{hint}", ctx) from None
@@ -141,7 +141,7 @@ def _command(name: str) -> click.Command:
 
 
 def _shared_with_smooth(name: str) -> Collection[str]:
-    """Return the options for which a command obeys what is set for `smooth`, so that files come out alike."""
+    """Return the options that a command inherits from `smooth`, so that both write equal files."""
     if name != "batch":
         return ()
     from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
@@ -151,7 +151,7 @@ def _shared_with_smooth(name: str) -> Collection[str]:
 
 def main() -> NoReturn:
     """Run the command line and exit with the documented code."""
-    # OpenBLAS takes some 30 MB a processor for products of large matrices, of which there are none here.
+    # OpenBLAS reserves some 30 MB a processor for products of large matrices, and this program computes none.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.exit(Listener().run(_run))
 

@@ -43,10 +43,9 @@ _EXIT_STATUS = (
 _TABLE = """\
 # Parameters
 
-Made from the declarations in the code; `make parameters` writes this page anew. Names are those of Python keywords and
+Made from the declarations in the code; `make parameters` writes this page. Names are those of Python keywords and
 of the fields in reports. In configuration files and manifests an option has its own name, without the dashes in front.
-What is "chosen from the data" is explained in [Tuning](tuning.md), and what suits which data in
-[Which flags](which-flags.md).
+[Tuning](tuning.md) explains "chosen from the data", and [Which flags](which-flags.md) lists options by kind of data.
 """
 _SECTIONS = (
     KernelParameters, SmoothSettings, TextureSettings, ImageSettings, LevelSetSettings, EmbeddingSettings,

@@ -29,7 +29,7 @@ What --sigma S means:
   gaussian     the standard deviation of every channel, whatever the colour
   poisson      the same at full scale; it falls with the square root of the colour, as when photons are counted
   speckle      the same at full scale; it falls with the colour
-  salt-pepper  the share of samples, half of which turn black and half white
+  salt-pepper  the share of samples that turn black or white, half of them each
   grain        as gaussian (which white is another name of), but neighbours share it up to the distance --size
 
 \b

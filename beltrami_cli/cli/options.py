@@ -95,7 +95,7 @@ def adding(parameters: Sequence[Parameter]) -> Decorator:
 
 
 def flags_of(declared: Parameter) -> tuple[str, ...]:
-    """Return what is typed for the option of a parameter, and perhaps the name that click has for it."""
+    """Return the spellings of a parameter's option, and click's name of it if that differs."""
     return declared.flags or ("--" + declared.name.replace("_", "-"),)
 
 
@@ -124,7 +124,7 @@ def _option_of(declared: Parameter) -> Decorator:
 
 
 def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) -> Record:
-    """Make a record from the values of its options; what is not given, or has no option there, has its default."""
+    """Make a record from the values of its options; fields without a value or an option have their defaults."""
     for declared in parameters(record):
         value = values.get(_destination(declared))
         if declared.name in made or value in (None, ()):
@@ -275,7 +275,9 @@ def _size(context: click.Context, parameter: click.Parameter, text: str | None) 
 
 
 overwrite = click.option(
-    "--overwrite", is_flag=True, help="Replace OUTPUT, and the files beside it that it names, if they exist."
+    "--overwrite",
+    is_flag=True,
+    help="Replace OUTPUT, and the images and other files that it names, if they exist.",
 )
 output_format = click.option(
     "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]), cls=GroupedOption, group=_FILES,
@@ -289,16 +291,14 @@ allow_outside = click.option(
 max_memory = click.option(
     "--max-memory", callback=_size, metavar="SIZE", cls=GroupedOption, group=_FILES,
     help="Take no more memory, such as 500M or 4G: smooth keeps textures and images that need more in files "
-    "meanwhile, and all else that does is refused.  [default: half of what is available]",
+    "meanwhile, and all else that does is refused.  [default: half of the available memory]",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
-verbose = click.option(
-    "-v", "--verbose", count=True, help="Print what is done; twice: also where an error arose."
-)
+verbose = click.option("-v", "--verbose", count=True, help="Print details; twice: also where an error arose.")
 
 
 def messages(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of what is printed; the command gets the `Messages` that they make."""
+    """Add -q and -v; the command gets the `Messages` that they make."""
 
     @wraps(command)
     def with_messages(*, quiet: bool, verbose: int, **given: Any) -> Any:
@@ -310,7 +310,7 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def writing(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of what is read and replaced, which `job_from` takes, and of what is printed, as `messages`."""
+    """Add the options of reading and replacing files, for `job_from`, and the options of `messages`."""
     return reading(overwrite(messages(command)))
 
 

@@ -38,7 +38,7 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
 def command(
     before: str, after: str, target: str, parameters: str | None, messages: Messages, **values: Any
 ) -> None:
-    """Write a page that shows what changed from BEFORE to AFTER, two models or two images alike in all but colours.
+    """Write a page that shows what changed from BEFORE to AFTER, two models or two images that differ in colours only.
 
     It has both models under one camera with a swipe between them, textures at full size with a swipe, figures, a
     histogram of the change, and a map of the seams.

@@ -39,8 +39,8 @@ Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
     "--report", "report_path", metavar="FILE.json",
-    help="Write parameters, counts, timings and changes. --overwrite replaces what is no report only if this option is "
-    "on the command line, too.",
+    help="Write parameters, counts, timings and changes. --overwrite replaces a file that is no report only if this "
+    "option is on the command line, too.",
 )  # fmt: skip
 _preview = click.option(
     "--preview", "preview_path", metavar="FILE.png",
@@ -74,7 +74,7 @@ Examples:
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
 
 \b
-What is not given is chosen by an estimate of the error, see docs/tuning.md. Strength grows with -n and -t and falls
+Other parameters are chosen by an estimate of the error, see docs/tuning.md. Strength grows with -n and -t and falls
 with --beta. If edges soften, raise --beta, or say --strength gentle; if noise stays, raise -n, lower --beta, or say
 --strength strong. See what a file is like, and what would be chosen, with `beltrami info FILE`.
 """
@@ -263,7 +263,7 @@ def _show_done(
     strongest = 255 * max(done.noise.values(), default=0)
     noise = f"{what}, noise {strongest:.1f}/255" if strongest else f"{what}, {NO_NOISE_FOUND}"
     if not done.iterations:
-        reason = "of which smoothing would take nothing, "
+        reason = "which smoothing would not reduce, "
         if strongest <= 0.5:
             reason = f"{NO_NOISE} (0.5), " if strongest else ""
         messages.say(f"{noise}, {reason}so the colours are left as they are; {ALL_THE_SAME}")

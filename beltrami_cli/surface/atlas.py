@@ -65,8 +65,8 @@ class Atlas:
     gutter_cells: Indices  # (G,): halo cells (flat indices) that stand on a texel that nothing covers
     # Shape (G,): that texel, each at most once: what a lookup just beyond a chart's border should see.
     gutter_texels: Indices
-    # Shapes (B,) and (L,): texels that nothing covers, but faces look up, ascending: beside texels that the chart of
-    # each such face covers; and those looked up by a face whose chart covers none beside them, so that they show a
+    # Shapes (B,) and (L,): texels that nothing covers, but faces look up, ascending: next to texels that the chart of
+    # each such face covers; and next to none of its chart's texels, so that they show a
     # part of the surface that may lie far from the charts around them.
     border_texels: Indices
     lone_texels: Indices
@@ -117,7 +117,7 @@ def refresh_halo(
 ) -> None:
     """Give the halo cells of all planes, shape (N, R, C), in place, the values of their owned cells."""
     # The nearest cell is better for colours that are averaged: a mean has less noise than other samples,
-    # and beside an edge it is a colour that neither side has, over which kernels find their way across.
+    # and at an edge it is a colour that neither side has, over which kernels find their way across.
     # Interpolated values are for show.
     cells, nearest = atlas.halo_cells, atlas.halo_nearest
     at_once = large_arrays.SCATTERED if interpolated or large_arrays.is_on_disk() else max(1, len(cells))
@@ -230,7 +230,7 @@ def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: F
     """Write the squared lengths of the edges in one direction; those at holes stay infinite."""
     here, there = ends_of(step)
     edges = filled[here] & filled[there]
-    if 0 not in step:  # a diagonal is an edge of triangles, of which a hole at its side takes one away
+    if 0 not in step:  # a diagonal is an edge of two triangles; a hole at its side removes one
         edges &= filled[here[0], there[1]] | filled[there[0], here[1]]
     if positions is None:
         plane[here][edges] = step[0] ** 2 + step[1] ** 2
@@ -289,7 +289,7 @@ def fill_gutter(
     pixels: Array, covered: Bools, width: int | None, known: Bools | None = None,
     threads: int = 1, channels: Sequence[int] | None = None, opacity: Float32s | None = None,
 ) -> None:  # fmt: skip
-    """Give texels beside charts, in place, the colour of the nearest covered texel."""
+    """Give texels around charts, in place, the colour of the nearest covered texel."""
     # `width`: the largest distance, in texels; None: any. `known`: uncovered texels that have their colours already, as
     # from beyond a seam, and keep them. `opacity`: what is multiplied into the colours, which are given that of the
     # texel that they go to; not 0 where covered.
@@ -332,7 +332,7 @@ def store_integers(
     table: Array, pixels: Indices, values: Float32s, channels: Sequence[int], threads: int
 ) -> tuple[float, float, float]:
     """Put values into pixels of integers, in place; return sum, sum of squares and maximum of the changes."""
-    # What is beyond full scale is clipped; what is no number becomes 0.
+    # Values beyond full scale are clipped; NaN becomes 0.
     rows, columns = np.ascontiguousarray(values), np.array(channels, np.int32)
     total, squares, largest = store_colours(table, pixels, rows, columns, threads)
     one = float(np.iinfo(table.dtype).max)
@@ -343,8 +343,8 @@ def within(covered: Bools, reach: int) -> Bools:
     """Return which cells are at most `reach` rows and columns from a covered one."""
     near, known = covered, 0
     while known < reach:
-        # Dilate by shifted copies: the step is the largest that leaves no gap between them, beside the edges of the
-        # canvas, too, where only half of what is known is in it.
+        # Dilate by shifted copies: the step is the largest that leaves no gap between them, also at the edges of the
+        # canvas, where half of the neighbourhood lies outside.
         step = min(known + 1, reach - known)
         for axis in (0, 1):
             ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]

@@ -66,7 +66,7 @@ def cover(
 
 @dataclass(frozen=True)
 class Cells:
-    """Pixels of pictures: in which picture, in which row and column, and of which chart, each (K,)."""
+    """Pixels of pictures: picture, row, column and chart of each, shapes (K,)."""
 
     sizes: Sequence[tuple[int, int]]  # rows and columns of each picture
     picture: Int64s
@@ -121,7 +121,7 @@ def _texels_in_space(
 ) -> tuple[Int64s, Float64s, Float64s]:
     """Return texels on triangles, in ascending order, their places, and the spacing, given by corner, at them.
 
-    `positions` are those of corners, (F, 3, 3), `spacing` (F, 3).
+    `positions` of corners have the shape (F, 3, 3), `spacing` (F, 3).
     """
     found = [(part.texels, part.faces, part.weights) for part in cover(uv, size, _BESIDE)]
     texels, faces, weights = map(np.concatenate, zip(*found, strict=True))
@@ -195,25 +195,25 @@ def bake(uv: Float64s, size: tuple[int, int], shade: Shade, channels: int, dtype
     # bilinear lookups on the border are right; all others have the colour of the nearest chart.
     width, height = size
     pixels = np.zeros((height * width, channels), dtype)
-    covered, beside = np.zeros((2, height * width), bool)
+    covered, adjacent = np.zeros((2, height * width), bool)
     for part in cover(uv, size):
         inside = part.inside
         covered[part.texels[inside]] = True
         pixels[part.texels[inside]] = shade(part.faces[inside], part.weights[inside])
     for part in cover(uv, size, _FAR, border_faces(uv)):
         free = ~covered[part.texels]
-        beside[part.texels[free]] = True
+        adjacent[part.texels[free]] = True
         pixels[part.texels[free]] = shade(part.faces[free], part.weights[free])
-    # Where charts are smaller than a texel, what lies beside them is all that there is.
-    source = covered if covered.any() else beside
+    # Charts smaller than a texel have adjacent texels only.
+    source = covered if covered.any() else adjacent
     texture = pixels.reshape(height, width, channels)
-    fill_gutter(texture, source.reshape(height, width), None, beside.reshape(height, width))
+    fill_gutter(texture, source.reshape(height, width), None, adjacent.reshape(height, width))
     return texture
 
 
 def interpolated(corners: NDArray[np.floating[Any]], faces: Int64s, weights: Float64s) -> Float64s:
     """Interpolate between the corners, shape (F, 3, C), of triangles; exact where all three agree."""
-    # Outside the triangle values go on linearly, but no further beyond those of the corners than these differ.
+    # Outside the triangle values go on linearly, by at most the difference between the corners.
     mine = corners[faces].astype(np.float64)
     first = mine[:, 0]
     steps = mine[:, 1:] - mine[:, :1]

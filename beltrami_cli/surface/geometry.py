@@ -49,7 +49,7 @@ _COARSE = 0.25
 def coarse_rounding(positions: Float64s, faces: Int32s) -> list[str]:
     """Return the notice of positions that single precision has rounded about as coarsely as vertices lie, or nothing.
 
-    The stored type is told from the numbers: others than those of single precision have more digits.
+    The stored type follows from the numbers: doubles have more digits than single precision holds.
     """
     edge = typical_edge(positions, faces)
     if edge == 0 or shortest_type(positions).dtype != np.float32:
@@ -156,7 +156,7 @@ def _proper(faces: Int32s) -> Int64s:
 
 
 def _distinct(corners: Int64s) -> Int64s:
-    """Return triangles, each with its vertices in order, once, of those with the same three vertices."""
+    """Return each triangle once, its vertices in ascending order."""
     return corners[group_equal_rows(*corners.T)[1]]
 
 

@@ -1,4 +1,4 @@
-"""Equal rows found by hashing: what is at one place, and vertex colours as samples.
+"""Equal rows found by hashing: coincident vertices, and vertex colours as samples.
 
 Vertices that a format splits (for normals, texture coordinates, primitives) but that stand at one place, but for
 rounding, with one colour become one sample. Where coincident vertices differ in colour, each colour is a sample of its
@@ -62,7 +62,7 @@ def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
 
 
 # Copies of a vertex differ by so many units in the last place of the largest coordinate, in every coordinate: each of
-# the two may be rounded by half a unit in four operations, such as those of a rotation and an offset.
+# the two may be rounded by half a unit in four operations, such as a rotation and an offset.
 _ROUNDED_UNITS = 4
 # A typical edge is so many times longer than the tolerance, or steps of rounding are as wide as details of the mesh.
 _EDGE_OF_TOLERANCE = 64
@@ -70,7 +70,7 @@ _CELL_OF_TOLERANCE = (
     4  # more than twice, so that in every direction one of two shifted grids has copies in one cell
 )
 _SINGLE = np.finfo(np.float32).eps
-_ENOUGH_VALUES = 10_000  # coordinates of which digits are counted
+_ENOUGH_VALUES = 10_000  # coordinates whose digits are counted
 _MOST_DECIMALS = 9  # of coordinates in text, with which programs write single precision
 
 
@@ -142,7 +142,7 @@ def _near(points: Float64s, tolerance: float, further: Sequence[Array]) -> Int64
 
 
 def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:
-    """Join places that pairs connect, except where an edge joins two of those that would become one."""
+    """Join places that pairs connect, except where an edge joins two places that would become one."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -107,7 +107,7 @@ def copy_of(array: Array, smallest: int | None = None) -> Array:
 
 
 def flatnonzero(mask: Array) -> Int64s:
-    """Return the flat indices of what is not 0, like `numpy.flatnonzero`, found block by block."""
+    """Return the flat indices of elements that are not 0, like `numpy.flatnonzero`, block by block."""
     flat, at = mask.reshape(-1), 0
     found: Int64s = empty(int(np.count_nonzero(flat)), np.int64)
     for block in blocks(len(flat)):
@@ -157,7 +157,7 @@ def is_on_disk() -> bool:
 
 
 def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:
-    """Draw independent signs: the same in blocks as at once, since a block is a multiple of what is drawn together."""
+    """Draw independent signs: the same in blocks as at once, as blocks are multiples of one draw."""
     signs: Int8s = empty(shape, np.int8)
     flat = signs.reshape(-1)
     for block in blocks(len(flat)):

@@ -70,7 +70,9 @@ class Volume:
     """A level set sampled on a lattice."""
 
     lattice: Lattice  # where the samples stand
-    values: Array  # (X, Y, Z): of any integer, floating or boolean type. What is not finite is unknown.
+    values: (
+        Array  # (X, Y, Z): of any integer, floating or boolean type. Values that are not finite are unknown.
+    )
     known: Bools | None = None  # (X, Y, Z): false where the value is unknown whatever it is; None: nowhere
     level: float | None = None  # value on the surface, where the file says so
     colours: GridColours | NearColours | None = None  # what paints the surface, where the file says so
@@ -78,7 +80,7 @@ class Volume:
 
 _NEIGHBOURS = 4  # points that a vertex takes its colour from: about what surrounds it on a surface
 _REACH = 4.0  # in voxels, or in distances between points where these are larger
-_PROBED = 10_000  # points whose distances to their neighbours are those of all within a per cent
+_PROBED = 10_000  # points whose distances to their neighbours represent all points within a per cent
 _WEIGHTLESS = 1e-6  # less than the weight of any voxel that contributes
 
 
@@ -94,7 +96,7 @@ def interpolate_colours(colours: GridColours, positions: Float64s, known: Bools 
     samples = colours.samples
     sides = np.array(samples.shape[:3])
     at = np.linalg.solve(colours.lattice.axes.T, (positions - colours.lattice.origin).T).T
-    # A place on the grid that rounding puts beside it must not take colour from a voxel further on.
+    # A place on the grid that rounding moves off it must not take colour from a voxel further on.
     at = np.where(np.abs(at - np.rint(at)) < _WEIGHTLESS, np.rint(at), at)
     corner = np.floor(at)
     beyond = at - corner
@@ -160,7 +162,7 @@ class Crossings:
 
 
 def find_crossings(values: Array, level: float, known: Bools | None = None) -> Crossings:
-    """Count the edges of a grid, shape (X, Y, Z), that a level set cuts; what is not finite is unknown."""
+    """Count the edges of a grid, shape (X, Y, Z), that a level set cuts; values that are not finite are unknown."""
     count, total = 0, 0.0
     for first, stop in _slabs(values.shape, overlap=1):
         with np.errstate(over="ignore"):

@@ -72,7 +72,7 @@ def _centred(positions: Float64s) -> Float64s:
 
 
 def _triangulate_spaces(places: Float64s, spaces: Int32s | None, threads: int) -> Int32s:
-    """Triangulate the points of each space, which are at no distance from those of others."""
+    """Triangulate the points of each space; distances between spaces are undefined."""
     if spaces is None:
         return triangulate_points(places, threads)
     parts = [np.empty((0, 3), np.int32)]

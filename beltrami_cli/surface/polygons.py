@@ -136,7 +136,7 @@ def _ears(points: Float64s) -> NDArray[np.intp]:
 
 
 class _Ring:
-    """What is left of a polygon: the corner before and after each, and which are there."""
+    """The remaining corners of a polygon: the previous and next of each, and which remain."""
 
     def __init__(self, points: Float64s) -> None:
         count = len(points)

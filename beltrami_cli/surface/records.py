@@ -130,7 +130,7 @@ class ImageFile:
     content: bytes | memoryview = field(hash=False)
     suffix: str  # its usual extension, lower case, with the dot: ".png", ".jpg", ".webp", ".exr",
     notices: tuple[str, ...] = ()  # for the user, one sentence each: what did not stay as it was
-    is_chosen: bool = False  # its type was asked for, so that no image of another type stays beside it
+    is_chosen: bool = False  # its type was asked for, so that no image of another type is kept with it
 
     @property
     def data(self) -> bytes:

@@ -29,7 +29,7 @@ _NEAR = 1e-9  # a border that an edge crosses this close to its end is none
 def on_tiles(surface: TexturedSurface, sets: Sequence[Mapping[Tile, int]], name: str) -> TexturedSurface:
     """Give triangles of set k, whose `texture_of` is -2 - k, the texture of their tile; -1 where there is none.
 
-    InputError with the name if they reach over more tiles than those of any real model.
+    InputError with the name if they reach over more tiles than any real model does.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # where there is no texture, coordinates mean nothing
         surface = _cut(surface, name)
@@ -54,7 +54,7 @@ def tiles_under(uv: Float64s) -> Float64s:
 
 
 def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
-    """Cut triangles of tiles, and those beside them alike, so that edges still fit, until none crosses a border."""
+    """Cut triangles at the borders of tiles, and their neighbours at the same places, so that edges still fit."""
     most = 4 * len(surface.faces) + _MOST_NEW
     while True:
         place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
@@ -74,7 +74,7 @@ def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
         low, high = (first[part] for part in np.divmod(cut, len(first)))
         surface = _split(_with_vertices(surface, low, high, at), rows, along)
         if len(surface.faces) > most:
-            cause = "its triangles reach over more tiles of their texture than those of any model"
+            cause = "its triangles repeat their texture more often than any real model does"
             raise InputError(name, cause, "check its texture coordinates")
 
 

@@ -49,7 +49,7 @@ def unwrap(
     """Lay a mesh out on a square. Vertices at one place (and in one space) are one."""
     # `size`: longest side of the texture, in texels; None: up to 8192, as `texels`, which charts
     # should cover, need. `padding`: texels between charts, and around all of them. `progress` is called
-    # several times a second with the tenths of a second that went by and those that are expected.
+    # several times a second with the elapsed and the expected tenths of a second.
     require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)

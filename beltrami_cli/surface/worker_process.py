@@ -1,6 +1,6 @@
 """A module of this package in a process of its own, which can be ended whatever the libraries that it uses do.
 
-It is asked on its standard input, and answers on its standard output, both of which are files.
+It is asked on its standard input, and answers on its standard output; both are files.
 """
 
 from __future__ import annotations
