@@ -113,7 +113,7 @@ def position_table(positions: ArrayLike) -> Float64s:
     """Take positions of any numeric type, shape (V, M); an empty list has M = 3."""
     table = array_of(positions, "positions")
     table = _numbers(table.reshape(0, 3) if table.shape == (0,) else table, "positions", ("V", "M"))
-    with np.errstate(over="ignore"):  # what is too large becomes infinite, which is refused
+    with np.errstate(over="ignore"):  # too large numbers become infinite, which is refused
         return np.ascontiguousarray(table, np.float64)
 
 
@@ -139,7 +139,7 @@ def colour_table(colours: ArrayLike) -> Float32s:
     if _numbers(table, "colours", ("V", "C")).dtype.kind == "f":
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(table, np.float32)
-    # Of other integers nobody knows the full scale: a list of 0 to 255 becomes int64.
+    # The full scale of other integers is unknown: a list of 0 to 255 becomes int64.
     if table.dtype not in (np.uint8, np.uint16, np.uint32):
         remedy = "give uint8, as 0 to 255, or floats, as 0 to 1"
         raise UsageError(f"colours of type {table.dtype} have no full scale; {remedy}")

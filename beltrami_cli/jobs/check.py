@@ -58,7 +58,7 @@ def check_files(
     formats = [document.format for document in documents]
     if formats[0] != formats[1]:
         kinds = [f"{document.name} is {document.format}" for document in documents]
-        raise UsageError(f"{' and '.join(kinds)}; give two alike")
+        raise UsageError(f"{' and '.join(kinds)}; give two of one format")
     old, new = (document.fingerprint() for document in documents)
     found = _between(old.colours, new.colours, _of_colours)
     visible = cache(partial(_visible_texels, original))

@@ -1,4 +1,4 @@
-"""What is coloured in a file and how, and what smoothing it would do."""
+"""Description of a file: its coloured parts, their noise, and what smoothing would do."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def inspect_file(
         JSON types only: "file" (facts of the format); for vertex colours "colours", "surface" or for points without
         faces "cloud" (counts, spacing, bounds), "noise" (standard deviation per channel, full scale 1) and "smooth"
         (parameters as they would be used, and the mean number of samples in a kernel of the first iteration), which is
-        omitted if the vertex colours would stay unchanged beside textures; "textures", a list with an entry for
+        omitted if textures are smoothed and vertex colours stay unchanged; "textures", a list with an entry for
         all textures of a slot that are smoothed together, in which "images" describes each, and "surface" for the mesh
         under them; "notices". For an image "file", "image", "noise", "smooth" and "notices".
 
@@ -71,7 +71,7 @@ def inspect_file(
                 rest.append(slot)
                 continue
             textures.append(_describe_one_by_one(TileGroups(surface, *many), slot, settings))
-            which = "those of some textures, as memory is small for all"
+            which = "estimated on some textures, as memory is small for all"
             notices.append(f"{slot}: noise and parameters are {which}.")
         chosen = dataclasses.replace(selection, slots=tuple(rest))
         for samples in layers_of(document, chosen, settings, access, in_groups=in_groups):
@@ -87,10 +87,10 @@ def inspect_file(
                     facts["exposure"] = describe_level(steps)
             notices += samples.notices()
         for slot in rest:
-            alike = [each for each in textures if each["slot"] == slot]
-            if len(alike) > 1:  # exposures are those of all groups together
+            groups = [each for each in textures if each["slot"] == slot]
+            if len(groups) > 1:  # exposures belong to all groups together
                 exposure = TextureLayer(document.textured(slot), slot, settings).exposure()
-                for each in alike:
+                for each in groups:
                     each["exposure"] = exposure
     if textures:
         facts["textures"] = textures

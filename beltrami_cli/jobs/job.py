@@ -61,7 +61,7 @@ class Job:
     progress : callable, optional
         Called with a label of the current part, the work done so far and the total work; may raise to stop.
     overwrite : bool
-        Whether the output, and the files beside it that it refers to, may be replaced.
+        Whether the output, and the sidecar files that it refers to, may be replaced.
     dry_run : bool
         Compute everything and write nothing.
     format : str or None
@@ -97,7 +97,7 @@ class Job:
 PLAIN_JOB = Job()
 
 _UNLIMITED: ContextVar[int | None] = ContextVar("unlimited", default=None)
-"""The limit of the process beside the one that `limited_memory` has set, in bytes as the system counts them."""
+"""The limit of the process before `limited_memory` set its own, in bytes as the system counts them."""
 
 _SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
 _UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
@@ -143,7 +143,7 @@ def _available() -> int | None:
 
 
 def _left_in_cgroups() -> Iterator[int]:
-    """Give what is left of each limit that this process is under, as containers set them, of both versions."""
+    """Give the remaining memory under each cgroup limit of this process, of both cgroup versions."""
     lines: list[str] = []
     with contextlib.suppress(OSError, ValueError):
         lines = _OWN_CGROUPS.read_text().splitlines()

@@ -131,7 +131,7 @@ def texture_from_textures(
 
     def shade(owners: Int64s, weights: Float64s) -> Array:
         seen = np.ones((len(owners), 4))
-        # Places beside a triangle are moved into it: what its texture shows there belongs to something else.
+        # Places outside a triangle are moved into it: its texture shows something else there.
         inside = np.clip(weights, 0, 1)
         uv = interpolated(old.uv, owners, inside / np.maximum(inside.sum(axis=1, keepdims=True), 1))
         for index, (picture, texture) in enumerate(zip(pictures, old.textures, strict=True)):

@@ -1,7 +1,7 @@
 """Add noise to the colours of a file: for tests, and to show what smoothing takes away again.
 
 Noise of samples by themselves is a function of a colour and of a uniform random number of the sample: the inverse of a
-distribution function. So samples with one colour and one number change alike, and samples at one place with different
+distribution function. So samples with one colour and one number change equally, and samples at one place with different
 colours change in the same direction. A camera counts photons in linear light, which makes a variance of A L + B^2, and
 in pictures through a Bayer mosaic that is demosaiced chart by chart, bilinearly. Grain is a function of the place in
 space: random numbers on a lattice, mixed linearly between its points and divided by the deviation of the mixture.
@@ -194,7 +194,7 @@ def seen_by_camera(targets: NoiseTargets, cells: Cells | None, settings: NoiseSe
 
 
 def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
-    """Return colours of which those of a Bayer mosaic were measured; the others are means of neighbours in a chart."""
+    """Return colours as demosaiced from a Bayer mosaic: missing ones are means of neighbours in a chart."""
     result = seen.copy()
     for index, (rows, columns) in enumerate(cells.sizes):
         mine, (row, column) = cells.of(index)
@@ -210,7 +210,7 @@ def _demosaiced(seen: Float64s, cells: Cells) -> Float64s:
                 place = row + down + 1, column + right + 1
                 weight = np.where(chart[place] == cells.chart[mine] + 1, 0.5 ** (abs(down) + abs(right)), 0.0)
                 if down and right:
-                    weight[channel == 1] = 0.0  # green is measured beside each place
+                    weight[channel == 1] = 0.0  # green is measured next to each place
                 sums[samples, channel] += weight * measured[place]
                 weights[samples, channel] += weight
         result[mine] = np.where(weights > 0, sums / np.where(weights > 0, weights, 1), seen[mine])

@@ -1,4 +1,4 @@
-"""Which colours of a document noise is added to, which of them change alike, and the way back.
+"""The colours of a document that noise is added to, which of them share a change, and the way back.
 
 Samples at one place have one random number, so that split vertices stay equal, and seams stay invisible.
 """

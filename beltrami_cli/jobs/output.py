@@ -1,8 +1,8 @@
-"""The files of one run: OUTPUT, the files beside it, a report, a preview.
+"""The files of one run: OUTPUT, its sidecar files, a report, a preview.
 
-They are checked for collisions before anything is computed, written under temporary names beside their places, and put
-in place together: all or none. A name that must be free is taken by an operation that fails if it is not, so of two
-runs at the same time only one succeeds.
+They are checked for collisions before anything is computed, written under temporary names in the folders of their
+targets, and put in place together: all or none. A name that must be free is taken by an operation that fails if it is
+not, so of two simultaneous runs only one succeeds.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Output:
 
     `what` it is, for messages: OUTPUT may replace the file that it was made of, all else replaces nothing that is read.
     `is_own` recognises what this program wrote by its first bytes, for `overwrite="own"`.
-    `files` is the set that it belongs to, which somebody else puts in place; without one, `write` does so at once.
+    `files` is the set that it belongs to, whose owner puts it in place; without one, `write` does so at once.
     OutputError if it exists and must not be replaced, or its folder cannot be written to.
     """
 
@@ -60,7 +60,7 @@ class Output:
         # A link is followed, so that what it points to is replaced and the link stays; those to pipes lead nowhere.
         self.path = Path(target if self.is_device else os.path.realpath(target))
         self._sidecars: tuple[str, ...] = ()
-        self.replaceable: frozenset[str] = frozenset()  # files beside an old OUTPUT, which belong to it
+        self.replaceable: frozenset[str] = frozenset()  # sidecar files of an old OUTPUT
         self._is_alone = files is None
         self.files = FileSet(reads) if files is None else files
         self.files.add(self)
@@ -87,11 +87,11 @@ class Output:
         return None if self.is_stdout or self.is_device else self.path.parent
 
     def check_sidecars(self, names: Iterable[str]) -> None:
-        """Check that files beside the output, by paths relative to its folder, may be written; OutputError if not."""
+        """Check that sidecar files, by paths relative to the output's folder, may be written; OutputError if not."""
         names = self._sidecars = tuple(names)
         for name in names:
             if self.folder is None:
-                cause = "there is no folder for the files that belong beside it"
+                cause = "there is no folder for its sidecar files"
                 remedy = "choose a file as OUTPUT, or --format glb (of OBJ and PLY with --unwrap)"
                 raise OutputError("<stdout>" if self.is_stdout else self.target, cause, remedy)
             path = PurePosixPath(name)
@@ -109,7 +109,7 @@ class Output:
         with self.files:
             self._stage(written)
             self.files.put_in_place()
-        self.overwrite = True  # what is there is its own
+        self.overwrite = True  # the existing file is its own
 
     def _stage(self, written: Written) -> None:
         self.check_sidecars(written.sidecars)
@@ -131,7 +131,7 @@ class Output:
                     file.writelines(pieces)
         except OSError as error:
             if isinstance(error, BrokenPipeError):
-                # What is still in the buffer must not be tried again when the interpreter ends.
+                # The rest of the buffer must not be tried again when the interpreter ends.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise _unwritable(self.target, error) from error
 
@@ -194,7 +194,7 @@ class _Staged(replacing.Aside):
 
 
 class FileSet:
-    """The files that one run writes; as a context, it removes those that were not put in place."""
+    """The files that one run writes; as a context, it removes files that were not put in place."""
 
     # `reads` are files that only a result of them may replace: OUTPUT may be INPUT, but a report may not.
 
@@ -218,7 +218,7 @@ class FileSet:
         self.streams.clear()
 
     def _remove_temporary(self) -> None:
-        """Remove the temporary files; those that stay are no failure, since nothing else is wrong with the files."""
+        """Remove the temporary files; files that stay are no failure, since all others are complete."""
         stay = [] if self._journal is None else self._journal.close()
         self._journal = None
         self._staged.clear()
@@ -226,7 +226,7 @@ class FileSet:
             LOG.warning("the temporary file %s cannot be removed (%s)", error.filename, error.strerror)
 
     def add(self, output: Output) -> None:
-        """Let an output belong to the set; OutputError if it collides with what is known of the others."""
+        """Let an output belong to the set; OutputError if it collides with another one."""
         self._outputs.append(output)
         self.check()
 
@@ -236,7 +236,7 @@ class FileSet:
         self.check()
 
     def watching(self, access: Access) -> Access:
-        """Return what may be read, such that no output but a result replaces what is read."""
+        """Return an access that records files as read, so that no output but the result replaces them."""
 
         def note(path: Path, data: bytes) -> None:
             if access.note is not None:
@@ -264,7 +264,7 @@ class FileSet:
                     raise _collision(output, name, taken[place])
                 if place in self._guarded or (place in self._reads and not output.is_result):
                     raise _collision(output, name, "a file that this run reads or writes")
-                taken[place] = output.what if name == output.target else f"a file beside {output.what}"
+                taken[place] = output.what if name == output.target else f"a sidecar file of {output.what}"
 
     def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]], names: Mapping[Path, str]) -> None:
         from beltrami_cli.surface.large_arrays import leave_memory
@@ -323,7 +323,7 @@ class FileSet:
 
 
 def _rank(staged: _Staged) -> tuple[bool, bool, str]:
-    """Put files that others name before those that name them, and OUTPUT last; otherwise alike in every run."""
+    """Put files that others name before those that name them, and OUTPUT last; otherwise in a fixed order."""
     is_main = staged.name == staged.output.target
     return is_main, staged.output.is_result, str(staged.path)
 

@@ -1,10 +1,10 @@
 """Writing files under temporary names, and putting them in place: the steps that `output.FileSet` is made of.
 
-A run that writes files has a journal, `.beltrami-ID.tmp` beside OUTPUT, which it keeps locked. It names the temporary
-files, `.beltrami-ID.N.tmp`, each beside its place. Before several files are put in place it lists them, and those that
-they replace are kept as `.beltrami-ID.N.previous.tmp`; the set is complete when the last line is written. A journal
-that nobody locks is that of a run that was killed: the next run in the folder undoes an unfinished set, and removes the
-temporary files. Signals that would end the process wait until nothing is half done.
+A run that writes files has a journal, `.beltrami-ID.tmp` in OUTPUT's folder, which it keeps locked. It names the
+temporary files, `.beltrami-ID.N.tmp`, each in its target's folder. Before several files are put in place it lists them,
+and replaced files are kept as `.beltrami-ID.N.previous.tmp`; the set is complete when the last line is written. An
+unlocked journal is of a killed run: the next run in the folder undoes its unfinished set, and removes the temporary
+files. Signals that would end the process wait until nothing is half done.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class Journal:
 def recover(folder: Path) -> None:
     """Undo unfinished sets of runs that were killed, and remove their temporary files, by the journals in a folder.
 
-    Those of runs that go on, or of other users, stay. OSError if what was put in place cannot be undone.
+    Those of runs that go on, or of other users, stay. OSError if files in place cannot be undone.
     """
     journals: list[Path] = []
     with contextlib.suppress(OSError):
@@ -216,7 +216,7 @@ def _undo(listed: Sequence[_Listed]) -> OSError | None:
 
 
 def _take_back(file: Aside, put: _Identity | None) -> None:
-    """Give a place back what it held before, unless somebody else has put something else there."""
+    """Restore the previous file of a path, unless another process has replaced it meanwhile."""
     now = _identity_of(file.path)
     # Where there are no links, `_put_new` reserves a name by an empty file.
     is_reserved = now is not None and now[0] == 0 and os.path.lexists(file.temporary)
@@ -296,7 +296,7 @@ def _try_lock(descriptor: int) -> bool | None:
 
 @contextlib.contextmanager
 def endings_held() -> Iterator[Callable[[], None]]:
-    """Defer signals that end the process, and return a function that delivers those that are waiting."""
+    """Defer signals that end the process, and return a function that delivers the pending ones."""
     waiting: list[int] = []
     before: dict[int, signal._HANDLER] = {}
     if threading.current_thread() is threading.main_thread():
@@ -376,7 +376,7 @@ def _put(file: Aside, *, keep: bool) -> None:
 
 
 def _put_new(temporary: Path, path: Path) -> None:
-    """Give a file a name that nobody has; FileExistsError if somebody has it, or takes it at this moment."""
+    """Give a file an unused name; FileExistsError if it exists, or appears at this moment."""
     try:
         os.link(temporary, path)
     except FileExistsError:

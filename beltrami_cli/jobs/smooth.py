@@ -48,7 +48,7 @@ def smooth_file(
         mesh format that is read only (OFF, STL, 3MF, COLLADA), or a level set on a grid (.npz, .nrrd), which is
         written as a mesh.
     parameters : SmoothSettings
-        The kernel's parameters, the working space, and what is smoothed. By default the parameters of the kernel are
+        The kernel's parameters, the working space, and the choice of colours. By default the kernel's parameters are
         chosen from the data, by the estimated error of the result.
     job : Job
         What may be read, a callback for progress, and whether files are written and replaced.

@@ -81,7 +81,7 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned threads, con
     try {
       for (unsigned worker = 0; worker < workers; ++worker) pool.emplace_back(&Crew::work, &crew, worker);
     } catch (const std::system_error&) {
-      // No memory for the stack of another thread, or too many of them: those that have started do all the work.
+      // No memory for the stack of another thread, or too many threads: the running ones do all the work.
       if (pool.empty()) crew.work(0);
     }
     cancelled = crew.wait(static_cast<unsigned>(std::max<std::size_t>(1, pool.size())), poll);

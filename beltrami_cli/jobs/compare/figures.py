@@ -4,7 +4,7 @@ References
 ----------
 .. [1] G. Sharma, W. Wu, E. Dalal, "The CIEDE2000 color-difference formula: implementation notes, supplementary test
    data, and mathematical observations", Color Research and Application 30 (2005), doi:10.1002/col.20070; the numbers
-   of equations are of this paper, except for those of SSIM.
+   of equations are of this paper, except for SSIM.
 .. [2] IEC 61966-2-1:1999, sRGB: the primaries and the white point D65.
 .. [3] CIE 15:2004, "Colorimetry": L*a*b*.
 .. [4] Z. Wang, A. Bovik, H. Sheikh, E. Simoncelli, "Image quality assessment: from error visibility to structural
@@ -64,9 +64,9 @@ class ComparedColours:
     # (K,) in both: how far colours jump where the surface goes on in another chart, mean over channels.
     jumps: tuple[Float64s, Float64s] | None = None
     size: tuple[int, int] | None = None  # rows and columns of an image or texture
-    # Whether it has the same colours in both, beside a part that is measured; of a texture they are not taken then.
+    # Whether both files have the same colours here while another part is measured; textures then hold no colours.
     is_identical: bool = False
-    # (K, N) in both: colours of texels that no face covers, but that faces look up; None: those of no texture.
+    # (K, N) in both: colours of texels that no face covers, but that faces look up; None: not a texture.
     around: tuple[Float32s, Float32s] | None = None
     other_opacity: bool = False  # whether opacity differs, which is not measured
 
@@ -178,7 +178,7 @@ def check_limits(
     parts: Iterable[Mapping[str, Any]], limits: Limits, test: str
 ) -> tuple[list[Verdict], list[str]]:
     """Hold the figures of each part that has samples to the limits; return notices of what nothing can break."""
-    # A limit that cannot be measured raises InputError: what nobody can check must not pass.
+    # A limit that cannot be measured raises InputError: an unchecked limit must not pass.
     held = [part for part in parts if part["samples"] and not part.get("identical")]
     verdicts: list[Verdict] = []
     for limit, allowed in vars(limits).items():
@@ -277,8 +277,8 @@ def _of_channel(one: Float32s, other: Float32s) -> Float64s:
     mean_x, mean_y = _windowed(x), _windowed(y)
     variances = _windowed(x * x) - mean_x**2 + _windowed(y * y) - mean_y**2
     covariance = _windowed(x * y) - mean_x * mean_y
-    alike = (2 * mean_x * mean_y + _C1) * (2 * covariance + _C2)
-    return np.asarray(alike / ((mean_x**2 + mean_y**2 + _C1) * (variances + _C2)), np.float64)
+    similarity = (2 * mean_x * mean_y + _C1) * (2 * covariance + _C2)
+    return np.asarray(similarity / ((mean_x**2 + mean_y**2 + _C1) * (variances + _C2)), np.float64)
 
 
 def _windowed(values: Float64s) -> Float64s:

@@ -51,9 +51,9 @@ class Comparison:
     test: str
     weights: str  # what a sample counts
     space: str  # what colours were taken as
-    # "name", "kind" and figures of each texture, the image, or the vertices; "identical" is what is equal beside others
+    # "name", "kind" and figures of each texture, the image, or the vertices; "identical": equal, among several parts
     parts: list[dict[str, Any]]
-    overall: dict[str, Any]  # those of all parts together that are not identical
+    overall: dict[str, Any]  # figures of all parts together that are not identical
     geometry: Moves | None  # None: an image
     limits: list[Verdict]
     passed: bool  # whether each part keeps to each limit
@@ -138,12 +138,12 @@ class Compared:
         return [part for part in self.parts if not part.is_identical]
 
     def all_notices(self) -> list[str]:
-        """Return what users should know, above all what is not compared."""
+        """Return notices for users, above all on colours that are not compared."""
         found = [*self.notices]
         if self.moves is not None and not self.moves.is_rounding:
             largest, mean = (f"{100 * move:.3g} %" for move in (self.moves.largest, self.moves.mean))
             found.append(
-                "its vertices are not where those of the reference are: "
+                "its vertices are at other places than in the reference: "
                 f"they moved by up to {largest} of the model's size, {mean} on average"
             )
         for part in self.parts:
@@ -203,7 +203,7 @@ def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tup
 
 
 def is_map(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of a map of vertices; pictures have no mark."""
+    """Whether the first bytes of a file belong to a map of vertices; pictures have no mark."""
     return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
 
 

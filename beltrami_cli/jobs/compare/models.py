@@ -28,7 +28,7 @@ _OTHER_MODEL = "compare two files of one model"
 
 
 def choose_parts(documents: Pair, settings: SmoothSettings) -> tuple[Selection, list[str]]:
-    """Choose what is compared, by default all that is coloured; return sentences on what is not."""
+    """Choose what is compared, by default all that is coloured; return notices on all else."""
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)
@@ -120,7 +120,7 @@ def _moves(places: Float64s, others: Float64s) -> Float64s:
     moves = np.asarray(np.linalg.norm(others - places, axis=1), np.float64)
     if not len(places):
         return moves
-    # What is small and far from the origin is rounded by more.
+    # Coordinates of a small model far from the origin are rounded by more.
     size = float(np.ptp(places, axis=0).max()) + float(np.abs(places).max()) * 1e-2
     return moves / size if size > 0 else np.where(moves > 0, np.inf, 0.0)
 
@@ -140,10 +140,10 @@ def require_one_model(documents: Pair, painted: tuple[PaintedVertices, PaintedVe
         raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
     if one.channels != other.channels:
         channels = [", ".join(each.channels) for each in painted]
-        cause = f"its colours are {channels[1]}, but those of {names[0]} {channels[0]}"
+        cause = f"its channels are {channels[1]}, but {names[0]} has {channels[0]}"
         raise InputError(names[1], cause, "compare files with the same channels")
     if not len(one.faces) and _moves(one.positions, other.positions).max(initial=0) > ROUNDED_MOVE:
-        raise InputError(names[1], f"its points are not where those of {names[0]} are", _OTHER_MODEL)
+        raise InputError(names[1], f"its points are at other places than in {names[0]}", _OTHER_MODEL)
 
 
 def _triangles(document: Document) -> Int32s:
@@ -176,7 +176,7 @@ def same_textures(
     same = number_of[0] == -1 and len(np.unique(number_of)) == len(number_of)
     same &= np.array_equal(number_of[surface.texture_of + 1], other.texture_of)
     if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
-        cause = f"its texture coordinates are not those of {names[0]}"
+        cause = f"its texture coordinates differ from {names[0]}"
         raise InputError(names[1], cause, _OTHER_MODEL)
     pairs = zip(surface.textures, number_of[1:], strict=True)
     numbered = [dataclasses.replace(texture, key=str(number)) for texture, number in pairs]

@@ -47,11 +47,11 @@ _BLOCK = 1 << 18  # colours compared at a time, which bounds the memory for them
 
 def near_seams(atlas: Atlas) -> Bools:
     """Return which owned cells are within 4 texels of a seam, shape (T,)."""
-    beside = np.zeros(atlas.kind.shape, bool)
+    at_border = np.zeros(atlas.kind.shape, bool)
     for inner, *_ in lines_over_seams(atlas, 1):
-        beside.reshape(-1)[inner] = True
+        at_border.reshape(-1)[inner] = True
     # Charts are further apart on the canvas than this reaches.
-    return within(beside, _NEAR - 1).reshape(-1)[atlas.owned_cells]
+    return within(at_border, _NEAR - 1).reshape(-1)[atlas.owned_cells]
 
 
 def seam_steps(atlas: Atlas, colours: Float32s) -> tuple[Int64s, Float64s]:
@@ -94,7 +94,7 @@ def texel_areas(atlas: Atlas) -> Float64s:
 def compare_vertices(
     documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, *, is_extra: bool
 ) -> ComparedColours:
-    """Bring the vertex colours of two models together; `is_extra`: beside textures."""
+    """Bring the vertex colours of two models together; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.painted() for document in documents))
     require_one_model(documents, (one, other))
     held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]

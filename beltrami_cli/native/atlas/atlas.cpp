@@ -93,7 +93,7 @@ class Builder {
       const std::size_t start = row_start(band, row);
       const Kind* kinds = cells.kinds() + local;
       std::uint8_t* kind = atlas_.kind.data() + start;
-      for (std::size_t x = 0; x < width; ++x)  // what is empty may be a cell of another rectangle
+      for (std::size_t x = 0; x < width; ++x)  // an empty cell may belong to another rectangle
         if (kinds[x] != Kind::empty) kind[x] = static_cast<std::uint8_t>(kinds[x]);
       list_runs({kinds, width}, row, runs_[index]);
       lengths.measure(cells, local, row - band.top + 1 < cells.height(), start, cuts_[index]);

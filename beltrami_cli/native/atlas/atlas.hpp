@@ -11,7 +11,7 @@
 
 namespace beltrami::atlas {
 
-// Cells are named by row * columns + column; texels by their number among those of all textures.
+// Cells are named by row * columns + column; texels by their number among the texels of all textures.
 struct Atlas {
   std::int64_t rows = 0, columns = 0;
   Array<std::uint8_t> kind;                   // 0 empty, 1 owned, 2 halo
@@ -27,7 +27,7 @@ struct Atlas {
   std::int64_t charts = 0, seams = 0, seam_edges = 0, covered = 0, overlapped = 0;
 };
 
-// The large arrays, also those that are needed only meanwhile, are allocated by `allocate`. The poll counts bands of
+// The large arrays, also temporary ones, are allocated by `allocate`. The poll counts bands of
 // charts. Throws std::invalid_argument if an index of the surface is out of range or the margin is not positive,
 // std::length_error if the surface, its textures or its canvas are too large, Cancelled if the poll asks to stop.
 Atlas make_atlas(const Surface& surface, std::int64_t margin, unsigned threads,

@@ -11,7 +11,7 @@ namespace {
 // A face thinner than this many texels holds too few of them to measure how far apart they are.
 constexpr double thin = 2;
 
-// Marks what is within `margin` columns of a mark.
+// Extends the marks by `margin` columns.
 void widen(const std::uint8_t* marks, std::int64_t width, std::int64_t margin, std::uint8_t* widened) {
   std::int64_t marked = 0;
   for (std::int64_t x = 0; x < std::min(margin, width); ++x) marked += marks[x];

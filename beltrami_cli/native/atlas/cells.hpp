@@ -1,4 +1,4 @@
-// The cells of one band: what they are, where they lie on the surface, and what stands behind those of the halo.
+// The cells of one band: their kinds, their places on the surface, and the sources of halo cells.
 #pragma once
 
 #include <array>

@@ -64,7 +64,7 @@ class Finder {
     });
   }
 
-  // The chart that owns what a face shows beside an uncovered texel.
+  // The chart that owns the texels next to an uncovered texel that a face shows.
   Index shown_beside(Index face, std::int64_t x, std::int64_t y) const {
     Index chart = owner_beside(face, x, y);
     // Where a face without area in the image lies on the border of another, it shows what that one does.

@@ -12,12 +12,12 @@
 
 namespace beltrami::atlas {
 
-// Instead of one chart: several; or none, because a face looks the texel up whose chart covers no texel beside it.
+// Instead of one chart: several; or none, because a face looks the texel up whose chart covers no texel next to it.
 constexpr Index several = -2, lone = -3;
 
 struct LookedUp {
   std::int64_t texel;
-  Index chart;  // that owns what the faces which look the texel up show beside it; or `several`, or `lone`
+  Index chart;  // that owns the texels next to it that the faces show which look it up; or `several`, or `lone`
 };
 
 // The uncovered texels that faces look up, ascending, each once. Throws Cancelled if the poll asks to stop.

@@ -9,7 +9,7 @@
 namespace beltrami::atlas {
 namespace {
 
-// Rounds off what computing u * width leaves behind, so that what is meant to lie on a texel's centre does so.
+// Rounds off what computing u * width leaves behind, so that coordinates of texel centres lie on the centres.
 constexpr double coordinate_steps = 1 << 20;
 // Coordinates beyond this name no texel to any use; such faces stay, but without extent in the image.
 constexpr double farthest_texel = 1 << 28;

@@ -74,7 +74,7 @@ inline std::int64_t unwrapped(std::int32_t j, std::int64_t start, std::int32_t s
   return odd ? start + size - 1 - j : start + j;
 }
 
-// What is handed in. A place is a point of space in which all vertices at it are joined.
+// The input. A place is a point of space in which all vertices at it are joined.
 struct Surface {
   const double* positions = nullptr;     // three a place
   Index place_count = 0;
@@ -167,7 +167,7 @@ class FaceMap {
 // Whether two corners are one but for rounding.
 bool same_texel(Point2 a, Point2 b);
 
-// Takes the textured faces; of those with equal places and equal texture coordinates the first. Two faces are
+// Takes the textured faces; of duplicates with equal places and texture coordinates the first. Two faces are
 // neighbours inside a chart if they share an edge in space and in the image and lie on its two sides there;
 // otherwise an edge of exactly two faces is a seam, unless they lie on each other. Where more than two faces meet,
 // each pair that goes on inside a chart is joined. All other edges are open.

@@ -59,7 +59,7 @@ class Canvas {
 
   std::uint64_t* taken(std::int64_t row) { return taken_.data() + static_cast<std::size_t>(row) * words_; }
 
-  // The first column at which none of the runs meets what is taken; -1 if there is none.
+  // The first column at which none of the runs meets an occupied cell; -1 if there is none.
   std::int64_t find_column(const Bits& shape, const std::vector<Run>& runs, std::int64_t row) {
     for (const Run& run : runs)
       if (run.length > longest_[static_cast<std::size_t>(row + run.row)]) return -1;
@@ -77,7 +77,7 @@ class Canvas {
     return -1;
   }
 
-  // Blocks the columns at which a run would meet what is taken; returns whether any is left.
+  // Blocks the columns at which a run would meet an occupied cell; returns whether any is left.
   bool block(const Run& run, std::int64_t row) {
     const std::uint64_t* from = taken(row + run.row);
     shift_down(from, run.first, shifted_.data());
@@ -97,7 +97,7 @@ class Canvas {
     for (std::size_t i = 0; i < words_; ++i) to[i] = shifted_word(from, i + words, bits);
   }
 
-  // Words are read before they are written: those that come after are still as they were.
+  // Words are read before they are written: later ones are still unchanged.
   void add_shifted(std::uint64_t* words, std::int64_t by) const {
     const auto skipped = static_cast<std::size_t>(by / 64);
     const int bits = static_cast<int>(by % 64);

@@ -13,7 +13,7 @@ namespace beltrami::atlas {
 
 // Calls fill(y, begin, end) for the rows y in [top, bottom) that hold points: columns [begin, end) within
 // [left, right). Points on left and upper edges count, those on right and lower edges do not. Both faces of an
-// edge compute its crossing with a row alike, bit for bit.
+// edge compute its crossing with a row to equal bits.
 template <class Fill>
 void scan(const std::array<Point2, 3>& corners, std::int64_t left, std::int64_t right, std::int64_t top,
           std::int64_t bottom, const Fill& fill) {

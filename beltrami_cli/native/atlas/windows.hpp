@@ -21,7 +21,7 @@ struct Window {
 };
 
 struct Windows {
-  std::vector<Window> windows;  // those that shall own texels first come first: large charts before small ones
+  std::vector<Window> windows;  // in the order in which they may own texels: large charts before small ones
   std::vector<Index> faces;
 };
 

@@ -1,7 +1,7 @@
 // Asks for huge pages for whatever is large, in place of the allocation functions that the language comes with.
 //
 // Linux clears memory page by page when it is first touched: of 4 KiB that takes eight times as long as of 2 MiB, and
-// as long as some of the stages that fill it. What is asked for here lies in whole pages of 2 MiB; the system gives
+// as long as some of the stages that fill it. Memory from here lies in whole pages of 2 MiB; the system gives
 // these or not. Memory comes from malloc as before, so it may be freed by anyone.
 #if defined(__linux__)
 #include <sys/mman.h>

@@ -29,7 +29,7 @@ void mark(const Layout<const float>& colours, const CutOff& cut, std::size_t cou
 void restore(const Layout<float>& averages, const Layout<const float>& share, const CutOff& cut, float trusted,
              const Table& alpha, const Table& gap, const Samples& samples, unsigned threads);
 
-// Replaces samples at a limit by the mean of what is beyond it, by an estimate of the colour without noise; `beyond`:
+// Replaces samples at a limit by the mean of the values beyond it, by an estimate of the colour without noise; `beyond`:
 // E[z | z > a] of a normal variable z with a deviation of 1.
 void impute(const Layout<float>& colours, const Layout<const float>& estimate, const CutOff& cut, const Table& beyond,
             const Samples& samples, unsigned threads);

@@ -31,7 +31,7 @@ class Table {
     const std::size_t last = at_.size() - 1;
     const double place = std::clamp(static_cast<double>(where), at_[0], at_[last]);
     std::size_t k = std::min(last - 1, static_cast<std::size_t>((place - at_[0]) * steps_));
-    // Rounding may lead to an interval beside the one that holds the place.
+    // Rounding may lead to a neighbour of the interval that holds the place.
     k -= k > 0 && place < at_[k] ? 1 : 0;
     k += k + 2 <= last && place >= at_[k + 1] ? 1 : 0;
     const double slope = (values_[k + 1] - values_[k]) / (at_[k + 1] - at_[k]);
@@ -43,7 +43,7 @@ class Table {
   double steps_;
 };
 
-// Replaces places, none of which is NaN, by the values there.
+// Replaces places, which must not be NaN, by the values there.
 void interpolate(std::span<float> places, const Table& table);
 
 // Planes of `size` cells each, one a channel.
@@ -53,7 +53,7 @@ struct Planes {
   std::size_t size, channels;
 };
 
-// Rows are numbered as the cells, which lie on the canvas, and none of which is named twice.
+// Rows are numbered as the cells, which are distinct and lie on the canvas.
 template <class Index>
 void scatter(const Planes<float>& planes, std::span<const Index> cells, const float* rows, unsigned threads);
 template <class Index>
@@ -74,8 +74,8 @@ struct Rows {
   std::span<const std::int32_t> channels;  // of the pixel
 };
 
-// Stores rows at some pixels of an image with `width` channels each, rounded to the nearest, the even of two. What is
-// beyond the range is clipped; what is no number becomes 0. No pixel may be named twice.
+// Stores rows at some pixels of an image with `width` channels each, rounded to the nearest, the even of two. Values
+// beyond the range are clipped; NaN becomes 0. No pixel may be named twice.
 template <class Sample, class Index>
 Moved store(const Rows& rows, std::span<const Index> pixels, std::size_t width, Sample* samples, unsigned threads);
 

@@ -14,9 +14,9 @@ constexpr std::size_t run = 16;
 
 template <class Index>
 bool are_in_a_row(const Index* cells) {
-  bool alike = true;
-  for (std::size_t i = 0; i < run; ++i) alike &= cells[i] == cells[0] + static_cast<Index>(i);
-  return alike;
+  bool consecutive = true;
+  for (std::size_t i = 0; i < run; ++i) consecutive &= cells[i] == cells[0] + static_cast<Index>(i);
+  return consecutive;
 }
 
 // Calls move(value of a plane's cell, value of a row) for every channel of some rows. Channels, if not 0, is how many

@@ -19,7 +19,7 @@ constexpr double no_fractions = 6755399441055744.0;  // 1.5 * 2^52
 
 void round_all(const float* values, std::size_t count, double largest, std::int32_t* rounded) {
   for (std::size_t i = 0; i < count; ++i) {
-    const float positive = values[i] > 0.0F ? values[i] : 0.0F;  // and what is no number is 0
+    const float positive = values[i] > 0.0F ? values[i] : 0.0F;  // and NaN is 0
     const double scaled = static_cast<double>(positive < 1.0F ? positive : 1.0F) * largest;
     rounded[i] = static_cast<std::int32_t>((scaled + no_fractions) - no_fractions);
   }
@@ -46,13 +46,13 @@ struct Sums {
   }
 };
 
-// Sums over a line of bytes fit into 32 bits, of which vector instructions add twice as many at a time.
+// Sums over a line of bytes fit into 32 bits, and vector instructions add twice as many of these at a time.
 template <class Sample>
 using LineSum = std::conditional_t<sizeof(Sample) == 1, std::uint32_t, std::uint64_t>;
 constexpr std::size_t longest_line = 1 << 16;
 static_assert(std::uint64_t{longest_line} * 255 * 255 <= std::numeric_limits<std::uint32_t>::max());
 
-// Stores whole pixels, runs of which lie one behind the other.
+// Stores whole pixels that lie in contiguous runs.
 template <class Sample, class Index>
 void store_whole(const std::int32_t* now, std::span<const Index> pixels, std::size_t width, Sample* samples, Moved& moved) {
   for (std::size_t row = 0; row < pixels.size();) {

@@ -31,7 +31,7 @@ struct Grid {
                                            // there is no edge, as there is none at an empty cell
   const float* scale = nullptr;            // rows * columns: what a cell's squared lengths are multiplied by, to make
                                            // local units of them; nullptr: 1
-  const std::uint8_t* repeats = nullptr;   // rows * columns: how many cells show what a cell shows, each of which counts
+  const std::uint8_t* repeats = nullptr;   // rows * columns: how many cells show the same texel
                                            // in averages for one over that many; nullptr: 1
   std::size_t cells() const { return rows * columns; }
 };

@@ -8,7 +8,7 @@ namespace {
 
 constexpr std::size_t cells_a_side = tile_side + 1;
 
-// A tile's first cell, and its cells down and across within the grid: squares need the row below and the column beside.
+// A tile's first cell, and its cells down and across within the grid: squares need the next row and the next column.
 struct Tile {
   std::size_t row, column, height, width;
 };

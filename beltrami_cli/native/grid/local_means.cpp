@@ -62,7 +62,7 @@ void local_scale(std::size_t rows, std::size_t columns, const float* right, cons
                  float* scale) {
   const auto reach = static_cast<std::size_t>(window_radius);
   // Sums over the window's rows, one a column, move down with the window; those over its columns along the row. The rows
-  // in the window are kept. In doubles, what is added and taken away again leaves nothing.
+  // in the window are kept. In doubles, a value that is added and subtracted again leaves nothing.
   const std::size_t held = 2 * reach + 1;
   Sums kept(held * columns), window(columns);
   // Beyond both ends there is nothing.

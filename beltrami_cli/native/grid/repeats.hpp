@@ -17,7 +17,7 @@ struct HaloCells {
 };
 
 // Writes for each of rows * columns cells how many halo cells within `reach` rows and columns, itself included, were
-// reached over the same seam and have the value of the same source; 1 for what is no halo cell, and at most 255.
+// reached over the same seam and have the value of the same source; 1 for other cells, and at most 255.
 void count_repeats(std::size_t rows, std::size_t columns, const HaloCells& halo, std::ptrdiff_t reach,
                    std::uint8_t* repeats, unsigned threads);
 

@@ -74,7 +74,7 @@ void add_enlarged(const Squares& squares, const std::uint8_t* kinds, const float
   std::vector<Between> columns;
   for (std::size_t column = 0; column < squares.columns; ++column) columns.emplace_back(column, side, across);
   parallel_chunks(squares.rows, chunk * side, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    // Of the squares above and below: the share of those that are owned, and the changes of each plane times it.
+    // Of the squares above and below: the share of owned ones, and the changes of each plane times it.
     std::vector<float> shares(across), sums(across);
     for (std::size_t row = begin; row < end; ++row) {
       const Between own(row, side, down);

@@ -98,7 +98,7 @@ std::int64_t sweep_tile(const TileJob& job, const Tile& tile, TileScratch& scrat
   const Grid& grid = *job.grid;
   const Layout layout(tile, job.program->radius);
   const int side = 2 * job.program->radius + 1;
-  // Besides the colours, what is blocked, the scale and the shares.
+  // Besides the colours: blocked cells, the scale and the shares.
   const std::size_t colour_planes = job.metric.channels + job.colours.channels + 3;
   scratch.planes.resize((plane_count + colour_planes) * layout.size);
   scratch.window.resize(static_cast<std::size_t>(side * side) * centre_count);

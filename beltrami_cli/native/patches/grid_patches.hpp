@@ -1,4 +1,4 @@
-// Collaborative patches on a grid, see groups.hpp: squares of cells, and those that look most alike in a window around.
+// Collaborative patches on a grid, see groups.hpp: squares of cells, and the most similar ones in a window around.
 //
 // Only how patches look decides, not where they lie: the window goes over the borders of charts. Patches reach over seams
 // by the halo. Cells that are empty are in no patch.
@@ -25,7 +25,7 @@ constexpr int rows_beside = 12, rows_beside_few = 7, columns_before = 16, candid
 // Cells a side of the tiles of work.
 constexpr int tile_side = 63;
 
-// What is around a tile: candidates, and their patches.
+// The surroundings of a tile: candidates, and their patches.
 constexpr int margin = columns_before + patch_reach;
 static_assert(tile_side >= 2 * margin && tile_side % spacing == 0);
 

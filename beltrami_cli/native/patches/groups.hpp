@@ -1,4 +1,4 @@
-// Collaborative estimation of groups of patches that look alike, each channel by itself: every patch of a group becomes
+// Collaborative estimation of groups of similar patches, each channel by itself: every patch of a group becomes
 // a linear combination of all of them.
 //
 // Let Y be the noisy patches of a group, n values by K patches, X the same patches of a pilot (an earlier estimate), and D
@@ -17,7 +17,7 @@
 //   alpha = strength (E_X + c s d) / (max(E_Y - (K - 1) d, 0) + c d),
 //
 // with the ratio of what the pilot holds to that, drawn to `shrinkage` s where there is little of either, and at least
-// `least_ratio`. Where the pilot holds next to nothing beside alpha D, every patch becomes the mean m of all, Theta = 1 / K.
+// `least_ratio`. Where the pilot is negligible against alpha D, every patch becomes the mean m of all, Theta = 1 / K.
 // Noise of the energy e = strength d (n - 1) / (n K) is left in its differences from its own mean, which are multiplied by
 // (1 - e / E_m)+, with E_m the sum of their squares [2].
 //
@@ -34,10 +34,10 @@
 
 namespace beltrami::patches {
 
-// Patches in a group: of those without a pilot, and of those with one on surfaces and on grids.
+// Patches in a group: without a pilot, and with one, on surfaces and on grids.
 constexpr std::size_t few = 16, medium = 32, many = 48;
 
-// Values in the rows that hold the patches of surfaces and of grids, some of which may belong to none.
+// Values in the rows that hold the patches of surfaces and of grids, padding included.
 constexpr std::size_t short_row = 32, long_row = 64;
 
 // Channels of samples, one plane after the other, `stride` values each.
@@ -70,7 +70,7 @@ struct alignas(64) Group {
   alignas(64) std::array<float, many> weights;  // of the estimates, 1 / |Theta_k|^2
   alignas(64) std::array<float, many * long_row> estimates;
 
-  alignas(64) std::array<float, many * long_row> values;  // of which patches are columns
+  alignas(64) std::array<float, many * long_row> values;  // patches are its columns
   alignas(64) std::array<float, many * many> theta;
 };
 

@@ -1,4 +1,4 @@
-// Patches of vertices as rows of values: those of all nodes for one channel after the other.
+// Patches of vertices as rows of values: all nodes of the first channel, then of the next.
 #pragma once
 
 #include <array>

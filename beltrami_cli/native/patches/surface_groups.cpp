@@ -30,7 +30,7 @@ struct PartSums {
   std::vector<std::int32_t> members;
   std::vector<std::array<float, 2>> sums;  // of estimates and of their weights, a row of channels a member
 
-  // Adds the sums to those of the whole surface, which have a row a vertex.
+  // Adds the sums to the sums of the whole surface, which have a row per vertex.
   void add_to(const Sums& whole, std::size_t channels) const {
     for (std::size_t i = 0; i < members.size(); ++i)
       for (std::size_t c = 0; c < channels; ++c) {

@@ -19,7 +19,7 @@ constexpr std::size_t few_candidates = 85, enough_candidates = 200;
 constexpr double furthest = 0.8, highest = 2.0;
 
 // Squared distances from nodes that differ by less are equal.
-constexpr double alike = 1e-6;
+constexpr double tie = 1e-6;
 
 // Vertices, and starts of groups, that are handled together.
 constexpr std::size_t chunk = 1024, starts_in_part = 256;
@@ -47,7 +47,7 @@ std::size_t node_at(int row, int column) {
   return static_cast<std::size_t>((row + lattice_reach) * (2 * lattice_reach + 1) + column + lattice_reach);
 }
 
-// The rows or columns of nodes that are near enough to a place beside the lattice. Positive numbers are rounded down by
+// The rows or columns of nodes that are near enough to a place outside the lattice. Positive numbers are rounded down by
 // conversion, and calls of floor and ceil would take longer than all else.
 constexpr int far_beside = 8;
 int first_near(double place) {
@@ -84,8 +84,8 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
   for (std::size_t k = 0; k < offsets.size(); ++k) {
     const double x = dot(offsets[k], right) * across, y = dot(offsets[k], up) * upwards;
     const double height = dot(offsets[k], plane.normal) * across;
-    constexpr double beside = lattice_reach + furthest;
-    if (!(std::abs(height) <= highest && std::abs(x) <= beside && std::abs(y) <= beside)) continue;
+    constexpr double widest = lattice_reach + furthest;
+    if (!(std::abs(height) <= highest && std::abs(x) <= widest && std::abs(y) <= widest)) continue;
     for (int row = first_near(y); row <= last_near(y); ++row)
       for (int column = first_near(x); column <= last_near(x); ++column) {
         if (row == 0 && column == 0) continue;
@@ -94,8 +94,8 @@ Nodes lattice_of(std::int32_t vertex, std::span<const std::int32_t> around, std:
         const double gain = nearest[node] - distance;
         // Of two at one distance, the choice must not depend on rounding.
         const bool earlier =
-            found[node] >= 0 && std::abs(gain) <= alike && priority_of(around[k + 1]) < priority_of(found[node]);
-        if (gain > (found[node] < 0 ? 0 : alike) || earlier) {
+            found[node] >= 0 && std::abs(gain) <= tie && priority_of(around[k + 1]) < priority_of(found[node]);
+        if (gain > (found[node] < 0 ? 0 : tie) || earlier) {
           nearest[node] = distance;
           found[node] = around[k + 1];
         }
@@ -141,7 +141,7 @@ class SurfacePatches::VertexRings {
   }
 
  private:
-  static constexpr std::size_t most = 512;  // beside a hub
+  static constexpr std::size_t most = 512;  // around a hub
 
   std::vector<std::uint32_t> seen_;
   std::array<std::int32_t, most> found_{};
@@ -209,8 +209,8 @@ std::vector<std::int32_t> SurfacePatches::choose_starts(std::span<const std::uin
     for (int row = -lattice_reach; row <= lattice_reach; ++row)
       for (int column = -lattice_reach; column <= lattice_reach; ++column) {
         if (std::abs(row) == lattice_reach && std::abs(column) == lattice_reach) continue;
-        const std::int32_t beside = patches_[vertex][node_at(row, column)];
-        if (beside >= 0) covered[static_cast<std::size_t>(beside)] = true;
+        const std::int32_t neighbour = patches_[vertex][node_at(row, column)];
+        if (neighbour >= 0) covered[static_cast<std::size_t>(neighbour)] = true;
       }
   }
   // Neighbours together, which share most of their candidates.

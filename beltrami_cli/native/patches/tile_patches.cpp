@@ -98,7 +98,7 @@ class TilePlanes {
   TileScratch& own_;
 };
 
-// The cells of the patch at a centre that are there; patches have rows of `row_length` cells, of which the last are none.
+// The cells of the patch at a centre that are there; patches have rows of `row_length` cells, the last of them padding.
 constexpr Index row_length = 8;
 static_assert(patch_side * row_length <= Index{long_row} && patch_side <= row_length);
 
@@ -163,7 +163,7 @@ float mean_of(const float* plane, const Shape& shape, Index centre) {
   return sum / static_cast<float>(shape.count);
 }
 
-// Patches of the pilot that differ by less than this, in units of the noise, are alike.
+// Patches of the pilot that differ by less than this, in units of the noise, count as equal.
 constexpr float least_difference = 0.08F;
 
 // The energy of the noise in the differences that are summed, of the patch at `centre`.

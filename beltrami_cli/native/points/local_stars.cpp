@@ -210,7 +210,7 @@ class Finder {
   }
 
   // The side of a square in the circle around a triangle of the star, which for points on a square grid is their
-  // spacing. Not the length of spokes, many of which are short if points are in dense lines; and of the triangles the
+  // spacing. Not the length of spokes, as many are short if points are in dense lines; and of the triangles the
   // one at the lower fourth, since at the rim of a hole half of them may be across.
   double measure_spacing() {
     squared_radii_.clear();

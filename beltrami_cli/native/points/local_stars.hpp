@@ -26,7 +26,7 @@ inline double cross(const Spoke& a, const Spoke& b) { return a.x * b.y - a.y * b
 // Square of the radius of the circle through the origin and both ends; infinite if these are in one line.
 double squared_circumradius(const Spoke& a, const Spoke& b);
 
-// Leaves of the spokes those that a Delaunay triangulation joins to the origin, anticlockwise. Of points on one empty
+// Keeps the spokes that a Delaunay triangulation joins to the origin, anticlockwise. Of points on one empty
 // circle, which have no unique triangulation, it leaves all. The spokes must not be of length zero; the first
 // must be the shortest. Takes O(k log k).
 void keep_delaunay_star(std::vector<Spoke>& spokes);
@@ -51,7 +51,7 @@ struct Stars {
   std::vector<double> distance;  // of the eighth neighbour, or the last
 };
 
-// Positions are three numbers a point. keep_unsettled: what is known of the stars is taken, and no point is unsettled.
+// Positions are three numbers a point. keep_unsettled: incomplete stars are taken as they are, and no point is unsettled.
 Stars find_stars(const double* positions, const Neighbours& neighbours, bool keep_unsettled, unsigned threads);
 
 // Largest radius of the circle around a triangle, in spacings at its corners: the triangulation of points at random has

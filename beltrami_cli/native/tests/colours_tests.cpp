@@ -103,7 +103,7 @@ void cells_show_their_sources_and_others_stay(std::mt19937& random) {
   }
 }
 
-// In rows of several channels, of which only the second is touched.
+// In rows of several channels; only the second is touched.
 void colours_at_limits_alone_are_marked_imputed_and_restored(std::mt19937& random) {
   const std::vector<double> limits{-8, -4, 0, 4, 8}, beyond{0, 0.2, 0.8, 4.3, 8.1};
   const std::vector<double> shares{0, 0.25, 0.5, 0.75, 1}, alpha{4, 0.7, 0, -0.7, -4}, gap{4, 0.9, 0.4, 0.2, 0.01};

@@ -71,7 +71,7 @@ Group some_group(std::size_t size, std::size_t length, std::size_t found, std::s
   group.least_ratio = random() % 2 == 0 ? 0.0F : 1.0F;
   group.strength = random() % 2 == 0 ? 1.0F : 0.7F;
   for (std::size_t k = 0; k < size; ++k) {
-    // What is beyond the patches holds anything.
+    // Memory beyond the patches holds anything.
     if (k >= found)
       for (auto* rows : {&group.noisy, &group.pilot}) std::fill_n(rows->begin() + static_cast<std::ptrdiff_t>(k * length), length, nowhere);
     const float energy = variance * (0.2F + static_cast<float>(random() % 100) / 50.0F);
@@ -219,7 +219,7 @@ void noise_is_averaged_and_lost_detail_comes_back() {
       std::vector<float> colours;
       for (std::size_t k = 0; k < many; ++k)
         for (std::size_t p = 0; p < 49; ++p) {
-          // Four patterns, of which each patch has some.
+          // Four patterns; each patch has some of each.
           const float colour = has_detail ? 3 * sigma * std::sin(static_cast<float>((k % 4 + 1) * p)) : 0;
           own.noisy[k * long_row + p] = colour + sigma * normal(random);
           own.pilot[k * long_row + p] = colour / 2 + 0.2F * sigma * normal(random);
@@ -277,7 +277,7 @@ void equal_patches_with_next_to_no_noise_stay() {
       }
 }
 
-// As of a slope in 8 bit that was drawn without noise, of which the patches are all but linearly dependent.
+// As of a slope in 8 bit that was drawn without noise, whose patches are all but linearly dependent.
 void steps_of_a_slope_without_noise_stay() {
   Random random(31);
   for (const auto& [size, length] : shapes)
@@ -288,7 +288,7 @@ void steps_of_a_slope_without_noise_stay() {
           own.energy.fill(energy);
           for (std::size_t k = 0; k < size; ++k)
             for (std::size_t p = 0; p < count; ++p) {
-              const std::size_t step = (k + 1) / 2 + p / width;  // of which one is left out
+              const std::size_t step = (k + 1) / 2 + p / width;  // one of them is left out
               own.noisy[k * length + own.used[p]] = (static_cast<float>(step + step / 12) - 9.97281F) / 255;
             }
           const Group given = own;
@@ -315,7 +315,7 @@ void plain_patches_without_noise_stay() {
   }
 }
 
-// A canvas with holes, of which nothing may be read, and halo.
+// A canvas with holes, which must not be read, and halo.
 struct Grid {
   std::size_t rows, columns, channels;
   std::vector<std::uint8_t> kind;

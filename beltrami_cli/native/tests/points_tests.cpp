@@ -31,7 +31,7 @@ void stars_are_those_of_empty_circles() {
   int compared = 0;
   for (int trial = 0; trial < 3000; ++trial) {
     std::vector<Spoke> spokes(1 + random() % 30);
-    const double shift = trial % 3 == 0 ? 0.9 : 0;  // beside the others: on the rim
+    const double shift = trial % 3 == 0 ? 0.9 : 0;  // far from the others: on the rim
     for (std::size_t i = 0; i < spokes.size(); ++i)
       spokes[i] = {uniform(random) + shift, uniform(random), static_cast<Index>(i)};
     std::sort(spokes.begin(), spokes.end(),

@@ -104,7 +104,7 @@ void FastMarching::update_over(Index index, float distance) {
   relax(link.target, best);
 }
 
-// Does what update_over does for all links: those with accepted partners, and of the others the shortest.
+// Does what update_over does for all links with accepted partners, and for the shortest of the others.
 void FastMarching::update_from_hub(Index vertex, float distance) {
   const Hub& hub = hub_of(vertex);
   for (const Reached& reached : reached_) {

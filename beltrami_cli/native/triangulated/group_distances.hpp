@@ -146,7 +146,7 @@ class GroupDistances {
     fits_ = size_ + (end - begin) <= most_;
     if (!fits_) return false;
     reserve(size_ + (end - begin));
-    // Kept at hand: what is stored might change these pointers, for all that the compiler knows.
+    // Local copies: for all that the compiler knows, stores might change these pointers.
     RegionPlace* const region = scratch_.region.data();
     const std::uint16_t* const places = scratch_.place.data();
     // A longer segment leads out of all kernels in which the distance has fallen; rounding must not make that of one that

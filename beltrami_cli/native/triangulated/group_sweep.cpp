@@ -11,7 +11,7 @@
 namespace beltrami::triangulated::BELTRAMI_VARIANT {
 namespace {
 
-// What is left to do once distances are known.
+// The averages, once distances are known.
 class GroupAverage {
  public:
   GroupAverage(const GroupJob& job, std::span<const Index> sources, GroupScratch& scratch, const GroupDistances& distances)
@@ -35,7 +35,7 @@ class GroupAverage {
   // Of the places of the region.
   std::span<const Index> vertices() const { return {scratch_.vertices.data(), size_}; }
 
-  // Computes the kernels, and again for those that hold too many samples once these are taken away.
+  // Computes the kernels, and those with too many samples again without the surplus.
   KernelStatistics find_kernels() {
     Numbers counts = evaluate();
     KernelStatistics statistics;
@@ -117,7 +117,7 @@ class GroupAverage {
       const Lanes total = load(totals_.lane.data() + part);
       for (std::size_t c = 0; c < channels; ++c) {
         const Lanes average = centre[c] + select(total > splat(0), sums[c] / total, Lanes{});
-        // Rounding must not take a colour out of the range of those that it is an average of.
+        // Rounding must not take an average out of the range of its colours.
         store(averages[c].lane.data() + part, smaller(larger(average, splat(low[c])), splat(high[c])));
       }
     }

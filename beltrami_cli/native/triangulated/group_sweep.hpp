@@ -24,7 +24,7 @@ struct GroupJob {
   float* smoothed;
 };
 
-// What is known of a vertex that any of a group's kernels reaches.
+// State of a vertex that any of a group's kernels reaches.
 struct alignas(64) RegionPlace {
   std::array<float, group_size> lane;    // its distance from each source, later the value of each kernel there
   std::array<float, group_size> passed;  // the distances as they were passed on to other vertices last: in the end, all

@@ -24,7 +24,7 @@ struct LengthTables {
 struct LengthSweep {
   // Squared lengths of edges by eq. (1), from in_space.
   void (*measure_edges)(LengthTables& tables, Rows<float> colours, float squared_beta, std::size_t begin, std::size_t end);
-  // From these, lengths of segments over edges, and of those that cross one or two edges of triangles.
+  // From these, lengths of segments along edges, and of segments that cross one or two edges of triangles.
   void (*set_lengths)(LengthTables& tables, std::size_t begin, std::size_t end);
   void (*cross_edges)(LengthTables& tables, std::size_t begin, std::size_t end);
 };

@@ -1,4 +1,4 @@
-// The short-time kernel with distances along segments, sixteen sources side by side: the second solver beside fast marching.
+// The short-time kernel with distances along segments, sixteen sources at a time: the alternative to fast marching.
 //
 // A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images on manifolds" (2007), eqs. (8) and (9).
 #pragma once

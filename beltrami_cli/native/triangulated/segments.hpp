@@ -42,7 +42,7 @@ constexpr std::size_t spare_lengths = 16;
 // list of the hub is.
 constexpr std::uint32_t most_segments = 512;
 
-// A place in the lists, for what is no segment.
+// A place in the lists that means "no segment".
 constexpr std::uint32_t no_place = std::numeric_limits<std::uint32_t>::max();
 
 // Both directions of every segment stand in lists, grouped by the vertex that it comes from.
@@ -63,7 +63,7 @@ struct Segments {
 struct HubLists {
   std::vector<Index> hubs;             // ascending
   std::vector<std::uint32_t> offsets;  // [hub], one more at the end
-  std::vector<std::uint32_t> places;   // of segments that are straight, those of each hub from the shortest on
+  std::vector<std::uint32_t> places;   // of straight segments, for each hub in order of length
 };
 
 HubLists sort_hubs(const Segments& segments);

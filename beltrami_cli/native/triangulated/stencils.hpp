@@ -1,4 +1,4 @@
-// The stencils of fast marching, with their coefficients, made anew whenever the metric changes.
+// The stencils of fast marching, with their coefficients, rebuilt whenever the metric changes.
 //
 // When a vertex A is accepted, it may update a vertex C along the edge AC, and together with an accepted
 // partner B through the triangle ABC. R. Kimmel, J. Sethian (PNAS 1998) solve a quadratic for that; with A at the

@@ -25,7 +25,7 @@ struct VertexGroup {
 };
 
 struct VertexGroups {
-  std::vector<Index> members;                // of all groups in turn: group g owns [16 g, 16 g + 16), the last what is left
+  std::vector<Index> members;                // of all groups in turn: group g owns [16 g, 16 g + 16), the last the remainder
   std::vector<InnerSegment> inner;           // of all groups in turn
   std::vector<std::uint32_t> inner_offsets;  // [group], one more at the end
 
@@ -34,7 +34,7 @@ struct VertexGroups {
 };
 
 // Cuts the vertices into groups, within blocks that follow each other in memory: by bisecting space, or, where neighbours
-// in space are hardly joined by segments, by gathering those that are.
+// in space are hardly joined by segments, by gathering joined ones.
 VertexGroups make_groups(Rows<double> positions, const Segments& segments, unsigned threads);
 
 }  // namespace beltrami::triangulated
