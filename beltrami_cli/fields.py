@@ -118,7 +118,7 @@ class Parameter:
         """Return what a value would have to be; empty if it is as it must be."""
         types = _TYPES.get(self.kind, (self.kind,))
         if not isinstance(value, types) or (isinstance(value, bool) and self.kind is not bool):
-            return self.range if self.choices else _NOUNS.get(self.kind, self.kind.__name__)
+            return self.range if self.choices or self.allowed else _NOUNS.get(self.kind, self.kind.__name__)
         if self.choices:
             return "" if value in self.choices else self.range
         return "" if self.kind not in (int, float) or self._is_within(value) else self.range

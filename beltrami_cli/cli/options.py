@@ -202,7 +202,7 @@ def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
     for declared in parameters(KernelParameters):
         name = declared.name
         if name in values and (is_given(name) or name not in given):
-            given[name] = values[name]
+            given[name] = values[name] if values[name] is None else parsed(declared, values[name])
     if given["units"] == "world" and not is_given("t"):
         raise UsageError("--units world needs -t, in squared units of the file")
     fast = given.pop("fast", True)  # where nothing is written, trying would take longer than the rest

@@ -18,15 +18,15 @@ Scheme = Literal["triangles", "metric"]
 Space = Literal["srgb", "linear", "oklab", "data"]
 Clipping = Literal["restore", "keep"]
 Solver = Literal["auto", "fast-marching", "segments"]
-Strength = Literal["gentle", "normal", "strong"]
 Patches = Literal["auto", "on", "off"]
 Tunable = Literal["iterations", "t", "beta", "beta_growth", "metric_steps"]
 
 # The parameters that can be chosen from the data.
 TUNABLE: tuple[Tunable, ...] = get_args(Tunable)
 
-# How much the smoothness of the result counts beside its closeness to the input.
-SMOOTHNESS: dict[Strength, float] = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
+# Weight of smoothness against closeness to the input, by name. Other strengths lie between these weights.
+STRENGTHS = {"gentle": 0.7, "normal": 1.0, "strong": 1.5}
+_STRENGTH_RANGE = "{}, or a number between {gentle} and {strong}".format(", ".join(STRENGTHS), **STRENGTHS)
 
 
 # The error of distances along segments stays the same on ever finer meshes, that of fast marching shrinks: on level
@@ -37,13 +37,24 @@ _SEGMENTS_REACH = 14
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 _SMALLEST_SCALE = 0.05
 
-# Noise that is assumed at least where colours are to be smoothed strongly: a step of an 8-bit file.
+# Least noise that is assumed at the strength "strong": a step of an 8-bit file. It falls to 0 at "normal".
 _LEAST_STRONG = 1 / 255
 
 _CHOSEN = "chosen from the data, else {default}"
 
 # Logarithm of the growth at which any difference in colour is far beyond the kernel, and numbers do not overflow yet.
 MOST_GROWTH = 25.0
+
+
+def _strength_in(text: str) -> float:
+    try:
+        return STRENGTHS[text] if text in STRENGTHS else float(text)
+    except ValueError:
+        raise ValueError(f"is {text!r}, but must be {_STRENGTH_RANGE}") from None
+
+
+def _strength_shown(value: float) -> str:
+    return next((name for name, weight in STRENGTHS.items() if weight == value), f"{value:g}")
 
 
 @described
@@ -159,11 +170,12 @@ class KernelParameters:
         "--smooth-geometry nothing is tried either.",
         is_daily=True,
     )  # fmt: skip
-    strength: Strength = parameter(
-        "normal",
-        "Smooth less or more than what is estimated to be closest to the colours without noise. It changes "
-        "only what is not given.",
-        choices=get_args(Strength), is_daily=True,
+    strength: float = parameter(
+        STRENGTHS["normal"],
+        "Smooth less or more than what is estimated to be closest to the colours without noise: gentle is "
+        "{gentle}, normal {normal:g}, strong {strong}. It changes only what is not given.".format(**STRENGTHS),
+        low=STRENGTHS["gentle"], high=STRENGTHS["strong"], allowed=_STRENGTH_RANGE, metavar="S",
+        parse=_strength_in, show=_strength_shown, is_daily=True,
     )  # fmt: skip
 
     noise: str | None = parameter(
@@ -181,6 +193,8 @@ class KernelParameters:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
+        if isinstance(self.strength, str):
+            object.__setattr__(self, "strength", STRENGTHS.get(self.strength, self.strength))
         check(self)
         _ = self.given_noise
 
@@ -220,8 +234,9 @@ class KernelParameters:
 
     @property
     def least_noise(self) -> float:
-        """Standard deviation that is assumed at least of noise that is estimated."""
-        return _LEAST_STRONG if self.strength == "strong" else 0.0
+        """Lower bound of the standard deviation of estimated noise."""
+        normal, strong = STRENGTHS["normal"], STRENGTHS["strong"]
+        return _LEAST_STRONG * max(0.0, self.strength - normal) / (strong - normal)
 
     @property
     def takes_patches(self) -> bool:

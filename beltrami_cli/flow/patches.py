@@ -34,7 +34,6 @@ from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.domain import CoarseLevel, Domain, in_blocks
 from beltrami_cli.flow.manifold import Manifold
 from beltrami_cli.flow.noise.by_level import OPPONENTS
-from beltrami_cli.flow.parameters import SMOOTHNESS
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
 
@@ -120,7 +119,7 @@ def blend_with_patches(
     with _added(axis, noisy, signs, size, manifold.threads):
         response = estimate(noisy, disturbed)
     # What is smoother counts less or more, as in the choice of parameters.
-    counted = np.sqrt(SMOOTHNESS[manifold.parameters.strength])
+    counted = np.sqrt(manifold.parameters.strength)
     model = _Model(sigma * np.sqrt(counted), clipped, manifold.threads)
     results, responses = (before, after), (disturbed, response)
     share, gain = _mix(manifold, model, (noisy, signs, size), results, responses)
@@ -318,7 +317,7 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
         mixing,
         shrinkage=shrinkage.astype(np.float32),
         least_ratio=least,
-        strength=SMOOTHNESS[manifold.parameters.strength],
+        strength=manifold.parameters.strength,
         has_pilot=True,
     )
 

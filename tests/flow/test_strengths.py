@@ -1,4 +1,4 @@
-"""--strength: less and more smoothing, whatever the noise."""
+"""Greater values of --strength smooth more, whatever the noise."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.parameters import SMOOTHNESS
+from beltrami_cli.flow.parameters import STRENGTHS, KernelParameters
+from cli.commands import SAMPLES, beltrami, refused
 from oracles.paintings import photograph
 from oracles.surfaces import icosphere
 
@@ -31,9 +32,29 @@ def rms(change):
 def test_stronger_changes_images_more(width, sigma, channels):
     clean = photograph(SIZE, contrast=0.08)[..., :channels]
     noisy = np.clip(clean + sigma / 255 * noise(width, clean.shape), 0, 1).astype(np.float32)
-    changes = [rms(beltrami_cli.smooth_image(noisy, strength=each).colours - noisy) for each in SMOOTHNESS]
-    assert list(SMOOTHNESS) == ["gentle", "normal", "strong"]
-    assert changes[0] < changes[1] < changes[2]
+    strengths = [*STRENGTHS, 0.85, 1.25]
+    changes = {
+        KernelParameters(strength=each).strength: rms(
+            beltrami_cli.smooth_image(noisy, strength=each).colours - noisy
+        )
+        for each in strengths
+    }
+    in_order = [changes[strength] for strength in sorted(changes)]
+    assert len(in_order) == len(strengths)
+    assert in_order == sorted(in_order)
+    assert changes[0.7] < changes[1] < changes[1.5]
+
+
+def test_words_are_names_of_numbers():
+    for name, strength in STRENGTHS.items():
+        assert KernelParameters(strength=name) == KernelParameters(strength=strength)
+
+
+def test_the_assumed_noise_grows_steadily_to_one_step_of_8_bits():
+    noises = [KernelParameters(strength=each).least_noise for each in np.linspace(0.7, 1.5, 9)]
+    assert noises == sorted(noises)
+    assert noises[:4] == [0, 0, 0, 0]
+    assert noises[-1] == pytest.approx(1 / 255)
 
 
 @pytest.mark.slow
@@ -43,6 +64,17 @@ def test_stronger_changes_vertices_more():
     noisy = (clean + 12 / 255 * noise(0, clean.shape)).astype(np.float32)
     changes = [
         rms(beltrami_cli.smooth(positions, faces, noisy, strength=each).colours - noisy)
-        for each in SMOOTHNESS
+        for each in STRENGTHS
     ]
     assert changes[0] < changes[1] < changes[2]
+
+
+def test_the_command_takes_words_and_numbers(tmp_path):
+    source, made = SAMPLES / "nonmanifold-noisy.ply", {}
+    for strength in ("gentle", 0.7, 0.85):
+        made[strength] = tmp_path / f"{strength}.ply"
+        beltrami("smooth", source, made[strength], "--strength", strength, "--fast")
+    assert made["gentle"].read_bytes() == made[0.7].read_bytes() != made[0.85].read_bytes()
+    for strength in ("weak", 0.69, 1.51, "nan"):
+        said = f"--strength is {strength}".replace("weak", "'weak'")
+        refused(tmp_path, "smooth", source, "o.ply", "--strength", strength, code=2, said=said)

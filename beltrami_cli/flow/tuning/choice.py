@@ -13,7 +13,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
 from beltrami_cli.flow.manifold import Manifold, SampleTrial
-from beltrami_cli.flow.parameters import MOST_GROWTH, SMOOTHNESS, KernelParameters
+from beltrami_cli.flow.parameters import MOST_GROWTH, KernelParameters
 from beltrami_cli.flow.records import LOG, Step
 from beltrami_cli.flow.search_range import Rule, SearchRange
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate, State
@@ -243,7 +243,7 @@ def choose(
     metric_sigma = manifold.metric_sigma
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
-    weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * SMOOTHNESS[parameters.strength]
+    weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * parameters.strength
     risks = RiskEstimate(trial, manifold.noise.sigma, manifold.noise.stabiliser)
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
@@ -312,7 +312,7 @@ def choose_by_rule(
     """Set the free parameters by a rule for the noise of the channels that enter the metric."""
     metric_sigma, beta = manifold.metric_sigma, manifold.beta
     if "beta" in parameters.free and len(metric_sigma):
-        strength = float(np.sqrt(SMOOTHNESS[parameters.strength]))
+        strength = float(np.sqrt(parameters.strength))
         beta = choose_beta(metric_sigma, rule.contrast) * manifold.unit / strength
     values: dict[str, Any] = {
         "iterations": rule.count(overall_noise(metric_sigma)),
