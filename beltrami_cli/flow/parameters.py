@@ -172,8 +172,8 @@ class KernelParameters:
     )  # fmt: skip
     strength: float = parameter(
         STRENGTHS["normal"],
-        "Smooth less or more than what is estimated to be closest to the colours without noise: gentle is "
-        "{gentle}, normal {normal:g}, strong {strong}. It changes only what is not given.".format(**STRENGTHS),
+        "Smooth less or more than is estimated to be best: gentle is {gentle}, normal {normal:g}, strong "
+        "{strong}. Options that are given are kept.".format(**STRENGTHS),
         low=STRENGTHS["gentle"], high=STRENGTHS["strong"], allowed=_STRENGTH_RANGE, metavar="S",
         parse=_strength_in, show=_strength_shown, is_daily=True,
     )  # fmt: skip

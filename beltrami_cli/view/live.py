@@ -7,7 +7,6 @@ the latest request counts; older work ends at its next report of progress.
 from __future__ import annotations
 
 import dataclasses
-import html
 import json
 import threading
 import time
@@ -15,7 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Queue
-from string import Template
 from typing import Any, TypeVar
 
 import numpy as np
@@ -34,7 +32,7 @@ from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, smooth_report
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.layers import Layers, Shown
-from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset
+from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset, rendered
 from beltrami_cli.view.parameters import (
     controls,
     given_values,
@@ -79,7 +77,7 @@ class _Page:
     done: int = 0
     shown: Shown = field(default_factory=dict)
     chosen: dict[str, float] = field(default_factory=dict)
-    chosen_by: tuple[str, str | None] | None = None  # the strength and the noise
+    chosen_by: tuple[float, str | None] | None = None  # the strength and the noise
 
 
 class Live:
@@ -165,14 +163,12 @@ class Live:
             self._changed.notify_all()
 
     def _pack(self, settings: SmoothSettings) -> dict[str, tuple[str, bytes]]:
-        page = Template(asset("view.html")).substitute(
-            title=html.escape(self._source),
-            viewer=asset("viewer.html"),
-            controls=controls(self._layers.slots),
-            target=html.escape(_target(self._source), quote=True),
-            scripts="\n".join(f'<script src="{script}"></script>' for script in _SCRIPTS),
+        slots = [slot for slot in self._layers.slots if slot is not None]
+        target = _target(self._source)
+        page = rendered(
+            "view.html", title=self._source, controls=controls(), slots=slots, target=target, scripts=_SCRIPTS
         )
-        start = {"values": given_values(settings), "reach": _REACH, "target": _target(self._source)}
+        start = {"values": given_values(settings), "reach": _REACH, "target": target}
         scripts = {script: ("text/javascript", asset(script).encode()) for script in _SCRIPTS}
         return {
             "": ("text/html; charset=utf-8", page.encode(errors="replace")),
@@ -315,7 +311,7 @@ class Live:
         return {
             "kind": "whole",
             "patches": patches,
-            "used": used_parameters(described),
+            "used": rendered("parameters.html", used=used_parameters(described)),
             "chosen": chosen,
             "notices": notices,
             "noise": None if settings.kernel.noise or not levels else f"{100 * np.mean(levels):.2g}%",
@@ -346,7 +342,7 @@ def _vector(focus: dict[str, Any], name: str) -> Float64s:
     return np.array(numbers, np.float64)
 
 
-def _choosing(settings: SmoothSettings) -> tuple[str, str | None]:
+def _choosing(settings: SmoothSettings) -> tuple[float, str | None]:
     """Return what parameters are chosen by, besides those that are given."""
     return settings.kernel.strength, settings.kernel.noise
 

@@ -1,26 +1,23 @@
-"""Parameters on pages: controls, made from their declarations, and in words what a smoothing used."""
+"""Parameters on pages: controls, made from their declarations, and tables of the parameters that were used."""
 
 from __future__ import annotations
 
 import dataclasses
-import html
-from collections.abc import Iterator, Mapping, Sequence
-from string import Template
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, override, parameters
-from beltrami_cli.flow.parameters import TUNABLE
+from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, describe_settings
-from beltrami_cli.surface.records import Slot
-from beltrami_cli.view.pages import table
 
 _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
-_CHOICES = ("strength", "patches")
-_TEXTS = ("noise",)
-_SLIDERS = {"iterations": (1, 20, 1), "t": (0.5, 10, 0.1), "beta": (0, 40, 0.5), "window": (3, 31, 2)}
-_NAMES = (*_CHOICES, *_TEXTS, *_SLIDERS)
-_NAMED = 'id="$name" name="$name" aria-describedby="about-$name"'
+# Least and greatest value, and step.
+_SLIDERS: dict[str, tuple[float, ...]] = {
+    "strength": (STRENGTHS["gentle"], STRENGTHS["strong"], 0.05),
+    "iterations": (1, 20, 1), "t": (0.5, 10, 0.1), "beta": (0, 40, 0.5), "window": (3, 31, 2),
+}  # fmt: skip
+_NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")
 
 # Shown of the kernel even where nobody gave or chose them.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
@@ -68,67 +65,31 @@ def _value(declared: Parameter, value: Any) -> Any:
     return float(value) if declared.kind is float and type(value) is int else value
 
 
-def controls(layers: Sequence[Slot | None]) -> str:
-    """Return the controls as parts of a page."""
-    rows = [_choice(_DECLARED[name]) for name in _CHOICES]
-    rows += [_text(_DECLARED[name]) for name in _TEXTS]
-    rows += [_slider(_DECLARED[name], *bounds) for name, bounds in _SLIDERS.items()]
-    slots = [slot for slot in layers if slot is not None]
-    if len(slots) > 1:
-        box = '<label><input type="checkbox" name="slots" value="{0}">{0}</label>'
-        boxes = "".join(map(box.format, slots))
-        rows.append(f"<fieldset><legend>textures</legend>{boxes}</fieldset>")
-    return "\n".join(rows)
+def controls() -> list[tuple[Parameter, tuple[float, ...] | None, bool]]:
+    """Return the controls: what they set, the range, step and value of sliders, and whether the data may choose it."""
+    found: list[tuple[Parameter, tuple[float, ...] | None, bool]] = []
+    for name in _NAMES:
+        declared, bounds = _DECLARED[name], _SLIDERS.get(name)
+        if bounds is not None:
+            low, high, step = bounds
+            bounds = low, high, step, (low + high) / 4 if declared.default is None else declared.default
+        found.append((declared, bounds, name in TUNABLE))
+    return found
 
 
-def _choice(declared: Parameter) -> str:
-    chosen = {declared.default: " selected"}
-    options = "".join(f"<option{chosen.get(each, '')}>{each}</option>" for each in declared.choices)
-    return _control(declared, f"<select {_NAMED}>{options}</select>")
-
-
-def _text(declared: Parameter) -> str:
-    field = (
-        f'<input type="text" {_NAMED} placeholder="{declared.unset}" autocomplete="off" spellcheck="false">'
-    )
-    return _control(declared, field)
-
-
-def _slider(declared: Parameter, low: float, high: float, step: float) -> str:
-    auto = (
-        '<label class="auto"><input type="checkbox" data-auto="$name" checked>'
-        '<span>chosen</span><span class="hidden">: $label</span></label>'
-    )
-    auto = auto if declared.name in TUNABLE else ""
-    value = declared.default if declared.default is not None else (low + high) / 4
-    field = f'<input type="range" {_NAMED} min="{low}" max="{high}" step="{step}" value="{value}">'
-    return _control(declared, f'<output id="$name-value"></output>{auto}{field}')
-
-
-def _control(declared: Parameter, field: str) -> str:
-    """Return a field with its label in front and what it is about below it; `$name` and `$label` are filled in."""
-    about = html.escape(declared.help.partition(". ")[0].removesuffix("."))
-    control = f'<label for="$name">$label</label>{field}<p class="about" id="about-$name">{about}.</p>'
-    label = {"t": "time step"}.get(declared.name, declared.name)
-    return f'<div class="control">{Template(control).substitute(name=declared.name, label=label)}</div>'
-
-
-def used_parameters(report: dict[str, Any]) -> str:
-    """Return what a report of `smooth` says of each part, as tables; KeyError and the like if it is none."""
-    requested, parts = report["parameters"], _parts(report)
-    tables = []
-    for name, done in parts:
-        head = f"<h3>{html.escape(name)}</h3>\n" if len(parts) > 1 else ""
+def used_parameters(report: dict[str, Any]) -> dict[str, list[tuple[str, list[list[str]]]]]:
+    """Return tables, by their names, of the parts in a report of `smooth`; KeyError and the like if it is none."""
+    requested, parts = report["parameters"], []
+    for name, done in _parts(report):
         rows = [["parameter", *_COLUMNS], *_kernel(requested, done), *_measured(requested.get("noise"), done)]
-        tables.append(head + table(rows, f"parameters of {name}"))
-    others = [[name, value, "given"] for name, value in _given(requested)]
-    if others:
-        tables.append(table([["parameter of the job", *_COLUMNS], *others], "parameters of the job"))
-    stages = [[name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()]
-    if stages:
-        tables.append(table([["stage", "seconds"], *stages], "stages"))
-    nothing = "" if parts else "<p>Nothing was smoothed.</p>\n"
-    return "<h2>Parameters</h2>\n" + nothing + "\n".join(tables)
+        parts.append((name, rows))
+    given = [["parameter of the job", *_COLUMNS], *([*each, "given"] for each in _given(requested))]
+    stages = [
+        ["stage", "seconds"],
+        *([name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()),
+    ]
+    others = [("parameters of the job", given), ("stages", stages)]
+    return {"parts": parts, "others": [(name, rows) for name, rows in others if len(rows) > 1]}
 
 
 def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
@@ -162,7 +123,7 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
 
 
 def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
-    """Give what was measured of a part, and the estimate that its parameters were chosen by."""
+    """Give the noise of a part, its mean change, and the estimated error by which its parameters were chosen."""
     noise = ", ".join(f"{channel} {255 * share:.1f}/255" for channel, share in done["noise"].items())
     yield ["noise", noise, "measured" if given is None else f"given as {given}"]
     model = dict(done["noise_model"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -62,13 +61,28 @@ def report_file(
         raise UsageError(f"{target}: the report is a page; end its name in {' or '.join(pages.PAGES)}")
     access = output.files.watching(job.access)
     job = dataclasses.replace(job, access=access)
-    shown = "" if parameters is None else _parameters(parameters, access)
+    used = None if parameters is None else _parameters(parameters, access)
     documents = open_both((before, after), settings, job)
     compared = compare_documents(documents, settings, "uniform", job)
     parts = tracked(compared.parts, "drawing seams", job.progress)
     seams = [drawn for part in parts if (drawn := seam_map(part))]
     models = _models(compared, documents, job.progress)
-    output.write(Written(main=[_page(names, compared, models, seams, shown)]))
+    short = distinct_labels(names)
+    page = pages.page_from(
+        "report.html",
+        [*pages.VIEWER_SCRIPTS, "report.js"],
+        {"models": models, "three": pages.packed_text(pages.LIBRARY)},
+        library=pages.LIBRARY,
+        licence=pages.asset("three.LICENSE"),
+        title=f"{short[0]} and {short[1]}",
+        names=names,
+        figures=_rows(compared),
+        notices=compared.all_notices(),
+        change=histogram(compared.measured()),
+        seams=seams,
+        used=used,
+    )
+    output.write(Written(main=[page]))
     return {**figures(compared.measured()), "notices": compared.all_notices()}
 
 
@@ -89,35 +103,13 @@ def _models(
     return packer.packed(float(np.percentile(changed, _NEARLY_ALL)))
 
 
-def _parameters(path: str, access: Access) -> str:
-    """Return what a report of `smooth` says was used, as tables."""
+def _parameters(path: str, access: Access) -> dict[str, Any]:
+    """Return tables of the parameters in a report of `smooth`."""
     try:
         return used_parameters(parse_json(text_in(io.BytesIO(read_source(path, access)), REPORT)))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         remedy = "give the file that `beltrami smooth --report` wrote"
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
-
-
-def _page(
-    names: list[str], compared: Compared, models: dict[str, Any], seams: list[str], parameters: str
-) -> bytes:
-    short, notices = distinct_labels(names), compared.all_notices()
-    listed = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in notices)
-    maps = "\n".join(seams)
-    return pages.page_from(
-        "report.html",
-        [*pages.VIEWER_SCRIPTS, "report.js"],
-        {"models": models, "three": pages.packed_text(pages.LIBRARY)},
-        library=pages.LIBRARY,
-        licence=pages.asset("three.LICENSE"),
-        title=html.escape(f"{short[0]} and {short[1]}"),
-        summary=html.escape(f"Before: {names[0]}. After: {names[1]}."),
-        viewer=pages.asset("viewer.html"),
-        figures=pages.table(_rows(compared), "figures") + (f"\n<ul>{listed}</ul>" if listed else ""),
-        histogram=histogram(compared.measured()),
-        seams=f"<h2>Seams, by how much they changed</h2>\n{maps}" if maps else "",
-        parameters=parameters,
-    )
 
 
 def _rows(compared: Compared) -> list[list[str]]:
@@ -144,36 +136,22 @@ def _number(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def histogram(pairs: Sequence[ComparedColours]) -> str:
-    """Return a drawing of how often channels changed by how much, in steps of 1/255."""
+def histogram(pairs: Sequence[ComparedColours]) -> dict[str, Any]:
+    """Return the lines of a drawing of how often channels changed by how much, in steps of 1/255, and its axis."""
     widest = max(pair.test.shape[1] for pair in pairs)
     shown = [pair for pair in pairs if pair.test.shape[1] == widest]
     change = 255 * np.concatenate([pair.test.astype(np.float64) - pair.reference for pair in shown])
     bins, reach = _bins(change)
-    inside = np.clip(change, -reach, reach)
-    counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in inside.T]
+    counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in np.clip(change, -reach, reach).T]
     most = max(1, max(int(count.max()) for count in counts))
+    names = _NAMES.get(widest, ("",) * widest)
     lines = []
-    inks = [f"var(--{name})" for name in _NAMES.get(widest, ())] or ["currentColor"] * widest
-    for number, (count, ink) in enumerate(zip(counts, inks, strict=True)):
+    for number, (count, name) in enumerate(zip(counts, names, strict=True)):
         corners = zip(_WIDTH * (np.arange(bins) + 0.5) / bins, _HEIGHT * (1 - count / most), strict=True)
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
-        look = f'fill="none" stroke="{ink}" stroke-width="1.5" stroke-dasharray="{_DASHES[number % 3]}"'
-        lines.append(f'<polyline {look} points="{points}"/>')
-        if widest in _NAMES:
-            y = 14 * (number + 1)
-            lines.append(f'<line {look} x1="8" x2="36" y1="{y - 4}" y2="{y - 4}"/>')
-            lines.append(f'<text x="42" y="{y}">{_NAMES[widest][number]}</text>')
-    marks = []
-    for share, anchor in ((-1, "start"), (-0.5, "middle"), (0, "middle"), (0.5, "middle"), (1, "end")):
-        at = f'x="{_WIDTH * (0.5 + 0.5 * share):.0f}" y="{_HEIGHT + 14}" text-anchor="{anchor}"'
-        marks.append(f"<text {at}>{share * reach:+.1f}</text>")
-    axis = f'<line x1="0" x2="{_WIDTH}" y1="{_HEIGHT}" y2="{_HEIGHT}" stroke="currentColor"/>'
-    body = "\n".join([*lines, axis, *marks])
-    return (
-        f'<svg width="{_WIDTH}" height="{_HEIGHT + 20}" viewBox="0 0 {_WIDTH} {_HEIGHT + 20}" role="img" '
-        f'aria-label="histogram of the change">\n{body}\n</svg>\n<p>After minus before, in 255ths of full scale.</p>'
-    )
+        ink = f"var(--{name})" if name else "currentColor"
+        lines.append({"name": name, "ink": ink, "dash": _DASHES[number % 3], "points": points})
+    return {"size": (_WIDTH, _HEIGHT), "lines": lines, "reach": reach}
 
 
 def _bins(change: Float64s) -> tuple[int, float]:
@@ -184,10 +162,10 @@ def _bins(change: Float64s) -> tuple[int, float]:
     return bins, step * bins / 2
 
 
-def seam_map(pair: ComparedColours) -> str:
-    """Return a picture of how much a texture, `size` = (rows, columns), changed near its seams; empty without seams."""
+def seam_map(pair: ComparedColours) -> dict[str, Any] | None:
+    """Return a picture of how much a texture, `size` = (rows, columns), changed near its seams; None without seams."""
     if pair.size is None or pair.near_seams is None or not pair.near_seams.any():
-        return ""
+        return None
     stride = max(1, -(-max(pair.size) // _LONGEST))
     small = tuple(-(-side // stride) for side in pair.size)
     amount = np.abs(pair.test.astype(np.float64) - pair.reference).max(axis=1)
@@ -199,6 +177,4 @@ def seam_map(pair: ComparedColours) -> str:
     np.maximum.at(values, (rows[near], columns[near]), (amount[near] / largest).astype(np.float32))
     shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
     drawn = colour_by_value(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
-    tag = pages.picture_tag(as_bytes(drawn), f"seams of {pair.name}")
-    caption = f"{html.escape(pair.name)}: brightest {255 * largest:.1f}/255"
-    return f"<figure>{tag}<figcaption>{caption}</figcaption></figure>"
+    return {"name": pair.name, "picture": as_bytes(drawn), "largest": 255 * largest}

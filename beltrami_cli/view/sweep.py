@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import dataclasses
-import html
 import io
 import json
 import time
@@ -28,7 +27,7 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smoothing import Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
-from beltrami_cli.view.pages import PAGES, page_from, picture_tag, table
+from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
 from beltrami_cli.view.sheet import Background, Panel, arranged
@@ -210,7 +209,7 @@ class SweepPage:
         self._output, self._labels, self._looks = output, labels, looks
         self._trials: list[Trial] = []
         self._panels: list[Panel] = []
-        self._pictures: dict[tuple[int, Background], str] = {}
+        self._pictures: dict[tuple[int, Background], tuple[int, int, str]] = {}
         self._next = 0.0  # when it is written again, so that writing takes little of the time
 
     def __enter__(self) -> SweepPage:
@@ -237,24 +236,26 @@ class SweepPage:
         first, background = len(self._panels) - len(trials), background_of(self._looks, self._panels)
         views = []
         for number, panel in enumerate(self._panels):
-            trial = trials[number - first] if number >= first else None
-            is_best = trial is not None and number - first == best
-            views.append(_view(panel, self._picture(number, background), trial, is_best=is_best))
-        views += [
-            f'<li class="missing"><p><span>{html.escape(label)}</span>: {others}</p></li>'
-            for label in self._labels[len(trials) :]
-        ]
-        sorts = [f'<option value="{key}">{FIGURES[key]}</option>' for key in columns_of(trials)[1]]
+            figures = trials[number - first].figures if number >= first else {}
+            width, height, source = self._picture(number, background)
+            views.append(
+                {
+                    "label": panel.label, "kept": panel.label if number < first else "", "size": (width, height),
+                    "source": source, "is_best": number >= first and number - first == best,
+                    "figures": {FIGURES[key]: figures[key] for key in FIGURES if key in figures},
+                }
+            )  # fmt: skip
         page = page_from(
             "sweep.html",
             ["sweep.js"],
             {"trials": [dataclasses.asdict(trial) for trial in trials]},
-            title=html.escape(self._title),
+            title=self._title,
             state=others,
             summary=self._summary(others),
-            sorts="".join(sorts),
-            views="\n".join(views),
-            table=table(_rows(trials), "figures of all trials"),
+            sorts={key: FIGURES[key] for key in columns_of(trials)[1]},
+            views=views,
+            missing=self._labels[len(trials) :],
+            rows=_rows(trials),
         )
         self._output.write(Written(main=[page]))
 
@@ -262,30 +263,15 @@ class SweepPage:
         count, best = len(self._labels), best_of(self._trials)
         done = {"pending": "so far", "not tried": "before the sweep ended early"}.get(others, "")
         said = f"{len(self._trials)} of {count} trials {done}." if done else f"{count} trials."
-        return said if best is None else f"{said} Best: {html.escape(self._trials[best].label)}."
+        return said if best is None else f"{said} Best: {self._trials[best].label}."
 
-    def _picture(self, number: int, background: Background) -> str:
-        """Return a view as an image element, which is made once."""
+    def _picture(self, number: int, background: Background) -> tuple[int, int, str]:
+        """Return the width, height and address of a view, which is encoded once."""
         if (number, background) not in self._pictures:
             panel = self._panels[number]
             picture = arranged([dataclasses.replace(panel, label="")], 1, background)
-            self._pictures[number, background] = picture_tag(picture, panel.label)
+            self._pictures[number, background] = picture.shape[1], picture.shape[0], data_address(picture)
         return self._pictures[number, background]
-
-
-def _view(panel: Panel, picture: str, trial: Trial | None, *, is_best: bool) -> str:
-    """Return a view as an element of a page, with its label and figures as text."""
-    label = html.escape(panel.label)
-    mark = ' class="best"' if is_best else ""
-    kept = "" if trial is not None else f" data-kept={'before' if panel.label == 'before' else 'reference'}"
-    shown = {} if trial is None else trial.figures
-    rows = [f"<dt>{FIGURES[key]}</dt><dd>{shown[key]:.3f}</dd>" for key in FIGURES if key in shown]
-    figures_shown = f"<dl>{''.join(rows)}</dl>" if rows else ""
-    best = "<strong>best</strong> " if is_best else ""
-    return (
-        f'<li{mark}{kept}><button type="button">{picture}</button>'
-        f"<p>{best}<span>{label}</span></p>{figures_shown}</li>"
-    )
 
 
 def _rows(trials: Sequence[Trial]) -> list[list[str]]:

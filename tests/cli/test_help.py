@@ -47,7 +47,7 @@ def test_summaries_fit_a_line_of_80_columns():
 
 
 # Each takes as long to be imported as some iterations on five thousand vertices.
-LIBRARIES = {"scipy", "OpenImageIO", "rich", "trimesh", "xatlas"}
+LIBRARIES = {"jinja2", "scipy", "OpenImageIO", "rich", "trimesh", "xatlas"}
 
 
 @pytest.mark.parametrize(

@@ -63,8 +63,7 @@ def test_stronger_changes_vertices_more():
     clean = 0.5 + 0.2 * np.sin(6 * positions)
     noisy = (clean + 12 / 255 * noise(0, clean.shape)).astype(np.float32)
     changes = [
-        rms(beltrami_cli.smooth(positions, faces, noisy, strength=each).colours - noisy)
-        for each in STRENGTHS
+        rms(beltrami_cli.smooth(positions, faces, noisy, strength=each).colours - noisy) for each in STRENGTHS
     ]
     assert changes[0] < changes[1] < changes[2]
 
