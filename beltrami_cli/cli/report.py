@@ -33,21 +33,34 @@ network. The models are drawn with WebGL by three.js (MIT licence, in the packag
     "--parameters", metavar="FILE.json",
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
 )  # fmt: skip
+@click.option(
+    "--full-size", is_flag=True,
+    help="Keep pictures at full size, to zoom as far as single texels, however large the page becomes.  "
+    "[default: at most 8 MB]",
+)  # fmt: skip
 @options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.COMPARED)
 @options.writing
 def command(
-    before: str, after: str, target: str, parameters: str | None, messages: Messages, **values: Any
+    before: str,
+    after: str,
+    target: str,
+    parameters: str | None,
+    full_size: bool,
+    messages: Messages,
+    **values: Any,
 ) -> None:
     """Write a page that shows what changed from BEFORE to AFTER, two models or two images that differ in colours only.
 
-    It has both models under one camera with a swipe between them, textures at full size with a swipe, figures, a
-    histogram of the change, and a map of the seams.
+    It has both models under one camera with a swipe between them, textures with a swipe, figures, a histogram of the
+    change, and a map of the seams.
     """
     from beltrami_cli.view.report import report_file
 
     settings = options.compared_from(values)
     with options.job_from(values, before, messages) as job:
-        found = report_file(before, after, target, settings, parameters=parameters, job=job)
+        found = report_file(
+            before, after, target, settings, parameters=parameters, full_size=full_size, job=job
+        )
     for notice in found["notices"]:
         messages.warn(notice)
     messages.say(f"{target}: {counted(found['samples'], 'sample')}, {_result(found)}")

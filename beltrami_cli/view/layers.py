@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,11 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.records import Slot, Texture
 from beltrami_cli.view.models import (
     Box,
-    ModelPacker,
+    ModelWriter,
     displayed_colours,
     displayed_pixels,
+    image_of,
     packed_array,
-    source_of,
 )
 from beltrami_cli.view.preview import Focus, Patch
 
@@ -38,16 +39,16 @@ class Layers:
         self._has_moved = False  # vertices, on the page
         self._boxes: dict[int, Box] = {}
 
-    def packed(self, reach: float) -> dict[str, Any]:
+    def glb(self, reach: float) -> bytes:
         """Return the document for the viewer, with the same before and after."""
-        packer = ModelPacker()
+        writer, both = ModelWriter(is_live=True), (self.document, self.document)
         for slot in self.slots:
-            if self.document.kind == "image":
-                packer.add_image((self.document, self.document))
+            if self._is_image:
+                writer.add_image(both)
             else:
-                packer.add((self.document, self.document), slot)
-        self._row_of = packer.row_of
-        return packer.packed(reach)
+                writer.add(both, slot)
+        self._row_of = writer.row_of
+        return writer.glb(reach)
 
     def in_space(self, focus: Focus, layer: int) -> Focus:
         """Return a focus in the space of the document, where its page has it in the box of the model."""
@@ -71,7 +72,7 @@ class Layers:
             drawn = rows >= 0  # points that are nowhere are not
             kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
             if patch.places is not None:
-                kept["places"] = self._box(layer).places(patch.places)
+                kept["places"] = self._box(layer).shares(patch.places).astype(np.float32)
             return {"layer": layer, **{name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}}
         pixels = self._pixels(shown, layer, patch.texture)
         pixels[patch.rows, patch.columns] = patch.colours
@@ -109,7 +110,8 @@ class Layers:
             if after.data != before.data:
                 picture = read_image(after.data, after.name, finite=not self._is_image)
                 shown[layer, index] = displayed_pixels(picture)
-            source = source_of(after, slot or "baseColor")
+            mime, data = image_of(after, slot or "baseColor")
+            source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
             found.append({"layer": layer, "texture": index, "source": source})
         return found
 

@@ -168,12 +168,12 @@ class Live:
         page = rendered(
             "view.html", title=self._source, controls=controls(), slots=slots, target=target, scripts=_SCRIPTS
         )
-        start = {"values": given_values(settings), "reach": _REACH, "target": target}
+        start = {"values": given_values(settings), "target": target}
         scripts = {script: ("text/javascript", asset(script).encode()) for script in _SCRIPTS}
         return {
             "": ("text/html; charset=utf-8", page.encode(errors="replace")),
             "style.css": ("text/css", asset("style.css").encode()),
-            "model.json": ("application/json", json.dumps(self._layers.packed(_REACH)).encode()),
+            "model.glb": ("model/gltf-binary", self._layers.glb(_REACH)),
             "start.json": ("application/json", json.dumps(start).encode()),
             **scripts,
         }

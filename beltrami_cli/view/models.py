@@ -1,21 +1,24 @@
-"""What was painted before and after on one model, packed for the viewer of pages: triangles, colours and images.
+"""What was painted before and after on one model, as one binary glTF file for the viewer of pages.
 
-Tables of whole numbers take little space [1]_: vertices are sorted so that those of a triangle are near in the order
-[2]_, of each number the difference from the mean of earlier neighbours is kept, and bytes of one rank lie together.
-The script unpacking.js restores them.
+Each layer is a scene, with its triangles, points or lines in a box of size 1. Vertex colours are display values in the
+attributes _BEFORE and _AFTER. Materials have the textures before; `extras` name both textures of a part.
+
+Vertices are sorted so that those of a triangle are near in the order [1]_, and pages keep differences of neighbouring
+elements, which compress well.
 
 References
 ----------
-.. [1] M. Deering, "Geometry compression", SIGGRAPH 1995. https://doi.org/10.1145/218380.218391
-.. [2] E. Cuthill, J. McKee, "Reducing the bandwidth of sparse symmetric matrices", ACM 1969.
+.. [1] E. Cuthill, J. McKee, "Reducing the bandwidth of sparse symmetric matrices", ACM 1969.
    https://doi.org/10.1145/800195.805928
 """
 
 from __future__ import annotations
 
 import base64
-import hashlib
+import json
 import zlib
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,149 +28,206 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
+from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
+from beltrami_cli.formats.gltf.textures import WRAPS
+from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
-from beltrami_cli.formats.image.reading import measure_image
+from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
-from beltrami_cli.view.pages import data_address
+from beltrami_cli.view.pages import png_of
 from beltrami_cli.view.views import disc_radii, light_of, sheet_of, texture_sheet
 
 Pair = tuple[Document, Document]
+Image = tuple[str, bytes]  # MIME type and content
 
-_MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-_FULL = 65535
-_BYTE = 257  # of 16 bits, one of 8
-_PARTS_OF_TEXEL = 16  # to which texture coordinates are rounded
-_UNKNOWN_SIDE = 4096  # texels, of textures whose size is not known
-_FARTHEST = (1 << 30) - 1
-_LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
 VERTICES = "vertex colours"
-_THOROUGH = 9  # of zlib
+_MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+_TRIANGLES, _POINTS, _LINES = 4, 0, 1  # modes of glTF primitives
+_FULL = 65535
+_BYTE = 257  # 16-bit value of one 8-bit step
+_LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
+_FILLED = 0.99  # of the room for pictures, since PNG adds 1 % at most to bytes that it cannot compress
+_LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
 
 
-class ModelPacker:
+class ModelWriter:
     """Collects the layers of a model: the textures of a slot each, the vertex colours, or an image."""
 
-    def __init__(self) -> None:
-        self._buffers: dict[str, dict[str, Any]] = {}
-        self.row_of: Int64s | None = None  # of vertices, on the page; -1: it has not those
-        self._textures: list[dict[str, Any]] = []
-        self._number_of: dict[str, int] = {}
-        self._layers: list[dict[str, Any]] = []
+    def __init__(self, *, is_live: bool = False) -> None:
+        self._is_live = is_live  # colours will change to any 16-bit value
+        self._arrays = Arrays()
+        self._tables: list[tuple[int, int, int]] = []  # offset, length, bytes of an element
+        self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes", "materials")}
+        self._textures: dict[Any, int] = {}
+        self._images: list[Callable[[], Image]] = []
+        self.row_of: Int64s | None = None  # rows of vertices in the file; -1: a vertex that is left out
 
     def add(self, documents: Pair, slot: Slot | None) -> None:
         """Add the textures of a slot, or the vertex colours, of two documents that differ in colours."""
         if slot is None:
-            self._painted(*(document.painted() for document in documents))
+            self._add_painted(*(document.painted() for document in documents))
             return
         surface, other = (document.textured(slot) for document in documents)
-        numbers = [[self.texture(each, slot) for each in both.textures] for both in (surface, other)]
+        pairs = [
+            [self._texture(each, partial(image_of, each, slot)) for each in both]
+            for both in zip(surface.textures, other.textures, strict=True)
+        ]
         box = Box(surface.positions)
         chart_of, seams = charts_of(surface)
-        parts = []
+        nodes = []
         for number in np.unique(surface.texture_of).tolist():
-            pair = None if number < 0 else [side[number] for side in numbers]
+            pair = None if number < 0 else pairs[number]
+            nodes.append(self._part(surface, box, number, chart_of, pair))
             borders = seams[surface.texture_of[seams[:, 0]] == number]
-            parts.append(self._part(surface, box, number, chart_of, pair, borders))
-        edges = box.places(_ends(surface.positions[surface.faces], seams))
-        self._layers.append(
-            {
-                "name": f"{slot} textures", "slot": slot, "parts": parts, "middle": box.middle,
-                "numbers": numbers[0], "seams": self._table(edges) if len(edges) else None,
-            }
-        )  # fmt: skip
+            if pair is not None and len(borders):
+                uv = _finite(_ends(surface.uv, borders)) * (1, -1) + (-0.5, 0.5)
+                flat = self._table(np.column_stack([uv, np.full(len(uv), 0.002)]).astype("<f4"), bounds=True)
+                nodes.append(self._node({"POSITION": flat}, _LINES, {"textures": pair}))
+        if len(seams):
+            ends = self._positions(box.shares(_ends(surface.positions[surface.faces], seams)))
+            nodes.append(self._node({"POSITION": ends}, _LINES, {}))
+        self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
 
-    def add_image(self, documents: tuple[Document, Document]) -> None:
-        numbers = [
-            self.texture(Texture("", each.name, each.data), "baseColor", sheet_of(each.picture()))
-            for each in documents
-        ]
-        sheet = {"kind": "sheet", "textures": numbers}
-        self._layers.append(
-            {"name": "image", "flatOnly": True, "numbers": numbers[:1], "parts": [sheet], "middle": [0, 0, 0]}
-        )
+    def add_image(self, documents: Pair) -> None:
+        pair = []
+        for each in documents:
+            texture = Texture("", each.name, each.data)
+            pair.append(self._texture(texture, partial(image_of, texture, "baseColor", each.picture)))
+        self._scene("image", [], middle=[0, 0, 0], pairs=[pair], flatOnly=True)
 
-    def packed(self, reach: float) -> dict[str, Any]:
-        """Return everything in JSON types; `reach`: the change in 255ths that is shown brightest."""
-        return {
-            "buffers": self._buffers, "textures": self._textures, "layers": self._layers,
-            "scale": VIRIDIS.tolist(),
-            "reach": int(np.clip(np.ceil(round(reach, 2)), _LEAST_REACH, _MOST_REACH)),
+    def glb(self, reach: float) -> bytes:
+        """Return the file; `reach`: the change in 255ths that is shown brightest."""
+        return self._written([image() for image in self._images], reach)
+
+    def packed(self, reach: float, limit: float = np.inf) -> tuple[dict[str, Any], float]:
+        """Return the file for a page, in about `limit` characters, and the share of their width that pictures keep."""
+        binary = self._arrays.binary
+        data = np.frombuffer(binary, np.uint8).copy()
+        for start, length, stride in self._tables:
+            rows = data[start : start + length].reshape(-1, stride)
+            rows[1:] -= rows[:-1].copy()
+            data[start : start + length] = rows.T.ravel()
+        binary[:] = data.tobytes()
+        images, share = [image() for image in self._images], 1.0
+        room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _LEAST_PICTURES)
+        if sum(len(content) for _, content in images) > room:
+            pictures = [read_image(content, "a picture") for _, content in images]
+            most = sum((3 + (each.alpha is not None)) * each.pixels[..., 0].size for each in pictures)
+            share = min(1.0, float(np.sqrt(_FILLED * room / most)))
+            images = [("image/png", _png(_resized(sheet_of(each), share))) for each in pictures]
+        file = np.frombuffer(self._written(images, reach), np.uint8)
+        first = len(file) - len(binary)
+        tables = [(first + start, length, stride) for start, length, stride in self._tables]
+        return {"tables": tables, "data": packed_array(file, 9)}, share
+
+    def _written(self, images: list[Image], reach: float) -> bytes:
+        arrays = self._arrays
+        shown = [{"bufferView": arrays.add_bytes(data), "mimeType": mime} for mime, data in images]
+        arrays.binary += bytes(-len(arrays.binary) % 4)
+        tree = {
+            **self._tree, "images": shown,
+            "samplers": [{"wrapS": WRAPS[wrap[0]], "wrapT": WRAPS[wrap[1]]} for _, wrap, _ in self._textures],
+            "textures": [{"sampler": number, "source": number} for number in range(len(shown))],
+            "accessors": arrays.accessors, "bufferViews": arrays.views,
         }  # fmt: skip
+        quantised = ["KHR_mesh_quantization"]
+        whole = {
+            "asset": {"version": "2.0", "generator": "beltrami"},
+            "extensionsUsed": quantised, "extensionsRequired": quantised,
+            **{name: entries for name, entries in tree.items() if entries},
+            "buffers": [{"byteLength": len(arrays.binary)}],
+            "extras": {
+                "scale": VIRIDIS.tolist(),
+                "reach": int(np.clip(np.ceil(round(reach, 2)), _LEAST_REACH, _MOST_REACH)),
+            },
+        }  # fmt: skip
+        chunks = [Chunk(JSON_CHUNK, json.dumps(whole).encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))]
+        return b"".join(glb_pieces(chunks))
 
-    def texture(self, texture: Texture, slot: Slot, sheet: Float32s | None = None) -> int:
-        source = source_of(texture, slot, sheet)
-        key = f"{source} {texture.wrap} {texture.alpha_hides}"
-        if key not in self._number_of:
-            self._number_of[key] = len(self._textures)
-            self._textures.append({"source": source, "wrap": texture.wrap, "hides": texture.alpha_hides})
-        return self._number_of[key]
+    def _texture(self, texture: Texture, image: Callable[[], Image]) -> int:
+        key = texture.data, texture.wrap, texture.alpha_hides
+        if key not in self._textures:
+            self._textures[key] = len(self._textures)
+            self._images.append(image)
+        return self._textures[key]
 
-    def _painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
+    def _add_painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
         finite = np.asarray(np.isfinite(np.hstack([one.positions, other.positions])).all(axis=1))
-        box, part = Box(one.positions[finite]), dict[str, Any]()
+        box, size = Box(one.positions[finite]), 0.0
         if len(one.faces):
             rows, index = _sorted(one.faces, len(finite))
-            part |= {"kind": "mesh", "index": self._triangles(index)}
         else:
             rows, index = np.flatnonzero(finite), None
-            radius = float(np.median(disc_radii(one.positions[finite])))
-            part |= {"kind": "points", "size": 2 * radius / box.size}
+            size = 2 * float(np.median(disc_radii(one.positions[finite]))) / box.size
         self.row_of = np.full(len(finite), -1, np.int64)
         self.row_of[rows] = np.arange(len(rows))
-        colours = [displayed_colours(each)[rows] for each in (one, other)]
-        depth = _BYTE if not any((each % _BYTE).any() for each in colours) else 1
-        part |= {
-            "position": self._table(box.places(one.positions[rows]), index), "depth": depth,
-            "colours": [self._table(each // depth, index) for each in colours],
-        }  # fmt: skip
+        colours = [np.pad(displayed_colours(each)[rows], [(0, 0), (0, 1)]) for each in (one, other)]
+        if not self._is_live and not any((each % _BYTE).any() for each in colours):
+            colours = [(each // _BYTE).astype("<u1") for each in colours]
+        attributes = {"POSITION": self._positions(box.shares(one.positions[rows]))}
+        attributes |= {
+            name: self._table(each) for name, each in zip(("_BEFORE", "_AFTER"), colours, strict=True)
+        }
         if not np.array_equal(one.positions, other.positions):
-            part["moved"] = self._table(box.places(other.positions[rows]), index)
-        self._layers.append({"name": VERTICES, "parts": [part], "middle": box.middle})
+            attributes["_MOVED"] = self._table(box.shares(other.positions[rows]).astype("<f4"))
+        node = self._node(attributes, _POINTS if index is None else _TRIANGLES, {"size": size}, index)
+        self._scene(VERTICES, [node], middle=box.middle)
 
     def _part(
-        self, surface: TexturedSurface, box: Box, number: int, chart_of: Int32s, textures: list[int] | None,
-        borders: Int64s,
-    ) -> dict[str, Any]:  # fmt: skip
-        """Return the triangles of one texture, with a vertex for each place, texture coordinate and chart."""
+        self, surface: TexturedSurface, box: Box, number: int, chart_of: Int32s, pair: list[int] | None
+    ) -> int:
+        """Add the triangles of one texture, with a vertex for each place, texture coordinate and chart."""
         mine = surface.texture_of == number
         corners, uv = surface.faces[mine].reshape(-1), surface.uv[mine].reshape(-1, 2).astype(np.float32)
         charts = np.repeat(chart_of[mine], 3)
         vertex_of, rows = group_equal_rows(corners, *np.nan_to_num(uv).T, charts)
         order, index = _sorted(vertex_of.reshape(-1, 3), len(rows))
         rows = rows[order]
-        part = {
-            "kind": "mesh", "index": self._triangles(index), "textures": textures,
-            "position": self._table(box.places(surface.positions[corners[rows]]), index),
+        attributes = {"POSITION": self._positions(box.shares(surface.positions[corners[rows]]))}
+        if pair is None:
+            return self._node(attributes, _TRIANGLES, {}, index)
+        attributes["TEXCOORD_0"] = self._table(_quantised(_finite(uv[rows])))
+        attributes["_CHART"] = self._table(charts[rows, None].astype("<f4"))
+        material = {
+            "pbrMetallicRoughness": {"baseColorTexture": {"index": pair[0]}, "metallicFactor": 0},
+            "alphaMode": "MASK" if surface.textures[number].alpha_hides else "OPAQUE", "doubleSided": True,
         }  # fmt: skip
-        if textures is not None:
-            size = measure_image(surface.textures[number].data)
-            sides = (_UNKNOWN_SIDE,) * 2 if size is None else (size.width, size.height)
-            steps = _PARTS_OF_TEXEL * np.array(sides)
-            part["steps"] = steps.tolist()
-            part["uv"] = self._table(_rounded(uv[rows], steps), index)
-            part["charts"] = self._table(charts[rows, None], index)
-            part["borders"] = self._table(_rounded(_ends(surface.uv, borders), steps))
-        return part
+        self._tree["materials"].append(material)
+        return self._node(attributes, _TRIANGLES, {"textures": pair}, index, len(self._tree["materials"]) - 1)
 
-    def _triangles(self, index: Int64s) -> str:
-        """Keep triangles: of the second and third vertex, how far they are from the first in the order."""
-        return self._table(np.column_stack([index[:, 0], index[:, 1:] - index[:, :1]]))
+    def _scene(self, name: str, nodes: list[int], **extras: Any) -> None:
+        self._tree["scenes"].append({"name": name, "nodes": nodes, "extras": {"name": name, **extras}})
+        if not nodes:
+            del self._tree["scenes"][-1]["nodes"]
 
-    def _table(self, rows: Array, index: Int64s | None = None) -> str:
-        """Keep whole numbers, shape (K, C), less the mean of earlier rows in triangles with them, or the row before."""
-        rows = rows.astype(np.int64)
-        left = rows - _predicted(rows, index)
-        unsigned = np.where(left < 0, -2 * left - 1, 2 * left).T
-        most = int(unsigned.max(initial=0))
-        kind = next(kind for kind in (np.uint8, np.uint16, np.uint32) if most <= np.iinfo(kind).max)
-        split = unsigned.astype(np.dtype(kind).newbyteorder("<"))[..., None].view(np.uint8)
-        packed = packed_array(split.transpose(0, 2, 1), _THOROUGH)
-        key = hashlib.sha256(packed.encode()).hexdigest()[:16]
-        self._buffers[key] = {"data": packed, "columns": rows.shape[1], "bytes": split.shape[2]}
-        return key
+    def _node(
+        self, attributes: dict[str, int], mode: int, extras: dict[str, Any], index: Int64s | None = None,
+        material: int | None = None,
+    ) -> int:  # fmt: skip
+        primitive: dict[str, Any] = {"attributes": attributes, "mode": mode}
+        if index is not None:
+            kind = "<u2" if index.max(initial=0) < _FULL else "<u4"
+            primitive["indices"] = self._table(index.reshape(-1, 1).astype(kind), target=INDEX_DATA)
+        if material is not None:
+            primitive["material"] = material
+        self._tree["meshes"].append({"primitives": [primitive]})
+        self._tree["nodes"].append({"mesh": len(self._tree["meshes"]) - 1, "extras": extras})
+        return len(self._tree["nodes"]) - 1
+
+    def _positions(self, shares: Float64s) -> int:
+        return self._table(_quantised(shares), bounds=True)
+
+    def _table(self, numbers: Array, *, bounds: bool = False, target: int = VERTEX_DATA) -> int:
+        accessor = self._arrays.add(numbers, bounds=bounds, target=target)
+        view = self._arrays.views[-1]
+        stride = view.get("byteStride", numbers.itemsize * numbers.shape[1])
+        stride *= 3 if target == INDEX_DATA else 1  # a triangle
+        self._tables.append((view["byteOffset"], view["byteLength"], stride))
+        return accessor
 
 
 class Box:
@@ -179,10 +239,20 @@ class Box:
         self.size = max(float((high - self.low).max()), np.finfo(float).tiny)
         self.middle = ((high - self.low) / self.size / 2).tolist()
 
-    def places(self, positions: Float64s) -> NDArray[np.uint16]:
-        """Return positions in the box in 16 bits each."""
-        share = np.nan_to_num((positions - self.low) / self.size)
-        return np.asarray(np.rint(_FULL * np.clip(share, 0, 1)), np.uint16)
+    def shares(self, positions: Float64s) -> Float64s:
+        """Return positions in the box, 0 where they are not finite."""
+        return _finite((positions - self.low) / self.size)
+
+
+def _finite(values: Array) -> Float64s:
+    return np.nan_to_num(values.astype(np.float64), nan=0, posinf=0, neginf=0)
+
+
+def _quantised(values: Float64s) -> Array:
+    """Return values in 16 bits if they lie in [0, 1], else in single precision."""
+    if values.min(initial=0) >= 0 and values.max(initial=1) <= 1:
+        return np.rint(_FULL * values).astype("<u2")
+    return values.astype("<f4")
 
 
 def _sorted(faces: NDArray[np.integer[Any]], count: int) -> tuple[Int64s, Int64s]:
@@ -198,31 +268,31 @@ def _sorted(faces: NDArray[np.integer[Any]], count: int) -> tuple[Int64s, Int64s
     return order, index[np.lexsort((index[:, 1], index[:, 0]))]
 
 
-def _predicted(rows: Int64s, index: Int64s | None) -> Int64s:
-    """Return for each row the mean of those before it that are in triangles with it, or else the one before."""
-    before = np.concatenate([np.zeros_like(rows[:1]), rows[:-1]])
-    if index is None:
-        return before
-    sides = np.sort(np.concatenate([index[:, [0, 1]], index[:, [1, 2]], index[:, [2, 0]]]), axis=1)
-    sides = sides[sides[:, 0] < sides[:, 1]]
-    counts = np.bincount(sides[:, 1], minlength=len(rows))
-    sums = [np.bincount(sides[:, 1], column[sides[:, 0]], len(rows)) for column in rows.T]
-    means = np.floor(np.stack(sums, axis=1) / np.maximum(counts, 1)[:, None])
-    return np.asarray(np.where(counts[:, None] > 0, means, before), np.int64)
-
-
-def _rounded(uv: NDArray[np.floating[Any]], steps: Int64s) -> Int64s:
-    """Return texture coordinates in steps of a small part of a texel."""
-    near = np.clip(np.nan_to_num(uv * steps.astype(np.float64)), -_FARTHEST, _FARTHEST)
-    return np.asarray(np.rint(near), np.int64)
-
-
-def source_of(texture: Texture, slot: Slot, sheet: Float32s | None = None) -> str:
-    """Return a data URL of a texture, as it is if browsers show its format, or else as PNG."""
+def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None = None) -> Image:
+    """Return the MIME type and bytes of a texture: its own if browsers show its format, or else a PNG file."""
     mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
     if mime is not None:
-        return f"data:{mime};base64,{base64.b64encode(texture.data).decode()}"
-    return data_address(_as_bytes(texture_sheet(texture, slot) if sheet is None else sheet))
+        return mime, texture.data
+    sheet = texture_sheet(texture, slot) if picture is None else sheet_of(picture())
+    return "image/png", _png(sheet)
+
+
+def _png(sheet: Float32s) -> bytes:
+    pixels = _as_bytes(sheet)
+    return png_of(pixels[..., :3] if (pixels[..., 3] == 255).all() else pixels)
+
+
+def _resized(sheet: Float32s, share: float) -> Float32s:
+    """Return an image whose sides are a share of those of another one, with averaged texels."""
+    import OpenImageIO
+
+    height, width = (max(1, int(share * side)) for side in sheet.shape[:2])
+    sheet[..., :3] *= sheet[..., 3:]
+    region = OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, 4)
+    averages = OpenImageIO.ImageBufAlgo.resize(OpenImageIO.ImageBuf(sheet), "box", 0, region)
+    small = np.asarray(averages.get_pixels(OpenImageIO.FLOAT), np.float32)
+    np.divide(small[..., :3], small[..., 3:], out=small[..., :3], where=small[..., 3:] > 0)
+    return np.clip(small, 0, 1)
 
 
 def displayed_pixels(picture: Picture) -> Uint8s:

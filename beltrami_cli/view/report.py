@@ -24,7 +24,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 from beltrami_cli.view import pages
-from beltrami_cli.view.models import ModelPacker
+from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.sheet import distinct_labels
 
@@ -32,6 +32,8 @@ _NEARLY_ALL = 99.5  # per cent of changes that are not shown brightest
 _COLUMNS = [
     "part", "samples", "PSNR, dB", "SSIM", "Delta E 2000, mean", "worst", "mean change, /255", "seam steps, /255",
 ]  # fmt: skip
+_LARGEST = 8_000_000  # bytes of a page, unless its meshes alone are larger
+_SCALED = "Pictures have {:.0f} % of their width on the page; --full-size keeps all of it."
 _LONGEST = 768  # pixels, of a seam map
 _WIDTH, _HEIGHT = 720, 220
 # Colours and dashes of the lines of channels: the dashes are for those who cannot distinguish the colours.
@@ -49,9 +51,13 @@ def report_file(
     settings: SmoothSettings = EVERYTHING,
     *,
     parameters: str | None = None,
+    full_size: bool = False,
     job: Job = PLAIN_JOB,
 ) -> dict[str, Any]:
-    """Write a page on what changed between two models or images that differ in colours only; return all figures."""
+    """Write a page on what changed between two models or images that differ in colours only; return all figures.
+
+    Pictures are scaled down so that the page stays below 8 MB, unless `full_size`.
+    """
     names = [before, after]
     if "-" in names:
         raise UsageError("BEFORE and AFTER must be files and not pipes")
@@ -66,41 +72,43 @@ def report_file(
     compared = compare_documents(documents, settings, "uniform", job)
     parts = tracked(compared.parts, "drawing seams", job.progress)
     seams = [drawn for part in parts if (drawn := seam_map(part))]
-    models = _models(compared, documents, job.progress)
+    writer = _writer(compared, documents, job.progress)
     short = distinct_labels(names)
-    page = pages.page_from(
-        "report.html",
-        [*pages.VIEWER_SCRIPTS, "report.js"],
-        {"models": models, "three": pages.packed_text(pages.LIBRARY)},
-        library=pages.LIBRARY,
-        licence=pages.asset("three.LICENSE"),
-        title=f"{short[0]} and {short[1]}",
-        names=names,
-        figures=_rows(compared),
-        notices=compared.all_notices(),
-        change=histogram(compared.measured()),
-        seams=seams,
-        used=used,
-    )
+    values: dict[str, Any] = {
+        "library": pages.LIBRARY, "licence": pages.asset("three.LICENSE"),
+        "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared),
+        "change": histogram(compared.measured()), "seams": seams, "used": used,
+    }  # fmt: skip
+    scripts, notices = [*pages.VIEWER_SCRIPTS, "report.js"], compared.all_notices()
+    data: dict[str, Any] = {"three": pages.packed_text(pages.LIBRARY)}
+    bare = pages.page_from("report.html", scripts, data, **values, notices=[*notices, _SCALED])
+    limit = np.inf if full_size else _LARGEST - len(bare)
+    data["models"], share = writer.packed(_reach(compared), limit)
+    notices += [_SCALED.format(100 * share)] if share < 1 else []
+    page = pages.page_from("report.html", scripts, data, **values, notices=notices)
     output.write(Written(main=[page]))
-    return {**figures(compared.measured()), "notices": compared.all_notices()}
+    return {**figures(compared.measured()), "notices": notices}
 
 
-def _models(
+def _writer(
     compared: Compared, documents: tuple[Document, Document], progress: Progress | None
-) -> dict[str, Any]:
-    packer, (one, other) = ModelPacker(), documents
-    if one.kind == "image":
-        packer.add_image((one, other))
-    else:
-        slots: list[Slot | None] = [*compared.slots]
-        if not slots or any(part.kind == "vertices" for part in compared.parts):
-            slots.append(None)
-        for slot in tracked(slots, "packing models", progress):
-            packer.add(documents, slot)
+) -> ModelWriter:
+    writer = ModelWriter()
+    if documents[0].kind == "image":
+        writer.add_image(documents)
+        return writer
+    slots: list[Slot | None] = [*compared.slots]
+    if not slots or any(part.kind == "vertices" for part in compared.parts):
+        slots.append(None)
+    for slot in tracked(slots, "packing models", progress):
+        writer.add(documents, slot)
+    return writer
+
+
+def _reach(compared: Compared) -> float:
+    """Return the change that is shown brightest, in 255ths."""
     changes = [255 * np.abs(part.test - part.reference).ravel() for part in compared.measured()]
-    changed = np.concatenate([*changes, np.zeros(1)])
-    return packer.packed(float(np.percentile(changed, _NEARLY_ALL)))
+    return float(np.percentile(np.concatenate([*changes, np.zeros(1)]), _NEARLY_ALL))
 
 
 def _parameters(path: str, access: Access) -> dict[str, Any]:

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from beltrami_cli.jobs.compare.figures import ComparedColours
+from beltrami_cli.view import report
 from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.report import histogram
 from cli.commands import SAMPLES, beltrami, refused
+from cli.pictures import encode, textured_square
 
 
 def reported(before, after, page):
@@ -97,11 +99,32 @@ def test_parameters_are_shown_as_they_were_used_and_how_they_came_about(tmp_path
 def test_parameters_were_chosen_also_where_no_error_can_be_estimated(tmp_path):
     record = tmp_path / "run.json"
     beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "out.ply", "--report", record)
-    report = json.loads(record.read_text())
-    report["vertices"]["choice"] |= {"psnr": None, "error": None, "gain": None, "interval": None}
-    shown = str(used_parameters(report))
+    run = json.loads(record.read_text())
+    run["vertices"]["choice"] |= {"psnr": None, "error": None, "gain": None, "interval": None}
+    shown = str(used_parameters(run))
     assert "by the fixed rule" not in shown
     assert "chosen from the data" in shown
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["model", "image"])
+def test_pictures_are_scaled_to_the_size_of_a_page_unless_full_size_is_wanted(kind, tmp_path, monkeypatch):
+    """Noise of all bits is incompressible, so both pictures take 2.9 MB as text."""
+    assert report._LARGEST <= 8e6
+    monkeypatch.setattr(report, "_LARGEST", 2e6)
+    pair = []
+    for number, name in enumerate(("a", "b")):
+        noise = np.random.default_rng(number).integers(0, 256, (600, 600, 3), np.uint8)
+        model = textured_square(tmp_path / f"{name}.obj", noise[:2, :2])
+        model.with_suffix(".png").write_bytes(encode(noise, "png"))
+        pair.append(model if kind == "model" else model.with_suffix(".png"))
+    run = beltrami("report", *pair, tmp_path / "small.html")
+    assert 1.9e6 < (tmp_path / "small.html").stat().st_size <= 2e6
+    (share,) = re.findall(rb"Pictures have (\d+) % of their width on the page; --full-size keeps", run.stderr)
+    assert int(share) / 100 == pytest.approx(np.sqrt(1.7 / 2.9), abs=0.03)
+    run = beltrami("report", *pair, tmp_path / "large.html", "--full-size")
+    assert (tmp_path / "large.html").stat().st_size > 2.9e6
+    assert b"--full-size" not in run.stderr
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.surface.records import PaintedVertices
-from beltrami_cli.view.models import ModelPacker
+from beltrami_cli.view.models import ModelWriter
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import painted_square, plain_image, textured_square
 from view.browsing import BLUE, RED, WHITE, WIDTHS, Viewer
@@ -142,11 +142,13 @@ def test_the_page_fits_and_nothing_bars_anybody(browser, head, width):
     assert viewer.errors == []
 
 
-RESTORED = """async ({ model, part }) => {
-  const table = async (key) => Unpacking.loaded(model.buffers[key]);
-  const index = Unpacking.triangles(await table(part.index));
-  const rows = async (key) => [...Unpacking.restored(await table(key), index)];
-  return [[...index], await rows(part.position), await rows(part.colours[1])];
+RESTORED = """async (packed) => {
+  const { scene } = await new THREE.GLTFLoader().parseAsync(await Unpacking.restored(packed), "");
+  const { index, attributes } = scene.children[0].geometry;
+  const rows = ({ count }, at) => Array.from({ length: count }, (_, row) => at(row));
+  const places = (table, row) => [table.getX(row), table.getY(row), table.getZ(row)];
+  const vectors = (name) => rows(attributes[name], (row) => places(attributes[name], row));
+  return [rows(index, (row) => index.getX(row)), vectors("position"), vectors("_after")];
 }"""
 
 
@@ -165,22 +167,19 @@ def scattered(side):
 
 
 def test_what_is_packed_is_restored_and_takes_little_space(browser, squares):
-    painted, packer = scattered(81), ModelPacker()
+    painted, writer = scattered(81), ModelWriter()
     document = SimpleNamespace(painted=lambda: painted)
-    packer.add((document, document), None)
-    model = packer.packed(8)
-    # A report of 400,000 triangles shall take at most 2 MB, of which the scripts take 0.2.
-    assert sum(len(each["data"]) for each in model["buffers"].values()) < 1.8e6 * len(painted.faces) / 400_000
+    writer.add((document, document), None)
+    packed, _ = writer.packed(8)
+    # A report of 400,000 triangles shall take at most 2 MB, of which the scripts take 0.3.
+    assert len(packed["data"]) < 1.7e6 * len(painted.faces) / 400_000
     page = Viewer(browser, squares).page
-    index, positions, colours = page.evaluate(
-        RESTORED, {"model": model, "part": model["layers"][0]["parts"][0]}
-    )
-    index, positions, colours = (np.reshape(rows, (-1, 3)) for rows in (index, positions, colours))
-    order = np.argsort(packer.row_of)
-    assert np.abs(positions / 65535 - (painted.positions - painted.positions.min(axis=0))[order]).max() < 1e-5
-    assert np.array_equal(colours, np.rint(255 * painted.colours)[order])
-    assert {tuple(face) for face in np.sort(index).tolist()} == {
-        tuple(face) for face in np.sort(packer.row_of[painted.faces]).tolist()
+    index, positions, colours = page.evaluate(RESTORED, packed)
+    order = np.argsort(writer.row_of)
+    assert np.abs(positions - (painted.positions - painted.positions.min(axis=0))[order]).max() < 1e-5
+    assert np.abs(colours - painted.colours[order]).max() < 1e-6
+    assert {tuple(face) for face in np.sort(np.reshape(index, (-1, 3))).tolist()} == {
+        tuple(face) for face in np.sort(writer.row_of[painted.faces]).tolist()
     }
 
 

@@ -47,7 +47,8 @@ def page_from(
     allowing = [*texts, asset(library)] if library else texts
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in allowing]
     allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
-    policy = f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}"
+    sources = "img-src data: blob:; connect-src blob:; style-src 'unsafe-inline'"
+    policy = f"default-src 'none'; {sources}; script-src {allowed}"
     page = rendered(
         template, style=Markup(asset("style.css")), policy=policy, data=data, scripts=map(Markup, texts), **values
     )  # fmt: skip
@@ -67,5 +68,9 @@ def asset(name: str) -> str:
 
 def data_address(picture: Uint8s) -> str:
     """Return a data URL of the picture, as PNG."""
-    data = write_image(new_picture(picture, "a picture"), picture, suffix=".png").data
-    return f"data:image/png;base64,{base64.b64encode(data).decode()}"
+    return f"data:image/png;base64,{base64.b64encode(png_of(picture)).decode()}"
+
+
+def png_of(picture: Uint8s) -> bytes:
+    """Return the picture as a PNG file."""
+    return write_image(new_picture(picture, "a picture"), picture, suffix=".png").data

@@ -11,7 +11,7 @@
     return said;
   };
 
-  const [model, start] = await Promise.all([fetched("model.json"), fetched("start.json")]);
+  const [model, start] = await Promise.all([fetch("model.glb").then((answer) => answer.arrayBuffer()), fetched("start.json")]);
   const viewer = await new Viewer(part("viewer"), model).start();
   let number = 0, refused = "", none = "", isSending = false, isStale = false;
 

@@ -18,28 +18,29 @@ const Painting = (() => {
 
     async paintVertices(layer, patch) {
       const rows = new Uint32Array(await Unpacking.inflated(patch.rows)), colours = new Uint16Array(await Unpacking.inflated(patch.colours));
-      const { after } = layer.meshes[0].geometry.attributes;
+      const { _after: after } = layer.meshes[0].geometry.attributes;
       for (let at = 0; at < rows.length; at++)
-        for (let channel = 0; channel < 3; channel++) after.array[3 * rows[at] + channel] = colours[3 * at + channel];
+        for (let channel = 0; channel < 3; channel++) after.array[4 * rows[at] + channel] = colours[3 * at + channel];
       after.needsUpdate = true;
-      if (patch.places) this.move(layer, rows, new Uint16Array(await Unpacking.inflated(patch.places)));
+      if (patch.places) this.move(layer, rows, new Float32Array(await Unpacking.inflated(patch.places)));
     }
 
     // Vertices that are smoothed along with their colours.
     move(layer, rows, places) {
       const { geometry, material } = layer.meshes[0];
-      if (!geometry.attributes.moved) geometry.setAttribute("moved", geometry.attributes.position.clone());
-      const { moved } = geometry.attributes;
-      for (let at = 0; at < rows.length; at++)
-        for (let axis = 0; axis < 3; axis++) moved.array[3 * rows[at] + axis] = places[3 * at + axis];
+      const { position, _moved: moved = new THREE.BufferAttribute(new Float32Array(3 * position.count), 3) } = geometry.attributes;
+      if (!geometry.attributes._moved) {
+        for (let at = 0; at < position.count; at++) moved.setXYZ(at, position.getX(at), position.getY(at), position.getZ(at));
+        geometry.setAttribute("_moved", moved);
+      }
+      rows.forEach((row, at) => moved.array.set(places.subarray(3 * at, 3 * at + 3), 3 * row));
       moved.needsUpdate = true;
       material.uniforms.moves.value = 1;
     }
 
     // The parts with a texture, by its number in the layer.
     using(layer, number) {
-      const first = layer.numbers[number];
-      return layer.textured.filter(([part]) => part.textures && part.textures[0] === first);
+      return layer.textured.filter(([textures]) => textures && textures[0] === layer.pairs[number][0]);
     }
 
     async paintTexture(layer, patch) {
@@ -48,8 +49,9 @@ const Painting = (() => {
     }
 
     replace(parts, image) {
-      const { uniforms } = parts[0][1], old = uniforms.mapFresh.value;
-      const made = Viewer.textureOf(image, this.viewer.data.textures[parts[0][0].textures[0]].wrap);
+      const { uniforms } = parts[0][1], old = uniforms.mapFresh.value, made = uniforms.mapOld.value.clone();
+      made.source = new THREE.Source(image);
+      made.needsUpdate = true;
       this.viewer.refilter(made);
       for (const [, material] of parts) material.uniforms.mapFresh.value = made;
       if (old !== uniforms.mapOld.value) old.dispose();

@@ -2,8 +2,8 @@
 "use strict";
 const Shapes = (() => {
   const VERTEX = `
-    attribute vec3 moved, before, after;
-    attribute float chart;
+    attribute vec3 _moved, _before, _after;
+    attribute float _chart;
     uniform int side;
     uniform float disc, moves, high;
     varying vec2 place;
@@ -11,8 +11,8 @@ const Shapes = (() => {
     flat varying float number;
     vec3 light(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
     void main() {
-      place = uv; old = light(before); fresh = light(after); number = chart;
-      vec4 from = modelViewMatrix * vec4(side == 0 || moves == 0.0 ? position : moved, 1.0);
+      place = uv; old = light(_before); fresh = light(_after); number = _chart;
+      vec4 from = modelViewMatrix * vec4(side == 0 || moves == 0.0 ? position : _moved, 1.0);
       seen = from.xyz;
       gl_Position = projectionMatrix * from;
       gl_PointSize = max(1.5, disc * high * projectionMatrix[1][1] / 2.0 / -from.z);
@@ -51,61 +51,40 @@ const Shapes = (() => {
     }`;
 
   class Shapes {
-    constructor(data, arrays, images, maps, shared) {
-      Object.assign(this, { data, arrays, images, maps, shared });
+    constructor(maps, shared) {
+      Object.assign(this, { maps, shared });
     }
 
-    layerOf(layer) {
-      const solid = new THREE.Group(), flat = new THREE.Group();
-      solid.position.set(...layer.middle.map((value) => -value));
-      const made = { ...layer, solid, flat, materials: [], textured: [], meshes: [], wires: [], seams: [] };
-      for (const part of layer.parts) if (part.kind !== "sheet") this.addPart(made, part);
-      if (layer.seams) made.seams.push(this.lines(this.positions(layer.seams), 0xd55e00, solid));
-      this.addSheets(made);
-      return made;
+    // A scene of the file as a layer: its meshes, points and lines, and its textures laid flat.
+    layerOf(solid) {
+      const flat = new THREE.Group(), shapes = [...solid.children];
+      solid.position.set(...solid.userData.middle.map((value) => -value));
+      const layer = { ...solid.userData, solid, flat, materials: [], textured: [], meshes: [], wires: [], seams: [] };
+      const lines = shapes.filter((shape) => shape.isLineSegments);
+      layer.meshes = shapes.filter((shape) => !shape.isLineSegments);
+      for (const shape of layer.meshes) this.addShape(layer, shape);
+      this.addSheets(layer, lines);
+      for (const { geometry, userData } of lines)
+        if (!userData.textures) layer.seams.push(this.lines(geometry.attributes.position, 0xd55e00, solid));
+      solid.remove(...lines);
+      return layer;
     }
 
-    positions(key, index = null) {
-      return this.attribute(key, index, 3, Uint16Array, (value) => value, true);
-    }
-
-    // Whole numbers of each vertex, as an attribute of some type.
-    attribute(key, index, columns, kind, each, isShare = false) {
-      const rows = Unpacking.restored(this.arrays[key], index);
-      return new THREE.BufferAttribute(kind.from(rows, each), columns, isShare);
-    }
-
-    addPart(layer, part) {
-      const geometry = new THREE.BufferGeometry(), index = part.index ? Unpacking.triangles(this.arrays[part.index]) : null;
-      const set = (name, attribute) => geometry.setAttribute(name, attribute);
-      set("position", this.positions(part.position, index));
-      if (part.moved) set("moved", this.positions(part.moved, index));
-      if (part.colours)
-        ["before", "after"].forEach((name, side) =>
-          set(name, this.attribute(part.colours[side], index, 3, Uint16Array, (value) => value * part.depth, true)));
-      if (part.uv) set("uv", this.coordinates(part, part.uv, index));
-      if (part.charts) set("chart", this.attribute(part.charts, index, 1, Uint16Array, (value) => value));
-      if (index) geometry.setIndex(new THREE.BufferAttribute(index, 1));
-      const material = this.material(part);
-      const shape = part.kind === "points" ? new THREE.Points(geometry, material) : new THREE.Mesh(geometry, material);
+    addShape(layer, shape) {
+      const { textures = null, size = 0 } = shape.userData, { _before: painted, _moved: moved } = shape.geometry.attributes;
+      const hides = shape.material.alphaTest > 0;
+      shape.material = this.material({ textures, hides, size, painted, moved, points: shape.isPoints });
       shape.frustumCulled = false;
-      layer.materials.push(material);
-      layer.textured.push([part, material]);
-      layer.meshes.push(shape);
-      layer.solid.add(shape);
-      if (part.index) layer.wires.push(this.wires(geometry, layer.solid));
+      layer.materials.push(shape.material);
+      layer.textured.push([textures, shape.material]);
+      if (!shape.isPoints) layer.wires.push(this.wires(shape.geometry, layer.solid));
     }
 
-    coordinates(part, key, index) {
-      return this.attribute(key, index, 2, Float32Array, (value, at) => value / part.steps[at % 2]);
-    }
-
-    material(part) {
-      const [old, fresh] = (part.textures || [null, null]).map((number) => (number === null ? null : this.maps[number]));
-      const hides = old && this.data.textures[part.textures[0]].hides;
+    material({ textures = null, hides = false, size = 0, painted, moved, points = false }) {
+      const [old, fresh] = textures ? textures.map((number) => this.maps[number]) : [null, null];
       const own = {
-        disc: part.size || 0, moves: part.moved ? 1 : 0, hides: hides ? 1 : 0, textured: old ? 1 : 0,
-        plain: old || part.colours ? 0 : 1, discs: part.kind === "points" ? 1 : 0, mapOld: old, mapFresh: fresh,
+        disc: size, moves: moved ? 1 : 0, hides: hides ? 1 : 0, textured: old ? 1 : 0, plain: old || painted ? 0 : 1,
+        discs: points ? 1 : 0, mapOld: old, mapFresh: fresh,
       };
       const uniforms = Object.fromEntries(Object.entries(own).map(([name, value]) => [name, { value }]));
       return new THREE.ShaderMaterial({
@@ -132,50 +111,41 @@ const Shapes = (() => {
     }
 
     // Textures as they are stored, side by side, under the triangles in their coordinates.
-    addSheets(layer) {
-      const pairs = [...new Map(layer.parts.filter((part) => part.textures).map((part) => [part.textures[0], part])).values()];
-      const sizes = pairs.map((part) => this.images[part.textures[0]]).map((image) => image.width / image.height);
+    addSheets(layer, lines) {
+      const pairs = [...new Map((layer.pairs || []).map((pair) => [pair[0], pair])).values()];
+      const sizes = pairs.map(([old]) => this.maps[old].image).map((image) => image.width / image.height);
       const total = sizes.reduce((sum, size) => sum + size, 0) + 0.05 * (pairs.length - 1);
       let left = -total / 2;
-      pairs.forEach((part, number) => {
-        const sheet = new THREE.Group();
-        sheet.userData.number = layer.numbers ? layer.numbers.indexOf(part.textures[0]) : 0;
-        const plane = new THREE.PlaneGeometry(1, 1);
+      pairs.forEach((pair, number) => {
+        const sheet = new THREE.Group(), plane = new THREE.PlaneGeometry(1, 1), material = this.material({ textures: pair });
+        sheet.userData.number = layer.pairs.findIndex(([old]) => old === pair[0]);
         plane.attributes.uv.array.set([0, 0, 1, 0, 0, 1, 1, 1]);
-        const material = this.material({ ...part, moved: null });
-        material.uniforms.hides.value = 0;
         material.uniforms.charts = { value: 0 };
         layer.materials.push(material);
-        layer.textured.push([part, material]);
+        layer.textured.push([pair, material]);
         sheet.add(new THREE.Mesh(plane, material));
         sheet.scale.set(sizes[number], 1, 1);
         sheet.position.x = left + sizes[number] / 2;
-        layer.parts.forEach((other, at) => { if (other.textures && other.textures[0] === part.textures[0]) this.addFlat(layer, at, sheet); });
+        const isOn = ({ userData }) => userData.textures?.[0] === pair[0];
+        for (const mesh of layer.meshes.filter(isOn)) this.addFlat(layer, mesh, sheet);
+        for (const { geometry } of lines.filter(isOn))
+          layer.seams.push(this.lines(geometry.attributes.position, 0xd55e00, sheet));
         layer.flat.add(sheet);
         left += sizes[number] + 0.05;
       });
       layer.flat.scale.setScalar(1 / Math.max(1, total));
     }
 
-    addFlat(layer, number, sheet) {
-      const part = layer.parts[number], mesh = layer.meshes[number];
-      if (layer.flatOnly) return;
-      const uv = mesh.geometry.attributes.uv, places = new Float32Array(3 * uv.count);
+    addFlat(layer, mesh, sheet) {
+      const { uv, _chart } = mesh.geometry.attributes, places = new Float32Array(3 * uv.count);
       for (let at = 0; at < uv.count; at++) places.set([uv.getX(at) - 0.5, 0.5 - uv.getY(at), 0.001], 3 * at);
-      const geometry = new THREE.BufferGeometry(), flat = new THREE.BufferAttribute(places, 3);
-      for (const name of ["uv", "chart"]) if (mesh.geometry.attributes[name]) geometry.setAttribute(name, mesh.geometry.attributes[name]);
-      geometry.setAttribute("position", flat);
-      geometry.setIndex(mesh.geometry.index);
+      const geometry = new THREE.BufferGeometry().setIndex(mesh.geometry.index);
+      Object.entries({ position: new THREE.BufferAttribute(places, 3), uv, _chart }).forEach((each) => geometry.setAttribute(...each));
       const tinted = new THREE.Mesh(geometry, mesh.material);
       tinted.visible = false;
       layer.tints = [...(layer.tints || []), tinted];
       sheet.add(tinted);
       layer.wires.push(this.wires(geometry, sheet));
-      if (!part.borders) return;
-      const borders = this.coordinates(part, part.borders, null).array, ends = new Float32Array((3 * borders.length) / 2);
-      for (let at = 0; at < borders.length / 2; at++)
-        ends.set([borders[2 * at] - 0.5, 0.5 - borders[2 * at + 1], 0.002], 3 * at);
-      layer.seams.push(this.lines(new THREE.BufferAttribute(ends, 3), 0xd55e00, sheet));
     }
   }
 

@@ -6,52 +6,41 @@ const Viewer = (() => {
 
   const loaded = (source) => new Promise((resolve, reject) => new THREE.TextureLoader().load(source, resolve, undefined, reject));
 
-  function textureOf(image, wrap) {
-    const wraps = { repeat: THREE.RepeatWrapping, mirror: THREE.MirroredRepeatWrapping, clamp: THREE.ClampToEdgeWrapping };
-    const made = new THREE.Texture(image);
-    made.flipY = false; // v points down here
-    made.colorSpace = THREE.SRGBColorSpace;
-    [made.wrapS, made.wrapT] = wrap.map((mode) => wraps[mode]);
-    made.needsUpdate = true;
-    return made;
-  }
-
   // Parts of a page by their data-viewer; those that it lacks are left alone.
   const found = (root, name) => root.querySelector(`[data-viewer=${name}]`);
 
   class Viewer {
-    constructor(root, data) {
+    constructor(root, file) {
       this.root = root;
-      this.data = data;
+      this.file = file; // binary glTF
       this.place = found(root, "place");
       this.line = found(root, "line");
       this.at = 50;
       this.show = "swipe";
       this.operating = new Operating(this);
       this.painting = new Painting(this);
-      this.shared = {
-        side: { value: 0 }, reach: { value: data.reach }, lit: { value: 0 }, charts: { value: 0 }, high: { value: 1 },
-        scale: { value: data.scale.map((colour) => new THREE.Vector3(...colour)) },
-      };
     }
 
     async start() {
+      const { parser, scenes, userData } = await new THREE.GLTFLoader().parseAsync(this.file, "");
+      this.data = userData;
+      this.maps = await parser.getDependencies("texture");
+      for (const map of this.maps) map.colorSpace = THREE.SRGBColorSpace;
       try {
         this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
       } catch (error) {
         return this.withoutDrawing();
       }
+      this.shared = {
+        side: { value: 0 }, reach: { value: userData.reach }, lit: { value: 0 }, charts: { value: 0 }, high: { value: 1 },
+        scale: { value: userData.scale.map((colour) => new THREE.Vector3(...colour)) },
+      };
       this.renderer.setPixelRatio(window.devicePixelRatio);
       this.renderer.setScissorTest(true);
       this.canvas = this.renderer.domElement;
       this.place.prepend(this.canvas);
-      const { buffers, textures } = this.data;
-      const arrays = {};
-      await Promise.all(Object.keys(buffers).map(async (key) => { arrays[key] = await Unpacking.loaded(buffers[key]); }));
-      this.images = await Promise.all(textures.map(async ({ source }) => (await loaded(source)).image));
-      this.maps = textures.map(({ wrap }, number) => textureOf(this.images[number], wrap));
-      const shapes = new Shapes(this.data, arrays, this.images, this.maps, this.shared);
-      this.layers = this.data.layers.map((layer) => shapes.layerOf(layer));
+      const shapes = new Shapes(this.maps, this.shared);
+      this.layers = scenes.map((scene) => shapes.layerOf(scene));
       this.camera = new THREE.PerspectiveCamera(FIELD, 1, 0.01, 100);
       this.controls = new THREE.OrbitControls(this.camera, this.canvas);
       this.controls.zoomToCursor = true;
@@ -69,7 +58,11 @@ const Viewer = (() => {
     withoutDrawing() {
       const said = document.createElement("p");
       said.textContent = "This browser has no WebGL, which the view of the models needs. The pictures alone:";
-      const pictures = this.data.textures.map(({ source }) => Object.assign(new Image(), { src: source, alt: "a texture" }));
+      const pictures = this.maps.map(({ image }) => {
+        const canvas = Object.assign(document.createElement("canvas"), { width: image.width, height: image.height });
+        canvas.getContext("2d").drawImage(image, 0, 0);
+        return canvas;
+      });
       this.place.replaceChildren(said, ...pictures);
       this.place.dataset.ready = "no";
       return this;
@@ -181,5 +174,5 @@ const Viewer = (() => {
     }
   }
 
-  return Object.assign(Viewer, { found, loaded, textureOf });
+  return Object.assign(Viewer, { found, loaded });
 })();
