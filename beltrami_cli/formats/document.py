@@ -252,6 +252,11 @@ class Document(ABC):
         """Return the mesh for conversion to another format; InputError as `painted`."""
         return self._mesh
 
+    def recoloured_contents(self, colours: Float32s | None) -> records.MeshContents:
+        """Return `contents` with other colours, rows as in `patch`; None: the present ones."""
+        contents = self.contents()
+        return contents if colours is None else replace(contents, colours=colours)
+
     def textured_mesh(self, colours: Float32s | None = None) -> records.TexturedMesh:
         """Return all triangles with materials and images, for conversion; `colours` as in `patch`."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")

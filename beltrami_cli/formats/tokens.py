@@ -17,6 +17,8 @@ from beltrami_cli.surface.large_arrays import blocks
 PLACEHOLDER = b"\0"  # replaces what may differ in a part of a fingerprint
 Spans = dict[tuple[int, int], bytes]  # new bytes by where the old ones start and end
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+# Not finite numbers as Microsoft's C library spelled them until 2015.
+_MICROSOFT_NAN = re.compile(rb"(?<!\S)[-+]?1\.#(?:[QS]NAN|IND|INF)\d*(?=[\s,;]|\Z)")
 _SOLID = bytes(character not in b" \t\n\v\f\r" for character in range(256))
 _MOST_SHOWN = 40  # bytes of a token in a message
 _LONGEST_LINE = 1 << 22  # bytes: a polygon of some 200,000 corners
@@ -50,6 +52,7 @@ def without_comments(text: bytes, *marks: bytes) -> bytes:
     """Blank a byte order mark, and what stands from a mark to its line's end; every other byte stays at its place."""
     if text.startswith(_BYTE_ORDER_MARK):
         text = b"   " + text[3:]
+    text = _with_plain_nan(text)
     if any(mark in text for mark in marks):
         text = re.sub(rb"(?:%s)[^\r\n]*" % b"|".join(marks), lambda found: b" " * len(found[0]), text)
     return text
@@ -103,6 +106,7 @@ class Lines:
 
 def read_numbers(text: bytes) -> Float64s:
     """Return the decimal numbers ("nan" and "inf" included) that a text starts with, up to the first other token."""
+    text = _with_plain_nan(text)
     values = _parse(text)
     if values is not None:
         return values
@@ -119,6 +123,13 @@ def read_numbers(text: bytes) -> Float64s:
             parts.append(part)
             good = middle
     return np.concatenate(parts)
+
+
+def _with_plain_nan(text: bytes) -> bytes:
+    """Return a text with "nan()" for 1.#QNAN, -1.#IND, 1.#INF and the like, filled up to the same length."""
+    if b".#" not in text:
+        return text
+    return _MICROSOFT_NAN.sub(lambda found: b"nan(%s)" % (b"0" * (len(found[0]) - len("nan()"))), text)
 
 
 def _parse(text: bytes) -> Float64s | None:

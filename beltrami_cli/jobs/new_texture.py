@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -84,7 +83,7 @@ def texture_from_vertices(
 ) -> NewTexture:
     """Spread the vertex colours, or others, shape (V, C), in their stead, over the texels of a texture."""
     # They are interpolated as the numbers that are stored (in glTF linear light), and rounded once.
-    contents = document.contents()
+    contents = document.recoloured_contents(colours)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if not len(faces):
         remedy = "a texture needs a surface; mesh the points first"
@@ -98,8 +97,6 @@ def texture_from_vertices(
         made = _unwrapped(document, contents.positions, faces, space_of, texels, wanted, progress)
         uv, size, charts = made.uv, made.size, made.charts
     dtype = _depth(contents)
-    if colours is not None:
-        contents = dataclasses.replace(contents, colours=colours)
     values = _vertex_values(contents)
     corners = values[faces]
 

@@ -207,9 +207,7 @@ def make_files(
     if images or (document.slots() and not document.has_vertex_colours()):
         remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
         raise UsageError(f"a .{target_format} file has no textures; {remedy}")
-    contents = document.contents()
-    if colours is not None:
-        contents = replace(contents, colours=colours)
+    contents = document.recoloured_contents(colours)
     if places is not None:
         normals = contents.normals
         if normals is not None and places.normals is not None:

@@ -61,8 +61,7 @@ class RepaintedDocument(Document):
         return self._source.attribute(name)
 
     def contents(self) -> MeshContents:
-        contents = self._source.contents()
-        return contents if self._vertices is None else replace(contents, colours=self._vertices.colours)
+        return self._source.recoloured_contents(None if self._vertices is None else self._vertices.colours)
 
     def slots(self) -> tuple[Slot, ...]:
         return self._source.slots()

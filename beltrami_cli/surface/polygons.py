@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.surface.grouping import group_equal_rows
 
 _BLOCK = 1 << 16  # polygons cut at a time, which bounds the memory for their corners
 _MOST_EARS = 1 << 14  # corners of a polygon that is not convex: some ten seconds of work at most
@@ -46,6 +47,26 @@ def triangulate_corners(positions: Float64s, corners: Int32s, offsets: Int64s) -
     """Cut polygons like `triangulate`; return indices into `corners`, and the polygon of each triangle."""
     cut = triangulate(positions[corners], np.arange(len(corners), dtype=np.int32), offsets)
     return cut, np.searchsorted(offsets, cut[:, 0], side="right") - 1
+
+
+def dual(positions: Float64s, corners: Int32s, offsets: Int64s) -> tuple[Float64s, Int32s]:
+    """Return the centroids of P polygons, shape (P, 3), and triangles that join those around each vertex."""
+    sizes = np.diff(offsets)
+    polygon = np.repeat(np.arange(len(sizes)), sizes)
+    sums = [np.bincount(polygon, column, len(sizes)) for column in positions[corners].T]
+    centroids = np.column_stack(sums) / np.maximum(sizes, 1)[:, None]
+    place = group_equal_rows(*positions.T)[0][corners].astype(np.int64)
+    after = np.arange(1, len(corners) + 1)
+    after[offsets[1:][sizes > 0] - 1] = offsets[:-1][sizes > 0]
+    # Across the edge from a corner to the next one lies the polygon that has this edge in the other direction.
+    edges, reverse = (a * len(positions) + b for a, b in ((place, place[after]), (place[after], place)))
+    order = np.argsort(edges, kind="stable")
+    match = order[np.minimum(np.searchsorted(edges, reverse, sorter=order), len(order) - 1)]
+    first = np.empty(len(positions), np.int64)
+    first[place[::-1]] = polygon[::-1]
+    fans = np.column_stack([first[place], polygon[match], polygon])[edges[match] == reverse]
+    a, b, c = fans.T
+    return centroids, fans[(a != b) & (b != c) & (c != a)].astype(np.int32)
 
 
 def unrolled(strips: Int64s, ends: Int64s) -> Int64s:

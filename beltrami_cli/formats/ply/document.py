@@ -12,14 +12,16 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, patching, texturing
 from beltrami_cli.formats.ply.header import Header, read_header
-from beltrami_cli.formats.ply.tables import Table, read_tables
+from beltrami_cli.formats.ply.tables import Table, read_tables, with_channels
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import Spans, exchange_spans
+from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
 
@@ -31,11 +33,16 @@ class PlyDocument(Document):
     def _open(self, folder: Path | None) -> None:
         self._folder = ModelFolder(folder, self.access)
         self._header = read_header(self.data, self.name)
+        elements.require_no_splats(self._header, self.name)
 
     @cached_property
     def _mesh(self) -> MeshContents:
         corners, offsets = self._polygons
         positions = self._positions if len(corners) else self._measured
+        if self._paints_faces:
+            positions, corners = dual(positions, *self._coloured_faces)
+            offsets, corners = 3 * np.arange(len(corners) + 1), corners.ravel()
+            self.notices.append("Its colours are those of faces; each is a sample at the centre of its face.")
         return MeshContents(positions, corners, offsets, self._colours.values, "srgb", self._stored)
 
     @property
@@ -83,7 +90,7 @@ class PlyDocument(Document):
         if new.places is not None:
             changes += patching.moved_changes(self._vertices, self._kinds, new.places)
         if any(change.rows.any() for change in changes):
-            pieces = [header, *patching.patch_body(self.data, self._header, self._vertices, changes)]
+            pieces = [header, *patching.patch_body(self.data, self._header, changes)]
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(beside, main=pieces)
@@ -92,17 +99,23 @@ class PlyDocument(Document):
         columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)
         kind, scale = self._paint.type, self._scale
         return [
-            patching.Change(name, new != old, quantised(new[new != old], kind, scale))
+            patching.Change(self._coloured.places(name), new != old, quantised(new[new != old], kind, scale))
             for name, old, new in columns
         ]
 
     def attributes(self) -> tuple[str, ...]:
+        if self.has_vertex_colours() and self._paints_faces:
+            return ()
         return elements.attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
     def _attribute(self, name: str) -> Float64s:
         return elements.read_attribute(self._vertices, name)
 
     def require_movable(self) -> None:
+        if self._paints_faces:
+            raise InputError(
+                self.name, "its colours are of faces, which do not move", "leave --smooth-geometry out"
+            )
         whole = ", ".join(name for name in elements.POSITION if self._kinds[name][0] != "f")
         if whole:
             cause = f"the coordinates {whole} are whole numbers, which cannot hold smoothed positions"
@@ -113,10 +126,24 @@ class PlyDocument(Document):
         return list(dict.fromkeys(path for path in paths if path is not None and not is_outside(path)))
 
     def contents(self) -> MeshContents:
+        return self.recoloured_contents(None)
+
+    def recoloured_contents(self, colours: Float32s | None) -> MeshContents:
         left_out = _left_out(self._header, self._converted)
+        values = self._colours.values if colours is None else colours
+        corners, offsets = self._coloured_faces if self._paints_faces else self._polygons
+        if self._paints_faces:
+            sizes = np.diff(offsets)
+            polygons = (self._positions, corners.astype(np.int64), sizes)
+            found = ColouredPolygons(*polygons, np.repeat(values, sizes, axis=0), self._stored)
+            values, notices = colours_of_vertices(found)
+            self.notices += [each for each in notices if each not in self.notices]
         return dataclasses.replace(
             self._mesh,
             positions=self._positions,
+            corners=corners,
+            offsets=offsets,
+            colours=values,
             alpha=self._alpha(),
             normals=self._normals(),
             left_out=left_out,
@@ -124,11 +151,11 @@ class PlyDocument(Document):
 
     def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         shown = None
-        if self.has_vertex_colours():
+        if self.has_vertex_colours() and not self._paints_faces:
             values = self._colours.values if colours is None else colours
             shown = VertexColours(values, "srgb", self._stored, self._alpha())
         used = self._converted | {*texturing.find_coordinates(self._tables)}
-        dropped = _left_out(self._header, used, texturing.COORDINATE_LISTS)
+        dropped = _left_out(self._header, used, {texturing.NUMBER, *used})
         others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or others]
         left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
@@ -157,7 +184,10 @@ class PlyDocument(Document):
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
-        return dict(read_tables(self.data, self._header, self.name))
+        tables = read_tables(self.data, self._header, self.name)
+        return {
+            name: with_channels(table) if table.element.count else table for name, table in tables.items()
+        }
 
     @cached_property
     def _images(self) -> list[texturing.TextureComment]:
@@ -181,11 +211,25 @@ class PlyDocument(Document):
 
     @cached_property
     def _paint(self) -> elements.Paint:
-        return elements.find_paint(self._header, self._vertices)
+        return elements.find_paint(self._header, self._vertices, self._tables.get("face"))
+
+    @property
+    def _coloured(self) -> Table:
+        return self._tables[self._paint.element]
+
+    @property
+    def _paints_faces(self) -> bool:
+        return self._paint.element == "face"
+
+    @property
+    def _coloured_faces(self) -> tuple[Int32s, Int64s]:
+        corners, offsets = self._polygons  # triangles of strips follow the faces
+        offsets = offsets[: self._coloured.element.count + 1]
+        return corners[: offsets[-1]], offsets
 
     @cached_property
     def _colours(self) -> elements.Colours:
-        colours = elements.read_colours(self._vertices, self._paint)
+        colours = elements.read_colours(self._coloured, self._paint)
         self.notices += [colours.notice] if colours.notice else []
         return colours
 
@@ -205,7 +249,7 @@ class PlyDocument(Document):
         return elements.read_polygons(self._tables, self._vertices.element.count, self.name)
 
     def _alpha(self) -> Float32s | None:
-        if not self._paint.alpha:
+        if not self._paint.alpha or self._paints_faces:
             return None
         alpha = elements.finite_columns(self._vertices, (self._paint.alpha,), "alpha")[:, 0]
         kind = self._kinds[self._paint.alpha]
@@ -228,6 +272,7 @@ class PlyDocument(Document):
 def _left_out(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
     """Return what is in a file but some properties of the vertices, and the vertices and others of faces."""
     dropped = []
+    used, of_faces = ({name.partition(" ")[0] for name in names} for names in (used, of_faces))
     for element in header.elements:
         lists = elements.VERTEX_LISTS.get(element.name, ())
         known = used if element.name == "vertex" else (*lists, *of_faces)

@@ -20,7 +20,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.header import Header
-from beltrami_cli.formats.ply.tables import Table
+from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Table, plain
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.polygons import unrolled
 from beltrami_cli.surface.records import require_finite
@@ -31,24 +31,31 @@ _LISTS = ("vertex_indices", "vertex_index")
 VERTEX_LISTS = {"face": _LISTS, "tristrips": _LISTS}
 """The lists of vertices by element, each under its two names."""
 
+# Colours and their opacity by names that are `plain`; "colour 0" is a channel of `with_channels`.
 _COLOURS = (
     (("red", "green", "blue"), "alpha"),
     (("diffuse_red", "diffuse_green", "diffuse_blue"), "diffuse_alpha"),
     (("r", "g", "b"), "a"),
+    *((tuple(f"{each} {n}" for n in range(3)), f"{each} 3") for each in COLOUR_PROPERTIES),
     (("gray",), "alpha"),
     (("grey",), "alpha"),
 )
 _INTENSITY = "intensity"  # a colour in scans, any scalar elsewhere
-_INTENSITIES_OF_POINTS = (_INTENSITY, "Intensity", "scalar_intensity", "scalar_Intensity", "reflectance")
+_INTENSITIES_OF_POINTS = (_INTENSITY, "reflectance")
+_SPLATS = (
+    {"f_dc_0", "rot_0"},
+    {"packed_rotation", "packed_scale"},
+)  # as trained, and as PlayCanvas packs them
 
 
 @dataclass(frozen=True)
 class Paint:
-    """The colour properties of the vertices."""
+    """The colour properties of the vertices, or of the faces."""
 
-    names: tuple[str, ...]  # in the file: red, green and blue, or grey alone
+    names: tuple[str, ...]  # in the table: red, green and blue, or grey alone
     alpha: str  # the property of the opacity, or empty
     type: str  # NumPy code of the type that all colours have
+    element: str = "vertex"
     any_range: bool = False  # whether they are intensities, of which any number may be full scale
 
     @property
@@ -58,34 +65,50 @@ class Paint:
         return ("intensity",) if self.any_range else ("grey",)
 
 
-def find_paint(header: Header, vertices: Table) -> Paint:
+def find_paint(header: Header, vertices: Table, faces: Table | None) -> Paint:
     """Find the colour properties; InputError if there are none, or they are of type char or of several types."""
     types, name = vertices.element.scalars, vertices.body.name
-    for names, alpha in _COLOURS:
-        if all(known in types for known in names):
-            kinds = {types[known] for known in names}
-            if len(kinds) > 1:
-                raise InputError(name, f"{', '.join(names)} are of several types", "store them in one type")
-            kind = kinds.pop()
-            if kind == "i1":
-                cause = f"{', '.join(names)} are of type char, which holds no more than 127"
-                raise InputError(name, cause, "store colours as uchar, ushort or float")
-            return Paint(names, alpha if alpha in types else "", kind)
+    if (paint := _by_name(vertices)) is not None:
+        return paint
     has_faces = any(element.count for element in header.elements if element.name in VERTEX_LISTS)
     if _INTENSITY in types and _is_grey(vertices, types[_INTENSITY], "iu" if has_faces else "u"):
         return Paint((_INTENSITY,), "alpha" if "alpha" in types else "", types[_INTENSITY])
     if not has_faces:
-        for known in _INTENSITIES_OF_POINTS:
-            if known in types:
+        for known in types:
+            if plain(known) in _INTENSITIES_OF_POINTS:
                 return Paint((known,), "alpha" if "alpha" in types else "", types[known], any_range=True)
-    faces = header.element("face")
-    on_faces = faces is not None and any(known.name == "red" for known in faces.properties)
+    if faces is not None and faces.element.count and (paint := _by_name(faces)) is not None:
+        return paint
     among = ", ".join(known.name for known in vertices.element.properties)[:300]
-    cause = (
-        f"no vertex colours among the vertex properties {among}{', only face colours' if on_faces else ''}"
-    )
+    cause = f"no vertex colours among the vertex properties {among}"
     remedy = "export the mesh with vertex colours, which are the properties red, green, blue"
     raise UnpaintedError(name, cause, remedy)
+
+
+def _by_name(table: Table) -> Paint | None:
+    types, name = table.element.scalars, table.body.name
+    actual = {plain(known): known for known in reversed(types)}
+    for words, alpha in _COLOURS:
+        if not actual.keys() >= {*words}:
+            continue
+        names = tuple(actual[word] for word in words)
+        kinds = {types[known] for known in names}
+        if len(kinds) > 1:
+            raise InputError(name, f"{', '.join(names)} are of several types", "store them in one type")
+        kind = kinds.pop()
+        if kind == "i1":
+            cause = f"{', '.join(names)} are of type char, which holds no more than 127"
+            raise InputError(name, cause, "store colours as uchar, ushort or float")
+        return Paint(names, actual.get(alpha, ""), kind, table.element.name)
+    return None
+
+
+def require_no_splats(header: Header, name: str) -> None:
+    """Raise InputError for Gaussian splats: their colours are coefficients of light by direction."""
+    vertices = header.element("vertex")
+    if vertices is not None and any(vertices.scalars.keys() >= names for names in _SPLATS):
+        cause = "it holds Gaussian splats, which are not points or triangles of a surface"
+        raise InputError(name, cause, "smooth the photographs, or a mesh that is extracted from the splats")
 
 
 def _is_grey(vertices: Table, kind: str, integers: str) -> bool:
@@ -129,7 +152,7 @@ def finite_columns(vertices: Table, names: tuple[str, ...], what: str) -> Float6
     with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
         for column, known in enumerate(names):
             values[:, column] = vertices.scalars(known)
-    require_finite(values, vertices.body.name, f"the {what} of vertex")
+    require_finite(values, vertices.body.name, f"the {what} of {vertices.element.name}")
     return values
 
 

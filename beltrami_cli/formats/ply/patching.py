@@ -15,7 +15,7 @@ from beltrami_cli.formats.document import Bytes, Fingerprint, Naming, NewImages,
 from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference
 from beltrami_cli.formats.ply.elements import NORMAL, POSITION, Paint, attribute_names
 from beltrami_cli.formats.ply.header import Header
-from beltrami_cli.formats.ply.tables import Table, indices, values_in_bytes
+from beltrami_cli.formats.ply.tables import Places, Table, indices, values_in_bytes
 from beltrami_cli.formats.ply.texturing import TextureComment
 from beltrami_cli.surface.records import MovedVertices, Texture
 
@@ -24,24 +24,24 @@ from beltrami_cli.surface.records import MovedVertices, Texture
 class Change:
     """New values of one property."""
 
-    name: str  # the property, a scalar
-    rows: Bools  # (V,) which vertices change
+    places: Places  # of the property, a scalar, in all rows
+    rows: Bools  # which rows change
     values: Array  # their new values, in the property's type
 
 
-def patch_body(data: bytes, header: Header, vertices: Table, changes: Sequence[Change]) -> list[Bytes]:
+def patch_body(data: bytes, header: Header, changes: Sequence[Change]) -> list[Bytes]:
     """Exchange values in the body, at least one, each property once; every other byte stays. Return it in pieces."""
     if not header.order:
         text = data[header.end :]
         starts, ends = tokens.find_tokens(text)
-        places = [indices(vertices.places(change.name))[change.rows] for change in changes]
+        places = [indices(change.places)[change.rows] for change in changes]
         both = zip(places, changes, strict=True)
         new = [tokens.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
         return [*tokens.renumbered(text, new)]
     patched = bytearray(data)
     for change in changes:
         everywhere = values_in_bytes(patched, header.order + change.values.dtype.str[1:])
-        where = vertices.places(change.name)
+        where = change.places
         if isinstance(where, slice):
             everywhere[where][change.rows] = change.values
         else:
@@ -57,7 +57,7 @@ def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertic
     changes = []
     for name, column in columns.items():
         rows = (column != vertices.scalars(name)) & ~np.isnan(column)
-        changes.append(Change(name, rows, column[rows].astype(kinds[name])))
+        changes.append(Change(vertices.places(name), rows, column[rows].astype(kinds[name])))
     return changes
 
 
@@ -100,7 +100,7 @@ def take_apart(
     spans = {(image.start, image.end): tokens.PLACEHOLDER for image in images if image.path is not None}
     parts = {"header": tokens.exchange_spans(data[: header.end], spans)}
     names, size = (painted[0].names, np.dtype(painted[0].type).itemsize) if painted else ((), 0)
-    places = [indices(tables["vertex"].places(name)) for name in names]
+    places = [indices(tables[painted[0].element].places(name)) for name in names] if painted else []
     hidden = np.concatenate([np.empty(0, np.int64), *places])
     starts = [table.start for table in tables.values()]
     stop = [*tables.values()][-1].stop if tables else 0
@@ -118,7 +118,7 @@ def take_apart(
     for name, (first, last) in zip(tables, pairwise(bounds), strict=True):
         parts[f"element {name}"] = body[first:last]
     parts["what follows the last element"] = body[bounds[-1] : end] if tables else data[header.end :]
-    colours = {"vertex colours": painted[1]} if painted else {}
+    colours = {f"{painted[0].element} colours": painted[1]} if painted else {}
     paintings = {
         f"texture {number}": Texture(image.path, image.name, partial(folder.content, image.path))
         for number, image in enumerate(images)

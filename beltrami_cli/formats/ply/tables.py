@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import takewhile
 from typing import Any
@@ -34,7 +34,7 @@ class Body:
     def __init__(self, data: bytes, header: Header, name: str) -> None:
         self.name = name
         self.start, self.stop = header.end, len(data)
-        self._data, self._order = data, header.order
+        self._data, self.order = data, header.order
 
     def size(self, kind: str) -> int:
         """Return how many units a scalar takes."""
@@ -42,7 +42,7 @@ class Body:
 
     def view(self, kind: str) -> Array:
         """Return an array that has at every unit the value which would start there."""
-        return values_in_bytes(self._data, self._order + kind)
+        return values_in_bytes(self._data, self.order + kind)
 
     def checked(self, values: Array, kind: str, where: str) -> Array:
         """Return values from `view` in their type; InputError if they cannot be of it."""
@@ -72,6 +72,17 @@ class TextBody(Body):
             row = int(np.argmin(fits))
             raise InputError(self.name, f"{where}: {values[row]:g} in row {row} is no {np.dtype(kind)}")
         return values.astype(kind)
+
+
+# Red, green and blue, then opacity, from the highest byte but one down and the highest, as PCL packs them.
+_PACKED = ("rgb", "rgba")
+_PACKED_ORDER = {"<": (2, 1, 0, 3), ">": (3, 0, 1, 2)}
+COLOUR_PROPERTIES = ("color", "colors", "colour", "colours", *_PACKED)
+
+
+def plain(name: str) -> str:
+    """Return the name of a property without capitals and the prefix that CloudCompare gives it."""
+    return name.lower().removeprefix("scalar_")
 
 
 Places = slice | np.ndarray[Any, np.dtype[np.int64]]
@@ -155,6 +166,30 @@ class Table:
         units = np.repeat(firsts, lengths) + size * np.arange(offsets[-1])
         where = f"list '{name}' of element '{self.element.name}'"
         return self.body.checked(self.body.view(known.type)[units], known.type, where), offsets
+
+
+def with_channels(table: Table) -> Table:
+    """Name the channels of colours that are lists of one length, or packed into a number, as scalars of their own.
+
+    Their layout in the file is the same. A channel of the property p is "p 0", which no property can be called.
+    """
+    properties: list[Property] = []
+    body, kept, lists = table.body, list[int](), 0
+    for known in table.element.properties:
+        word, channels = plain(known.name), list[Property]()
+        if known.count:
+            lengths = np.unique(table.counts[:, lists])
+            if word in COLOUR_PROPERTIES and len(lengths) == 1 and 1 <= lengths[0] <= 4:
+                channels = [Property(f"{known.name} count", known.count)]
+                channels += [Property(f"{known.name} {n}", known.type) for n in range(int(lengths[0]))]
+            else:
+                kept.append(lists)
+            lists += 1
+        elif word in _PACKED and np.dtype(known.type).itemsize == 4 and body.order:
+            channels = [Property(f"{known.name} {n}", "u1") for n in _PACKED_ORDER[body.order]]
+        properties += channels or [known]
+    element = replace(table.element, properties=tuple(properties))
+    return Table(body, element, table.start, table.counts if len(kept) == lists else table.counts[:, kept])
 
 
 def read_tables(data: bytes, header: Header, name: str) -> Mapping[str, Table]:

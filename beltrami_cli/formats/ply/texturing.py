@@ -1,7 +1,8 @@
 """Textures of PLY files: comments name the images, vertices or faces have the coordinates.
 
 There is no standard: MeshLab, VCG and photogrammetry programs write ``comment TextureFile NAME``, and
-the coordinates as the list `texcoord` of faces, or as two properties of vertices; v points up.
+the coordinates as the list `texcoord` of faces, or as two properties of vertices; v points up. Artec's programs list
+the coordinates in an element of their own, to which the corners of faces in a second element refer.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.ply.elements import finite_columns
@@ -23,10 +24,22 @@ from beltrami_cli.surface import records
 from beltrami_cli.surface.polygons import triangulate_corners
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
-_OF_VERTICES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
-_OF_FACES = "texcoord"
-_NUMBER = "texnumber"
-COORDINATE_LISTS = (_OF_FACES, _NUMBER)  # properties of faces that say which part of which image they show
+_PREFIXES = ("", "texture_", "texcoord_", "tex_", "t")
+_OF_VERTICES = tuple((f"{prefix}{u}", f"{prefix}{v}") for u, v in ("st", "uv") for prefix in _PREFIXES)
+_OF_FACES = (
+    "texcoord",
+    "texcoords",
+    "texture_coordinates",
+    "texture_uv",
+    "texcoord0",
+    "uv",
+    "uvs",
+    "st",
+    "t",
+)
+_ARTEC = ("multi_texture_vertex", "multi_texture_face")
+_ARTEC_NUMBER, _ARTEC_FACE, _ARTEC_CORNERS = "tx", "tn", "texture_vertex_indices"
+NUMBER = "texnumber"  # the property of faces that says which image they show
 
 
 @dataclass(frozen=True)
@@ -56,10 +69,16 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
 
 def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
     """Return the properties that are texture coordinates: a list of faces, two of vertices, or none."""
-    if "face" in tables and any(known.name == _OF_FACES for known in tables["face"].element.lists):
-        return (_OF_FACES,)
-    known = tables["vertex"].element.scalars
-    return next((names for names in _OF_VERTICES if known.keys() >= set(names)), ())
+    if tables.keys() >= {*_ARTEC}:
+        return (_ARTEC_CORNERS,)
+    lists = (
+        {known.name.lower(): known.name for known in tables["face"].element.lists} if "face" in tables else {}
+    )
+    if (found := next((lists[name] for name in _OF_FACES if name in lists), None)) is not None:
+        return (found,)
+    known = {name.lower(): name for name in tables["vertex"].element.scalars}
+    names = next((names for names in _OF_VERTICES if known.keys() >= {*names}), ())
+    return tuple(known[name] for name in names)
 
 
 def gather_textured(
@@ -78,8 +97,10 @@ def gather_textured(
     numbers, notices = _numbers(tables, len(offsets) - 1, len(comments), name)
     textures, of_number, unreadable = _load(comments, folder)
     notices += unreadable
-    if properties == (_OF_FACES,):
-        values, bare = _face_coordinates(tables["face"], offsets, name)
+    if properties == (_ARTEC_CORNERS,):
+        values, bare = _artec_coordinates(tables, offsets, name)
+    elif len(properties) == 1:
+        values, bare = _face_coordinates(tables["face"].lists(properties[0]), offsets, name)
     else:
         values = finite_columns(tables["vertex"], properties, "texture coordinate")[corners]
         bare = np.zeros(len(offsets) - 1, np.bool_)
@@ -100,16 +121,19 @@ def _numbers(
 ) -> tuple[Int64s, list[str]]:
     """Return the number of every polygon's texture, -1 for none; strips, which have no number, show the first."""
     numbers = np.zeros(polygons, np.int64)
-    face = tables.get("face")
-    if face is None or _NUMBER not in face.element.scalars:
+    face, number = tables.get("face"), NUMBER
+    if tables.keys() >= {*_ARTEC}:
+        face, number = tables[_ARTEC[1]], _ARTEC_NUMBER
+    if face is None or number not in face.element.scalars:
         several = f"It names {textures} textures but not which face shows which; the first is taken for all."
         return numbers, [several] if textures > 1 else []
-    given = face.scalars(_NUMBER)
+    given = face.scalars(number)
     wrong = (given >= textures) | (given != np.rint(given))
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(name, f"face {row} shows texture {given[row]:g}, but there are {textures}")
-    numbers[: len(given)] = np.maximum(given.astype(np.int64), -1)
+    rows = _artec_faces(face, polygons, name) if number == _ARTEC_NUMBER else slice(len(given))
+    numbers[rows] = np.maximum(given.astype(np.int64), -1)
     return numbers, []
 
 
@@ -134,9 +158,44 @@ def _load(
     return tuple(textures.values()), of_number, unreadable
 
 
-def _face_coordinates(face: Table, offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
+def _artec_faces(rows: Table, polygons: int, name: str) -> Int64s:
+    """Return which polygon each row of Artec's texture faces is."""
+    if _ARTEC_FACE not in rows.element.scalars:
+        return np.arange(rows.element.count)
+    faces = rows.scalars(_ARTEC_FACE).astype(np.int64)
+    if faces.size and (faces.min() < 0 or faces.max() >= polygons or len(np.unique(faces)) < len(faces)):
+        raise InputError(name, f"element {_ARTEC[1]} names faces that are not there, or one twice")
+    return faces
+
+
+def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
+    """Look up coordinates of every corner as `_face_coordinates` does, by Artec's elements."""
+    vertices, rows = (tables[element] for element in _ARTEC)
+    if not (
+        {"u", "v"} <= vertices.element.scalars.keys()
+        and any(p.name == _ARTEC_CORNERS for p in rows.element.lists)
+    ):
+        raise InputError(
+            name, f"elements {' and '.join(_ARTEC)} lack u, v or {_ARTEC_CORNERS}", "export it again"
+        )
+    chosen, bounds = rows.lists(_ARTEC_CORNERS)
+    if chosen.size and (chosen.min() < 0 or chosen.max() >= vertices.element.count):
+        raise InputError(
+            name, f"element {_ARTEC[1]} names texture vertices that are not there", "export it again"
+        )
+    uv = finite_columns(vertices, ("u", "v"), "texture coordinate")
+    faces, lengths = _artec_faces(rows, len(offsets) - 1, name), np.diff(bounds)
+    sizes = np.zeros(len(offsets) - 1, np.int64)
+    sizes[faces] = 2 * lengths
+    order = np.argsort(faces)
+    starts = np.cumsum(lengths[order]) - lengths[order]
+    corners = np.repeat(bounds[:-1][order] - starts, lengths[order]) + np.arange(len(chosen))
+    return _face_coordinates((uv[chosen[corners]].ravel(), np.append(0, np.cumsum(sizes))), offsets, name)
+
+
+def _face_coordinates(lists: tuple[Array, Int64s], offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
     """Return coordinates of every corner, shape (K, 2), and which polygons have none."""
-    items, bounds = face.lists(_OF_FACES)
+    items, bounds = lists
     sizes, lengths = np.diff(offsets), np.zeros(len(offsets) - 1, np.int64)
     lengths[: len(bounds) - 1] = np.diff(bounds)
     wrong = (lengths != 0) & (lengths != 2 * sizes)

@@ -10,14 +10,14 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Changes, Document, Naming, Written
-from beltrami_cli.formats.read_only.off import HEADER, read_off
-from beltrami_cli.formats.read_only.polygons import (
+from beltrami_cli.formats.coloured_polygons import (
     ColouredPolygons,
     check_polygons,
     colours_of_vertices,
     joined,
 )
+from beltrami_cli.formats.document import Changes, Document, Naming, Written
+from beltrami_cli.formats.read_only.off import HEADER, read_off
 from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
 from beltrami_cli.surface.records import MeshContents
 

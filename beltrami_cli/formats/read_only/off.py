@@ -15,8 +15,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.coloured_polygons import ColouredPolygons
 from beltrami_cli.formats.colours import full_scale
-from beltrami_cli.formats.read_only.polygons import ColouredPolygons
 from beltrami_cli.formats.tokens import Lines, without_comments
 
 HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)

@@ -17,7 +17,7 @@ import io
 import numpy as np
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.read_only.polygons import ColouredPolygons, joined
+from beltrami_cli.formats.coloured_polygons import ColouredPolygons, joined
 
 _HEADER, _TRIANGLE = 80, 50  # bytes
 _MAGICS = b"COLOR="
