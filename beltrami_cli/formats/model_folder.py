@@ -19,7 +19,7 @@ import stat
 import unicodedata
 from collections.abc import Iterable, Sequence
 from itertools import product
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
@@ -30,6 +30,7 @@ from beltrami_cli.surface.tiling import COLUMNS, ROWS, Tile
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
 _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _HERE = PurePosixPath()
+_ENCODINGS = ("gbk", "cp932", "cp1252")  # in China, in Japan and in the West
 _MISSING, _TILES = "is missing", "stands for a set of tiles (UDIM), which are not read"
 _NOWHERE = "is a file beside the model, whose folder is not known"
 _REMEDIES = {
@@ -107,6 +108,23 @@ class ModelFolder:
             return there.relative_to(self._folder).as_posix()
         return path
 
+    def locate_alike(self, name: str, within: PurePosixPath = _HERE) -> tuple[str, str]:
+        """Return the path of a file or of a set of tiles that a name means, and "" or, behind the name, why that one.
+
+        Exporters write the paths of their own machine, and names in the encoding of its language.
+        """
+        try:
+            return self.locate_any(name, within), ""
+        except UnfitReferenceError as error:
+            failed = error
+        for spelling in _spellings(name):
+            last = PureWindowsPath(spelling).name
+            for known, folder in ((spelling, within), (last, within), (last, _HERE)):
+                with contextlib.suppress(UnfitReferenceError):
+                    path = self.locate_any(known, folder)
+                    return path, f"is not followed; '{path}' in the model's folder is taken for it."
+        raise failed
+
     def locate_any(self, pattern: str, within: PurePosixPath = _HERE) -> str:
         """Return the path of a file, or of a set of tiles; UnfitReferenceError if it is not there."""
         if not has_token(pattern):
@@ -165,6 +183,17 @@ class ModelFolder:
             return self.read(path)
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})") from error
+
+
+def _spellings(name: str) -> list[str]:
+    """Return a name, or of one that is no UTF-8 what it is in the encodings of Windows programs."""
+    octets, spellings = os.fsencode(name), []
+    for encoding in ("utf-8", *_ENCODINGS):
+        with contextlib.suppress(UnicodeDecodeError):
+            spellings.append(octets.decode(encoding))
+            if encoding == "utf-8":
+                break
+    return spellings
 
 
 def _case_folded(name: str) -> str:
@@ -329,11 +358,16 @@ def _with_suffix(path: str, suffix: str) -> str:
     return str(PurePosixPath(path).with_suffix(suffix))
 
 
+def leads_to(name: str, path: str) -> bool:
+    """Whether a name, from some folder of the model, is the path itself, and not one that stands for it."""
+    return f"/{path}".endswith(f"/{posixpath.normpath(name.replace(chr(92), '/'))}")
+
+
 def new_reference(name: str, path: str, new: str) -> bytes:
     """Return how a file refers to another after its move from `path` to `new`, with the folder as in `name`."""
     if new == path:
         return os.fsencode(name)
     plain = name.replace("\\", "/")
-    if is_outside(path) or ".." in PurePosixPath(plain).parts:
+    if is_outside(path) or not leads_to(name, path):
         return os.fsencode(new)
     return os.fsencode(name[: plain.rfind("/") + 1] + PurePosixPath(new).name)

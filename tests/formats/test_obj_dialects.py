@@ -17,6 +17,8 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
+from cli.commands import beltrami
+from formats.image_files import encode
 from hostile.folders import snapshot
 from hostile.textured_models import OTHER, PICTURE
 
@@ -237,3 +239,72 @@ def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_mentioned():
     written = b"".join(document.patch(document.painted().colours * np.float32(0.5), Naming("out")).main)
     assert b"#MRGB ff000000ff000000ff000000\n" in written
     assert any("#MRGB" in notice for notice in document.notices)
+
+
+def two_squares(folder, mtl=b"newmtl m\nmap_Kd t.png\n", v="v 3 0 0", vt="vt 1 1", colour=""):
+    """A textured square, and another one that has a corner and coordinates of its own."""
+    square = "".join(f"{line}{colour}\n" for line in SQUARE.splitlines())
+    faces = "usemtl m\nf 1/1 2/2 3/3 4/4\nf 2/2 5/5 3/3\n"
+    (folder / "in.obj").write_text(f"mtllib in.mtl\n{square}{v}{colour}\n{CORNERS}{vt}\n{faces}")
+    (folder / "in.mtl").write_bytes(mtl)
+    pixels = np.rint(120 + 20 * np.random.default_rng(5).standard_normal((24, 24, 3))).astype(np.uint8)
+    (folder / "t.png").write_bytes(encode(pixels, "png"))
+    return folder / "t.png"
+
+
+def smoothed(folder, *options):
+    run = beltrami(
+        "smooth", "in.obj", "out.obj", "--noise", 20, "--overwrite", *options, cwd=folder, text=True
+    )
+    beltrami("check", "in.obj", "out.obj", cwd=folder)
+    return run.stderr
+
+
+def test_a_byte_order_mark_of_a_library_is_kept(tmp_path):
+    two_squares(tmp_path, b"\xef\xbb\xbfnewmtl m\nmap_Kd t.png\n")
+    smoothed(tmp_path)
+    assert (tmp_path / "out.mtl").read_bytes() == b"\xef\xbb\xbfnewmtl m\nmap_Kd out_t.png\n"
+
+
+PATHS = ["C:\\Users\\someone\\t.png", "/home/someone/t.png", "..\\maps\\t.png", "\\\\server\\share\\t.png"]
+
+
+@pytest.mark.parametrize("name", PATHS)
+@pytest.mark.parametrize("place", [".", "elsewhere"])
+def test_the_image_beside_the_model_is_taken_for_one_on_another_machine(tmp_path, name, place):
+    two_squares(tmp_path, f"newmtl m\nmap_Kd {name}\n".encode())
+    (tmp_path / "elsewhere").mkdir()
+    run = beltrami("smooth", "in.obj", f"{place}/out.obj", "--noise", 20, cwd=tmp_path, text=True)
+    assert f"'{name}' is not followed; 't.png' in the model's folder is taken" in run.stderr
+    assert (tmp_path / place / "out.mtl").read_text() == "newmtl m\nmap_Kd out_t.png\n"
+    beltrami("check", "in.obj", f"{place}/out.obj", cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("颜色", "gbk"), ("表面", "cp932"), ("été", "cp1252"), ("é", "utf-8")]
+)
+def test_names_in_the_encoding_of_an_exporter_are_those_in_the_folder(tmp_path, name, encoding):
+    two_squares(tmp_path, f"newmtl m\nmap_Kd maps\\{name}.png\n".encode(encoding))
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "t.png").rename(tmp_path / "maps" / f"{name}.png")
+    assert ("is taken for it" in smoothed(tmp_path)) == (encoding != "utf-8")
+    assert (tmp_path / "maps" / f"out_{name}.png").exists()
+
+
+@pytest.mark.parametrize("number", ["nan", "-nan(ind)", "1.#QNAN", "inf"])
+@pytest.mark.parametrize("what", ["v", "vt"])
+@pytest.mark.parametrize("colour", ["", " 0.2 0.3 0.4"])
+def test_numbers_that_are_not_finite_leave_out_their_corners_alone(tmp_path, what, number, colour):
+    two_squares(tmp_path, colour=colour, **{what: f"{what} {number} 0{' 0' if what == 'v' else ''}"})
+    whole = open_document(str(tmp_path / "in.obj")).textured("baseColor")
+    assert (whole.texture_of >= 0).sum() == 2
+    assert np.isfinite(whole.positions).all()
+    assert np.isfinite(whole.uv).all()
+    said = smoothed(tmp_path)
+    assert (
+        "1 of 5 vertices have no finite position" in said
+        or "1 triangles of textured materials have no" in said
+    )
+    beltrami("smooth", "in.obj", "o.glb", "--noise", 20, cwd=tmp_path)
+    if colour:
+        smoothed(tmp_path, "--on", "vertices")

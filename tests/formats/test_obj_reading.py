@@ -97,7 +97,7 @@ def test_uncoloured_vertices_and_their_faces_take_no_part():
         (b"\nv 1 2\n", "line 2: a vertex has 3 to 8 numbers, not 2"),
         (b"#\r\n#\r\nv 1 2 3 4 5 6 7 8 9\r\n", "line 3: a vertex has 3 to 8 numbers, not 9"),
         (THREE + b"v 1 x2 3 1 1 1\n", "line 4: 'x2' is no number"),
-        (THREE + b"v 1 nan 3 1 1 1\n", "line 4: 'nan' is not a finite number"),
+        (THREE + b"v 1 2 3 1 nan 1\n", "line 4: 'nan' is not a finite number"),
         (THREE + b"v 1 2 3 1 inf 1\n", "line 4: 'inf' is not a finite number"),
         (THREE + b"\nf 1 2 4\n", "line 5: '4' refers to no vertex, of which there are 3"),
         (THREE + b"f 1 2 0/1\n", "line 4: '0/1' refers to no vertex"),

@@ -121,7 +121,7 @@ def test_an_image_named_twice_is_one_texture(tmp_path):
 
 
 def test_a_missing_image_is_an_error_only_if_there_is_no_other(tmp_path):
-    for name in ("gone.png", "../b.png", "/etc/passwd", "http://a.b/c.png"):
+    for name in ("gone.png", "../gone.png", "/etc/passwd", "http://a.b/c.png"):
         document = opened(tmp_path, wedges([[0, 1, 2]]), "ascii", "\n", name)
         with pytest.raises(InputError, match="missing"):
             document.textured("baseColor")

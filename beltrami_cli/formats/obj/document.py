@@ -23,7 +23,14 @@ from beltrami_cli.formats.document import (
     NewImages,
     Written,
 )
-from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference, path_inside
+from beltrami_cli.formats.model_folder import (
+    ModelFolder,
+    NewFiles,
+    is_outside,
+    leads_to,
+    new_reference,
+    path_inside,
+)
 from beltrami_cli.formats.obj.materials import Library, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import (
@@ -316,8 +323,8 @@ def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans])
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
     """Return how a library names an image that was at one path and is to be at another."""
-    climbs = ".." in PurePosixPath(found.name.replace("\\", "/")).parts
-    if is_outside(path) or is_outside(library.path) or (climbs and new != path):
+    leads_on = leads_to(found.name, path) or new == path
+    if is_outside(path) or is_outside(library.path) or not leads_on:
         home = PurePosixPath(path_inside(library.path)).parent
         return os.fsencode("../" * len(home.parts) + new)
     return new_reference(found.name, path, new)

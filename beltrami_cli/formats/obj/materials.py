@@ -29,7 +29,7 @@ PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painte
 ALONG = ("map_ka", "map_d")  # keywords of maps that go along with the base colour where they show its image
 # Possessive (++), so that lines of a million blanks or digits are not tried again from each of them.
 _STATEMENT = re.compile(
-    rb"^[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
+    rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|(?!map_aat\b)map_\w+|bump|disp|decal|refl|norm)[ \t]++([^\r\n]*[^\s])",
     re.IGNORECASE | re.MULTILINE,
 )
 _NUMBERS = rb"(?:[ \t]++[-+]?(?:\d++\.?\d*+|\.\d++)(?:e[-+]?\d++)?(?=[ \t])){1,3}"
@@ -198,7 +198,9 @@ class Materials:
     def _found(self, name: str, within: PurePosixPath) -> str | None:
         """Return the path of a file or a set of tiles, adding it once, or None with a notice if it is not there."""
         try:
-            path = self.folder.locate_any(name, within)
+            path, instead = self.folder.locate_alike(name, within)
+            notice = f"'{name}' {instead}"
+            self.notices += [notice] if instead and notice not in self.notices else []
         except model_folder.UnfitReferenceError as error:
             if name not in self._reasons:
                 self._reasons[name] = str(error)

@@ -48,10 +48,13 @@ class Statements(Lines):
 
     def finite_numbers(self, tokens: Int64s) -> Float64s:
         values = self.numbers(tokens)
-        finite = np.isfinite(values)
-        if not finite.all():
-            raise self.error(tokens[int(np.argmin(finite))], "is not a finite number")
+        self.require_finite(tokens, values, np.arange(len(tokens)))
         return values
+
+    def require_finite(self, tokens: Int64s, values: Float64s, rows: Int64s) -> None:
+        finite = np.isfinite(values[rows])
+        if not finite.all():
+            raise self.error(tokens[rows[int(np.argmin(finite))]], "is not a finite number")
 
     def corners(self, keyword: bytes) -> tuple[Int64s, Int64s, Int64s]:
         """Return the rows of a keyword (v, vt, vn) at K corners, -1: none, their tokens, and polygon offsets."""

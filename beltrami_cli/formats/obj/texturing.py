@@ -24,7 +24,7 @@ class Coordinates:
     """What an OBJ file says about textures, polygon by polygon."""
 
     values: Float64s  # (N, 2), the `vt` statements: u to the right, v up
-    corners: Int64s  # (K,) row of `values` of every corner, -1 where it has none
+    corners: Int64s  # (K,) row of `values` of every corner, -1 where it has none, or none that is finite
     names: list[str]  # of materials
     material_of: Int64s  # (P,) index into `names` of every polygon, -1 where it has none
 
@@ -33,13 +33,16 @@ def read_coordinates(statements: Statements, materials: Materials) -> Coordinate
     """Read texture coordinates and the materials of polygons."""
     given = statements.select(b"vt")
     tokens, offsets = statements.arguments(given)
-    numbers = np.append(statements.finite_numbers(tokens), 0.0)
+    numbers = np.append(statements.numbers(tokens), 0.0)
     sizes = np.diff(offsets)
     if (sizes == 0).any():
         bad = given[int(np.argmin(sizes))]
         raise statements.error(statements.heads[bad], "has no numbers behind it")
     values = np.column_stack([numbers[offsets[:-1]], numbers[np.where(sizes > 1, offsets[:-1] + 1, -1)]])
     corners, _, _ = statements.corners(b"vt")
+    unknown = ~np.isfinite(values).all(axis=1)
+    corners[np.append(unknown, False)[corners]] = -1
+    values[unknown] = 0
     names, material_of = _materials_of(statements, materials)
     return Coordinates(values, corners, names, material_of)
 
@@ -65,7 +68,7 @@ def gather_textured(
     palette = _Palette(materials, slot, len(coordinates.names))
     for material in np.unique(coordinates.material_of).tolist():
         palette.take(material, coordinates.names[material] if material >= 0 else "")
-    cut, polygon = triangulate_corners(positions, corners, scan.offsets)
+    cut, polygon = _triangles(scan)
     material_of = coordinates.material_of[polygon]
     bare = (coordinates.corners[cut] < 0).any(axis=1)
     texture_of = np.where(bare, -1, palette.texture_of[material_of])
@@ -86,6 +89,13 @@ def gather_textured(
     if palette.shown.sets:
         surface = tiling.on_tiles(surface, palette.shown.sets, name)
     return surface, notices
+
+
+def _triangles(scan: Scan) -> tuple[Int32s, Int64s]:
+    """Return indices into corners, and polygons, of the triangles whose vertices all have a position."""
+    cut, polygon = triangulate_corners(scan.vertices.positions, scan.corners, scan.offsets)
+    kept = scan.vertices.finite[scan.corners[cut]].all(axis=1)
+    return (cut, polygon) if kept.all() else (cut[kept], polygon[kept])
 
 
 class _Palette:
@@ -117,7 +127,9 @@ class _Palette:
         self.scale[number], self.offset[number] = found.scale, found.offset
 
 
-_VALUE = re.compile(rb"^[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE)
+_VALUE = re.compile(
+    rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE
+)
 _Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
 
 
@@ -125,7 +137,7 @@ def read_textured_mesh(
     statements: Statements, scan: Scan, coordinates: Coordinates, materials: Materials, source: str
 ) -> records.TexturedMesh:
     """Return all triangles of a file, with their materials, groups, normals and texture coordinates."""
-    cut, polygon = triangulate_corners(scan.vertices.positions, scan.corners, scan.offsets)
+    cut, polygon = _triangles(scan)
     if not len(cut):
         raise InputError(source, "it has no faces, so there is nothing to show a texture")
     reading = _Reading(materials)

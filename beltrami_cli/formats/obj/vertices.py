@@ -41,8 +41,9 @@ _MOST_DECIMALS = 17
 class Vertices:
     """The vertices of a file."""
 
-    positions: Float64s  # (N, 3) of all vertices
-    coloured: Int64s  # (V,) which of them have colours, in file order
+    positions: Float64s  # (N, 3) of all vertices; 0 of those that are not finite
+    finite: Bools  # (N,) which of them have a position
+    coloured: Int64s  # (V,) which of these have colours, in file order
     colours: Float64s  # (V, 3) the numbers in the file
     alpha: Float64s | None  # (V,) the numbers in the file, if all coloured vertices have one
     token_starts: Int64s  # (V, 6) where positions and colours of coloured vertices stand in the file
@@ -63,20 +64,24 @@ def _read_vertices(statements: Statements) -> Vertices:
         bad = int(np.argmax(strange))
         line = statements.line(statements.heads[chosen[bad]])
         raise InputError(statements.name, f"line {line}: a vertex has 3 to 8 numbers, not {sizes[bad]}")
-    values = statements.finite_numbers(tokens)
+    values = statements.numbers(tokens)
+    positions = values[offsets[:-1, None] + np.arange(3)]
+    finite = np.asarray(np.isfinite(positions).all(axis=1))
     weights, notice = False, ""  # whether the fourth of seven numbers is a weight
     firsts = offsets[:-1][sizes == _ALPHA_OR_WEIGHT]
     if firsts.size:
         weights = bool((values[firsts + 3] == 1).all() and (values[firsts + 6] != 1).any())
         meaning = "x y z w r g b" if weights else "x y z r g b a"
         notice = f"Vertices of seven numbers are taken for {meaning}."
-    coloured = np.flatnonzero(sizes >= _PLAIN)
+    coloured = np.flatnonzero((sizes >= _PLAIN) & finite)
     weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
     colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
     known_at = np.column_stack([offsets[coloured, None] + np.arange(3), colour_at])
+    statements.require_finite(tokens, values, np.unique(colour_at))
     has_alpha = offsets[coloured + 1] - colour_at[:, 2] > 1
     return Vertices(
-        positions=values[offsets[:-1, None] + np.arange(3)],
+        positions=np.where(finite[:, None], positions, 0),
+        finite=finite,
         coloured=coloured,
         colours=values[colour_at],
         alpha=values[colour_at[:, 2] + 1] if has_alpha.size and has_alpha.all() else None,
@@ -115,10 +120,11 @@ def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
 def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
     """Return vertices without colours of their own with those of the polypaint; only positions have tokens."""
     tokens, offsets = statements.arguments(statements.select(b"v"))
-    places = tokens[offsets[:-1, None] + np.arange(3)]
+    kept = np.flatnonzero(vertices.finite)
+    places = tokens[offsets[kept, None] + np.arange(3)]
     return replace(
         vertices,
-        coloured=np.arange(len(vertices.positions)),
+        coloured=kept,
         colours=paint.colours.astype(np.float64),
         token_starts=statements.starts[places],
         token_ends=statements.ends[places],
@@ -182,13 +188,20 @@ def scan_file(data: bytes, name: str) -> Scan:
     elif _MARK in data:
         notices.append(_TWICE)
     if polypaint is not None:
+        polypaint = Polypaint(polypaint.colours[vertices.finite], polypaint.starts[vertices.finite])
         vertices = _painted_by(polypaint, vertices, statements)
     corners, _, offsets = statements.corners(b"v")
     libraries = [statements.rest(chosen) for chosen in statements.select(b"mtllib").tolist()]
     dropped = [what for what, words in _DROPPED.items() if any(statements.select(w).size for w in words)]
     count = len(vertices.positions)
     missing = count - len(vertices.coloured)
-    if 0 < missing < count:
+    unknown = int(np.count_nonzero(~vertices.finite))
+    if unknown:
+        notices.append(
+            f"{unknown} of {count} vertices have no finite position; they and their faces take no part."
+        )
+        dropped.append("vertices without a finite position and their faces")
+    if unknown < missing < count:
         notices.append(f"{missing} of {count} vertices have no colour; they and their faces take no part.")
         dropped.append("vertices without colour and their faces")
     whole = corners.astype(np.int32)

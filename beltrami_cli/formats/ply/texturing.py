@@ -59,8 +59,8 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
     for match in _COMMENT.finditer(header):
         name = os.fsdecode(match[1])
         try:
-            path: str | None = folder.locate(name)
-            reason = ""
+            path: str | None
+            path, reason = folder.locate_alike(name)
         except model_folder.UnfitReferenceError as error:
             path, reason = None, f"{error}{model_folder.LEFT_ALONE}"
         found.append(TextureComment(name, path, *match.span(1), reason))
