@@ -178,8 +178,8 @@ def with_channels(table: Table) -> Table:
     for known in table.element.properties:
         word, channels = plain(known.name), list[Property]()
         if known.count:
-            lengths = np.unique(table.counts[:, lists])
-            if word in COLOUR_PROPERTIES and len(lengths) == 1 and 1 <= lengths[0] <= 4:
+            lengths = table.counts[:, lists]
+            if word in COLOUR_PROPERTIES and 1 <= lengths.min() == lengths.max() <= 4:
                 channels = [Property(f"{known.name} count", known.count)]
                 channels += [Property(f"{known.name} {n}", known.type) for n in range(int(lengths[0]))]
             else:
