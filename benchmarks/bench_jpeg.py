@@ -104,7 +104,7 @@ def judge(scene, atlas, quality, subsampling, sigma):
             return grid_manifold(atlas, planes, own, whole=Whole(noise=noise))
 
         plan = plan_on_pictures(manifold, atlas, pixels, tables, own, None)
-        return tuning_scene.psnr(smooth(plan).manifold.values(), clean)
+        return tuning_scene.psnr(smooth(plan).manifold.new_colours().table(), clean)
 
     best = max(
         reached(iterations=count, t=8.0, beta=255 * contrast / sigma, beta_growth=growth, metric_steps=2)

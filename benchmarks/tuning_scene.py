@@ -14,7 +14,8 @@ from scene import ROOT
 
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
+from beltrami_cli.flow.grid_manifold import GridManifold, cut_blocks, grid_manifold
+from beltrami_cli.flow.manifold import mark_clipped, restore_clipped
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.flow.records import Step
@@ -115,7 +116,7 @@ def blocks_of(atlas, clean, most):
     whole = grid_manifold(
         atlas, painted(atlas, clean.astype(np.float32), threads=1), KernelParameters(beta=0.0)
     )
-    part = whole.cut_blocks(cells, core, REACH).atlas
+    part = cut_blocks(whole, cells, core, REACH).geometry.atlas
     kind = part.kind.copy()
     kept = np.zeros(kind.size, bool)
     kept[part.halo_cells] = True
@@ -143,29 +144,31 @@ class Steps:
         # With these the flow makes all that its iterations need; beta and the rest are given step by step.
         manifold = scene.plan(noisy, KernelParameters(iterations=1, beta=1.0, metric_steps=1)).manifold
         self.scene, self.on_grid = scene, isinstance(manifold, GridManifold)
-        self.manifold = manifold = manifold.in_one_block() if self.on_grid else manifold
-        self.clipped = manifold.find_clipped()
-        marks = [] if self.clipped is None else [manifold.marks(self.clipped)]
+        if self.on_grid:
+            manifold = dataclasses.replace(manifold, is_in_one_block=True)
+        self.manifold = manifold
+        self.clipped = manifold.geometry.find_clipped(manifold.colours, manifold.noise.sigma)
+        marks = [] if self.clipped is None else [mark_clipped(manifold, self.clipped)]
         self.start = [manifold.colours, *marks]
 
     def step(self, state, beta, t, *, regularised):
         """Return the state after an iteration."""
-        self.manifold.measure(state[0], Step(beta, t, regularised))
-        return self.manifold.average(state).stacks
+        metric = self.manifold.measure(state[0], Step(beta, t, regularised))
+        return self.manifold.average(state, metric).stacks
 
     def score(self, state):
         """Return the PSNR of a state, after averages of clipped noise were restored."""
-        manifold = self.manifold.having(colours=state[0].copy())
+        manifold = dataclasses.replace(self.manifold, colours=state[0].copy())
         if self.clipped is not None:
-            manifold.restore(self.clipped, manifold.colours, state[1])
-        values = manifold.values()
+            restore_clipped(manifold, self.clipped, manifold.colours, state[1])
+        values = manifold.new_colours().table()
         return psnr(values if self.on_grid else values[self.scene.rows], self.scene.clean)
 
 
 def chosen(scene, noisy, **others):
     """Return the PSNR with parameters chosen from the data, and the plan."""
     plan = scene.plan(noisy, KernelParameters(free=TUNABLE, **others))
-    colours = smooth(plan).manifold.values()
+    colours = smooth(plan).manifold.new_colours().table()
     if not isinstance(plan.manifold, GridManifold):
         colours = colours[scene.rows]
     return psnr(colours, scene.clean), plan

@@ -15,38 +15,15 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.coarse_levels import denoise_means
-from beltrami_cli.flow.manifold import Manifold
+from beltrami_cli.flow.manifold import Manifold, mark_clipped, restore_clipped
 from beltrami_cli.flow.mean_light import MeanLight
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.flow.partitions import Joined, Partition, Runner, TooNarrowError
+from beltrami_cli.flow.partitions import Runner, Split
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.records import Averaged, Step
 from beltrami_cli.flow.tuning.choice import Choice, is_noisy, tune
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
-
-
-@dataclass(frozen=True)
-class Split:
-    """Surfaces are smoothed in `count` partitions, by a runner."""
-
-    count: int
-    runner: Runner
-
-    def run(
-        self,
-        cut: Callable[[int], Sequence[Partition]],
-        values: Float32s,
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
-    ) -> Joined:
-        """Cut a surface and run all iterations; partitions that prove too narrow are cut again, twice as wide."""
-        widening = 1
-        while True:
-            try:
-                return self.runner.run(cut(widening), values, iterations, progress)
-            except TooNarrowError:
-                widening *= 2
 
 
 _WANTED: ContextVar[Split | None] = ContextVar("split", default=None)
@@ -107,7 +84,7 @@ class Plan(Generic[AnyManifold]):
     def stopped_before(self, iteration: int) -> Plan[AnyManifold]:
         """Return the plan of the iterations before one, counted from 0, and of nothing after them."""
         first = dataclasses.replace(self.parameters, iterations=iteration, clipping="keep")
-        manifold = self.manifold.having(parameters=first)
+        manifold = dataclasses.replace(self.manifold, parameters=first)
         return dataclasses.replace(self, takes_patches=False, light=None, manifold=manifold)
 
 
@@ -140,7 +117,8 @@ def choose_parameters(
         light = MeanLight.of(manifold, light_in)
         # Texels that no path has lit are black, and no noise was cut off there.
         wanted = dataclasses.replace(wanted, clipping="keep")
-        manifold = manifold.having(parameters=dataclasses.replace(manifold.parameters, clipping="keep"))
+        kept = dataclasses.replace(manifold.parameters, clipping="keep")
+        manifold = dataclasses.replace(manifold, parameters=kept)
     split, moves = wanted_split(), manifold.moving is not None
     if moves and split is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
@@ -157,13 +135,12 @@ def choose_parameters(
     if choice is not None:
         variance = float(np.mean(np.square(noise.of_input)))
         choice = choice.improved(-error).doubted(variance, noise.doubt)
-    work = manifold.work
+    work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
-    if split is None:
-        manifold.release()
+    geometry = manifold.geometry if split is not None else manifold.geometry.for_kernels()
     return Plan(
-        manifold=manifold.having(parameters=chosen),
+        manifold=dataclasses.replace(manifold, geometry=geometry, parameters=chosen),
         noise=noise.of_input,
         described_noise=noise.described(),
         choice=choice,
@@ -180,18 +157,17 @@ def smooth(
 
     `progress` is called with work done and total, and may raise to stop.
     """
-    manifold, choice, share = plan.manifold, plan.choice, None
+    manifold, choice, share, run = plan.manifold, plan.choice, None, Averaged([], 0.0)
     iterations = plan.parameters.iterations
     passes = 2 * (iterations + PASSES) if plan.takes_patches else iterations
-    stages = _Stages(progress, passes, manifold.size)
+    stages = _Stages(progress, passes, manifold.geometry.size)
     is_clipped = plan.parameters.clipping == "restore" and manifold.beta > 0 and iterations
-    clipped = manifold.find_clipped() if is_clipped else None
-    samples, truncated = 0.0, 0
+    clipped = manifold.geometry.find_clipped(manifold.colours, manifold.noise.sigma) if is_clipped else None
 
     def kernel(colours: Float32s) -> Float32s:
-        nonlocal samples, truncated
+        nonlocal run
         done = _run_kernel(plan, colours, clipped, stages)
-        samples, truncated = done.samples, done.truncated
+        run = dataclasses.replace(done, stacks=[])
         return done.stacks[0]
 
     if plan.takes_patches:
@@ -200,11 +176,11 @@ def smooth(
         choice = None if choice is None else choice.improved(blend.gain)
     else:
         colours = kernel(manifold.colours)
-    per_kernel = samples / max(1, iterations * manifold.kernels)
-    smoothed = manifold.having(colours=colours)
+    per_kernel = run.samples / max(1, iterations * manifold.geometry.kernels)
+    smoothed = dataclasses.replace(manifold, colours=colours, moving=run.moving)
     if plan.light is not None and iterations:
         plan.light.restore(smoothed)
-    return FlowResult(smoothed, choice, per_kernel, truncated, share)
+    return FlowResult(smoothed, choice, per_kernel, run.truncated, share)
 
 
 def _run_kernel(
@@ -213,41 +189,43 @@ def _run_kernel(
     """Run all iterations on colours, which are overwritten, and restore what was cut off of them."""
     manifold = plan.manifold
     steps = [plan.step(iteration) for iteration in range(plan.parameters.iterations)]
-    stacks = [colours] if clipped is None else [colours, manifold.marks(clipped)]
-    if plan.split is not None and steps and manifold.kernels:
+    stacks = [colours] if clipped is None else [colours, mark_clipped(manifold, clipped)]
+    if plan.split is not None and steps and manifold.geometry.kernels:
         done = _iterate_in_partitions(manifold, stacks, steps, plan.split, stages)
     else:
         done = _iterate(manifold, stacks, steps, stages)
     if clipped is not None:
-        manifold.restore(clipped, *done.stacks)
+        restore_clipped(manifold, clipped, *done.stacks)
     return done
 
 
 def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], stages: _Stages) -> Averaged:
+    manifold = dataclasses.replace(manifold)  # so that a Gaussian of the metric lives no longer than the loop
     samples, truncated = 0.0, 0
     for step in steps:
-        if not step.regularised:
-            manifold.forget_smoothing()
-        manifold.measure(stacks[0], step)  # eq. (1)
-        done = manifold.average(stacks, stages.of(1))  # eq. (9)
+        metric = manifold.measure(stacks[0], step)  # eq. (1)
+        done = manifold.average(stacks, metric, stages.of(1))  # eq. (9)
         stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
-    return Averaged(stacks, samples, truncated)
+        if done.moving is not None:
+            manifold = dataclasses.replace(manifold, moving=done.moving)
+    return Averaged(stacks, samples, truncated, manifold.moving)
 
 
 def _iterate_in_partitions(
     manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], split: Split, stages: _Stages
 ) -> Averaged:
     """Run all iterations partition by partition: the same colours bit for bit; `samples` is an estimate."""
-    channels = stacks[0].shape[manifold.axis]
+    from beltrami_cli.flow.grid_manifold import GridManifold
+    from beltrami_cli.flow.grid_partitions import iterate_on_grid
+    from beltrami_cli.flow.mesh_manifold import MeshManifold
+    from beltrami_cli.flow.mesh_partitions import iterate_on_mesh
 
-    def cut(widening: int) -> Sequence[Partition]:
-        return manifold.partitions(split.count, widening, steps, channels)
-
-    progress = stages.of(len(steps))
-    shared = None if progress is None else lambda done, total: progress(manifold.size * done // total)
-    done = split.run(cut, manifold.rows(stacks), len(steps), shared)
-    manifold.put_rows(done.values, stacks)
-    return Averaged(stacks, done.samples, done.truncated)
+    progress, size = stages.of(len(steps)), manifold.geometry.size
+    shared = None if progress is None else lambda done, total: progress(size * done // total)
+    if isinstance(manifold, MeshManifold):
+        return iterate_on_mesh(manifold, stacks, steps, split, shared)
+    assert isinstance(manifold, GridManifold)
+    return iterate_on_grid(manifold, stacks, steps, split, shared)
 
 
 class _Stages:

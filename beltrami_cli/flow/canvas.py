@@ -28,6 +28,9 @@ _ROWS_OF_A_SUM = 64
 # Cells whose colours are put on the canvas at a time: few enough to stay in the cache.
 _BLOCK = 1 << 16
 
+# The paper's scheme searches the support of an obtuse quadrant up to this many cells away.
+_FURTHEST_SUPPORT = 10
+
 
 def painted(atlas: Atlas, colours: Float32s, threads: int) -> Float32s:
     """Put the colours of the owned cells, shape (T, N), on the canvas; see `painted_by`."""
@@ -91,6 +94,13 @@ def canvas_margin(parameters: KernelParameters) -> int:
 
     blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
     return max(parameters.window // 2 + blurred, PATCH_REACH if parameters.takes_patches else 0)
+
+
+def kernel_margin(parameters: KernelParameters) -> int:
+    """Return how many cells around a cell its result in one iteration depends on."""
+    support = _FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
+    blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
+    return parameters.window // 2 + 1 + support + blurred
 
 
 def local_scales(atlas: Atlas, window: int) -> Float32s:

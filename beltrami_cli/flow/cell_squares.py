@@ -10,12 +10,12 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.canvas import canvas_margin, collaborate_on_canvas
 from beltrami_cli.flow.domain import CoarseLevel, Stack
-from beltrami_cli.flow.grid_kernels import GridKernels
 from beltrami_cli.flow.noise.haar_noise import mixed_signs
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.flow.regularisation import gaussian_taps
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import OWNED, refresh_halo
+from beltrami_cli.surface.atlas import OWNED, Atlas, refresh_halo
 
 # Of random means; any is as good.
 _SEED = 21
@@ -27,14 +27,21 @@ class Squares(CoarseLevel):
     axis: ClassVar[int] = 0
     width: ClassVar[float] = 3.0
 
-    def __init__(self, manifold: GridKernels, side: int, tick: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self,
+        atlas: Atlas,
+        side: int,
+        threads: int,
+        relative: Float32s | None,
+        tick: Callable[[], None] | None = None,
+    ) -> None:
         from beltrami_cli._native import sort_squares
 
-        self._manifold, self._side = manifold, side
+        self._atlas, self._side, self._threads = atlas, side, threads
         self._report = None if tick is None else lambda _: tick()
-        self.kinds, counts = sort_squares(manifold.atlas.kind, side)
+        self.kinds, counts = sort_squares(atlas.kind, side)
         self.noise, self._counts = 1 / side**2, counts
-        self._differing = None if manifold.noise.relative is None else self.means(manifold.noise.relative)[0]
+        self._differing = None if relative is None else self.means(relative)[0]
         ones = np.ones(self.kinds.shape, np.float32)
         self.relative = ones if self._differing is None else self._differing
 
@@ -42,7 +49,7 @@ class Squares(CoarseLevel):
         """Return the means of planes, shape (N, R, C); 0 in empty squares."""
         from beltrami_cli._native import means_of_squares
 
-        kind, threads = self._manifold.atlas.kind, self._manifold.threads
+        kind, threads = self._atlas.kind, self._threads
         means: Float32s = large_arrays.empty((len(stack), *self.kinds.shape), np.float32)
         for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
             cells = self._cells(rows)
@@ -67,9 +74,8 @@ class Squares(CoarseLevel):
         if not shared:
             fewer = np.maximum(self._counts, 1) * np.float32(self.noise)
             relative = (self.relative / fewer)[None]
-        own = self._manifold
         return collaborate_on_canvas(
-            self.kinds, noisy, pilot, mixing, own.threads, self._report, relative=relative
+            self.kinds, noisy, pilot, mixing, self._threads, self._report, relative=relative
         )
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:
@@ -80,7 +86,7 @@ class Squares(CoarseLevel):
         """Add changes of squares to their owned cells, bilinear between the squares that have such."""
         from beltrami_cli._native import add_enlarged
 
-        atlas, threads = self._manifold.atlas, self._manifold.threads
+        atlas, threads = self._atlas, self._threads
         for rows in large_arrays.blocks(len(self.kinds), self._rows_at_once):
             # With those above and below, between whose changes their cells lie.
             around = slice(max(0, rows.start - 1), min(len(self.kinds), rows.stop + 1))
@@ -107,12 +113,18 @@ class Squares(CoarseLevel):
         """Average planes over the owned squares around."""
         from beltrami_cli._native import convolve
 
-        return convolve(planes * (self.kinds == OWNED), gaussian_taps(self.width), self._manifold.threads)
+        return convolve(planes * (self.kinds == OWNED), gaussian_taps(self.width), self._threads)
 
 
-def squares_for(manifold: GridKernels, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
+def squares_for(
+    atlas: Atlas,
+    parameters: KernelParameters,
+    most: int,
+    relative: Float32s | None,
+    tick: Callable[[], None] | None = None,
+) -> list[Squares]:
     """Return up to `most` levels of squares, fine to coarse, as far as none holds cells of two charts."""
-    one_chart = manifold.atlas.chart_of.max(initial=0) == 0
-    apart = max(manifold.atlas.kind.shape) if one_chart else 2 * canvas_margin(manifold.parameters)
+    one_chart = atlas.chart_of.max(initial=0) == 0
+    apart = max(atlas.kind.shape) if one_chart else 2 * canvas_margin(parameters)
     sides = (2**level for level in range(1, most + 1))
-    return [Squares(manifold, side, tick) for side in sides if side <= apart]
+    return [Squares(atlas, side, parameters.thread_count, relative, tick) for side in sides if side <= apart]

@@ -102,35 +102,24 @@ class ClippedChannels:
         return float(self.sigma[k]), self.low[k], self.high[k]
 
 
-def find_clipped(colours: Float32s, sigma: Float64s) -> ClippedChannels | None:
-    """Find which channels of colours, shape (S, N), were cut off at 0 or full scale; None if none was."""
+def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> ClippedChannels | None:
+    """Find which channels, shape (N, ...), were cut off at 0 or full scale; None if none was.
+
+    Of the samples of each, `empty` are 0 because there is no colour.
+    """
     from beltrami_cli._native import find_limits
 
-    found = [find_limits(colours[block]) for block in large_arrays.blocks(len(colours))]
-    return _clipped(found, [limits_of(own) for own in colours.T], len(colours), sigma)
-
-
-def find_clipped_on_canvas(planes: Float32s, filled: int, sigma: Float64s) -> ClippedChannels | None:
-    """Do the same for planes of shape (N, R, C) that are 0 in all but `filled` cells."""
-    from beltrami_cli._native import find_limits
-
-    rows = max(1, large_arrays.BLOCK // max(1, planes.shape[2]))
-    found = [
-        [find_limits(plane[block].reshape(-1, 1))[0] for plane in planes]
-        for block in large_arrays.blocks(planes.shape[1], rows)
-    ]
-    return _clipped(found, [limits_of(own) for own in planes], filled, sigma, planes[0].size - filled)
-
-
-def _clipped(
-    found: list[list[tuple[float, float, int, int]]], limits: list[tuple[float, float]], count: int,
-    sigma: Float64s, empty: int = 0,
-) -> ClippedChannels | None:  # fmt: skip
-    """Decide from minimum, maximum and numbers of samples at 0 and 1, for each block and channel."""
+    count = channels[0].size - empty
     if not count:
         return None
-    parts = np.array(found)
-    floor, ceiling = np.transpose(limits)
+    rows = max(1, large_arrays.BLOCK // channels[0, :1].size)
+    parts = np.array(
+        [
+            [find_limits(channel[block].reshape(-1, 1))[0] for channel in channels]
+            for block in large_arrays.blocks(channels.shape[1], rows)
+        ]
+    )
+    floor, ceiling = np.transpose([limits_of(channel) for channel in channels])
     at_0, at_1 = parts[:, :, 2].sum(axis=0) - empty, parts[:, :, 3].sum(axis=0)
     worth, noisy = _WORTH_RESTORING * count, np.asarray(sigma) > 0
     low = (noisy & (floor == 0) & (at_0 >= worth)).tolist()

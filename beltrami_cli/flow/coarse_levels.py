@@ -16,6 +16,7 @@ References
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
@@ -23,8 +24,8 @@ from typing import TypeVar
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.domain import CoarseLevel, in_blocks
-from beltrami_cli.flow.manifold import Manifold
+from beltrami_cli.flow.domain import CoarseLevel, Geometry, in_blocks
+from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 from beltrami_cli.flow.patches import mixing_of, with_pilot
 
@@ -65,56 +66,59 @@ def denoise_means(manifold: AnyManifold, tick: Callable[[], None] | None = None)
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate(level, manifold, noise))
-    return manifold.having(noise=manifold.noise.with_covariances(_left_for_samples(covariances))), error
+    left = manifold.noise.with_covariances(_left_for_samples(covariances))
+    return dataclasses.replace(manifold, noise=left), error
 
 
 def _impute_cut_off(manifold: Manifold) -> None:
     """Replace samples at a limit, in place, by what noise beyond it would be on average, given those around them."""
-    found = manifold.find_clipped()
+    geometry = manifold.geometry
+    found = geometry.find_clipped(manifold.colours, manifold.noise.sigma)
     colours, relative = (
-        np.moveaxis(each, manifold.axis, 0) for each in (manifold.colours, manifold.relative)
+        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
     )
     for k, clipped in () if found is None else found.sides():
-        channel, planes = colours[k : k + 1], manifold.planes(3)
+        channel, planes = colours[k : k + 1], geometry.planes(3)
         for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
             # What is beyond an edge is not near the limit, and does not count.
             near[:] = clipped.near_limit(own, variance)[0]
-            level[:], mark[:] = own[0] * near, clipped.marks(own, manifold.threads)[0] * near
-        planes = manifold.spread(planes)
+            level[:], mark[:] = own[0] * near, clipped.marks(own, geometry.threads)[0] * near
+        planes = geometry.spread(planes)
         for own, variance, means in in_blocks(0, channel, relative, planes):
             means[1:] /= np.maximum(means[:1], _LEAST_SHARE)
-            clipped.restore(means[1:2], means[2:], variance[0], manifold.threads)
-            clipped.impute(own, means[1:2], variance[0], manifold.threads)
-    manifold.refresh(manifold.colours)
+            clipped.restore(means[1:2], means[2:], variance[0], geometry.threads)
+            clipped.impute(own, means[1:2], variance[0], geometry.threads)
+    geometry.refresh(manifold.colours)
 
 
 def replace_outliers(manifold: Manifold, level: CoarseLevel, sigma: Float64s) -> None:
     """Replace single samples, in place, that lie further below the mean around than noise does in a plain place."""
+    geometry = manifold.geometry
     colours, relative = (
-        np.moveaxis(each, manifold.axis, 0) for each in (manifold.colours, manifold.relative)
+        np.moveaxis(each, geometry.axis, 0) for each in (manifold.colours, relative_variance(manifold))
     )
     found = np.zeros(colours.shape[1:], bool)
     shares = np.maximum(level.spread(level.planes(1) + np.float32(1)), np.float32(_LEAST_SHARE))
     for _ in range(_ROUNDS):
         for channel, size in zip(colours, sigma, strict=True):
-            planes = _around(manifold, level, channel, shares)
+            planes = _around(geometry, level, channel, shares)
             for own, variance, (mean, spread), far in in_blocks(
                 0, channel[None], relative, planes, found[None]
             ):
                 noise, below = np.float32(size**2) * variance[0], mean - own[0]
                 far[0] = (below > 0) & (np.square(below) > _OUTLIER**2 * noise) & (spread < _PLAIN * noise)
-            single = manifold.single(found)
+            single = geometry.single(found)
             channel[single] = planes[0][single]
-    manifold.refresh(manifold.colours)
+    geometry.refresh(manifold.colours)
 
 
-def _around(manifold: Manifold, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
+def _around(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: Float32s) -> Float32s:
     """Return the mean and the variance of a channel around each sample, along the first axis; by means of a level.
 
     `shares`: what the level makes of ones.
     """
-    axis = manifold.axis
-    both = manifold.planes(2)
+    axis = geometry.axis
+    both = geometry.planes(2)
     for own, (value, square) in in_blocks(0, channel[None], both):
         value[:], square[:] = own[0], np.square(own[0])
     means = np.ascontiguousarray(np.moveaxis(level.means(np.moveaxis(both, 0, axis)), axis, 0))

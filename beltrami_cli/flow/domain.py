@@ -8,8 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s
-from beltrami_cli.flow.records import Mixing
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.flow.clipping import ClippedChannels
+from beltrami_cli.flow.records import KernelWork, Mixing
+from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
 from beltrami_cli.surface import large_arrays
 
 Stack = Float32s
@@ -42,6 +44,60 @@ class Domain(ABC):
     @abstractmethod
     def spread(self, planes: Float32s) -> Float32s:
         """Average planes over the surface by about a Gaussian of standard deviation `width`."""
+
+
+class Geometry(Domain):
+    """The positions of samples in space, and which samples are neighbours."""
+
+    threads: int
+    spacing: float
+    """Mean sample spacing, in the surface's own unit of length; 0 where samples have no neighbours."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Samples that an iteration goes through, for its progress."""
+
+    @property
+    @abstractmethod
+    def kernels(self) -> int:
+        """Samples that have a kernel."""
+
+    @property
+    @abstractmethod
+    def kind(self) -> Uint8s:
+        """EMPTY, OWNED or HALO, see `surface.atlas`, as a stack of one channel."""
+
+    @abstractmethod
+    def work(self, unit: float) -> KernelWork:
+        """Return how much work kernels are, with this unit of length in sample spacings."""
+
+    @abstractmethod
+    def take(self, stack: Stack, samples: Int64s) -> Float32s:
+        """Return the channels of some samples, with a row a sample."""
+
+    @abstractmethod
+    def steps(self, stack: Stack) -> Float32s:
+        """Return differences of a stack between neighbouring samples, shape (K, G)."""
+
+    @abstractmethod
+    def single(self, marked: Bools) -> Bools:
+        """Return which of the marked samples have no marked neighbours."""
+
+    @abstractmethod
+    def find_clipped(self, colours: Stack, sigma: Float64s) -> ClippedChannels | None:
+        """Find the channels whose noise, of standard deviation `sigma`, was cut off at 0 or at full scale."""
+
+    @abstractmethod
+    def gaussian(self, scale: float) -> MeshGaussian | GridGaussian:
+        """Make the Gaussian of the regularised metric, `scale` sample spacings wide."""
+
+    def refresh(self, stack: Stack) -> None:
+        """Copy samples to where a stack shows them again, as beyond seams."""
+
+    def for_kernels(self) -> Geometry:
+        """Return the geometry without what only parts that are cut from it need."""
+        return self
 
 
 class CoarseLevel(Domain):

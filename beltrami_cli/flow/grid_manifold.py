@@ -1,10 +1,14 @@
-"""The image manifold of colours on a regular grid: the canvas of a texture atlas, or one image."""
+"""The image manifold of colours on a regular grid: the canvas of a texture atlas, or one image.
+
+Large canvases are averaged in place, row block by row block, so that little memory is needed besides the colours.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import cast
 
 import numpy as np
 
@@ -15,15 +19,14 @@ from beltrami_cli.flow.canvas import (
     end_at_seams,
     find_colour_jumps,
     halo_beyond,
+    kernel_margin,
     painted,
 )
 from beltrami_cli.flow.cell_squares import Squares, squares_for
-from beltrami_cli.flow.clipping import ClippedChannels, find_clipped_on_canvas
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_kernels import GridKernels
-from beltrami_cli.flow.grid_partitions import GridPartition, cut_grid
-from beltrami_cli.flow.manifold import SampleTrial
+from beltrami_cli.flow.grid_geometry import ROWS, GridGeometry, pick
+from beltrami_cli.flow.manifold import Manifold, Metric, SampleTrial, weigh_guides
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.estimate import NoiseByPlace, estimate_noise
@@ -31,22 +34,34 @@ from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_gri
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import KernelWork, Mixing, NewColours, Step
-from beltrami_cli.flow.regularisation import gaussian_taps, guide_radius
+from beltrami_cli.flow.records import (
+    Averaged,
+    Mixing,
+    NewColours,
+    SampledKernel,
+    Step,
+    at_step,
+    kernel_values,
+)
+from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, refresh_halo, without_halo
 
-# Rows of a canvas that are processed together, where each needs memory.
-_ROWS = 64
+# Cells of a row block, some 90 bytes each; more where many threads share them.
+ROW_BLOCK_CELLS = 1 << 18
+CELLS_PER_THREAD = 1 << 16
 
-# Standard deviation of one pass of a wide Gaussian, in cells, whose window the halo fills.
-_SPREAD = 1.6
+# Row blocks end where the tiles of the core end, so that no tile is cut.
+TILE_ROWS = 32
 
-# The median of this many steps is within 0.3 % of that of all.
-_ENOUGH_STEPS = 200_000
+# The paper's scheme takes supports up to ten cells away, and the metric from the cells beside them.
+_BEYOND_WINDOW = 12
+
+# The widest window that the sweeps support; wider ones are marched through with a heap.
+_WIDEST_SWEEP = 15
 
 
 @dataclass(frozen=True)
@@ -79,7 +94,7 @@ class NoisyCanvas:
         return estimate_sigma_on_grid(self.planes, self.filled)
 
     def stabilise(self, stabiliser: VarianceStabiliser) -> None:
-        for rows in large_arrays.blocks(self.planes.shape[1], _ROWS):
+        for rows in large_arrays.blocks(self.planes.shape[1], ROWS):
             stabiliser.stabilise(self.planes[:, rows])
 
 
@@ -115,186 +130,236 @@ def grid_manifold(
         different = find_colour_jumps(atlas, planes, noise.sigma)
     if different.any():
         atlas = without_halo(atlas, halo_beyond(atlas, different))
-        for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+        for rows in large_arrays.blocks(len(atlas.kind), ROWS):
             planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
-    made = GridManifold(atlas, parameters, metric_channels, stop_at_holes=stop_at_holes)
-    made.colours, made.noise, made.jumps = planes, noise, int(np.count_nonzero(different))
-    made.unit = made.spacing if parameters.units == "world" else 1.0
-    if whole is not None and whole.unit is not None:
-        made.unit = whole.unit
-    made.lay_out_guides(guides)
-    return made
+    grid = GridGeometry.of(atlas, parameters, stop_at_holes=stop_at_holes)
+    unit = None if whole is None else whole.unit
+    if unit is None:
+        unit = grid.spacing if parameters.units == "world" else 1.0
+    stacks = [_guide_on_canvas(guide, atlas, grid.threads) for guide in guides]
+    return GridManifold(
+        geometry=grid,
+        colours=planes,
+        noise=noise,
+        parameters=parameters,
+        unit=unit,
+        metric_channels=slice(None) if metric_channels is None else list(metric_channels),
+        jumps=int(np.count_nonzero(different)),
+        **weigh_guides(guides, stacks, grid, unit),
+    )
 
 
-class GridManifold(GridKernels):
+def _guide_on_canvas(guide: Guide, atlas: Atlas, threads: int) -> Stack:
+    planes = painted(atlas, guide.values, threads)
+    if guide.in_chart_frame:
+        end_at_seams(planes, atlas, threads)
+    return planes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GridManifold(Manifold):
     """The image manifold of an atlas, with colours on its canvas that iterations change in place."""
 
-    width: ClassVar[float] = 6.0
-    plain_levels: ClassVar[tuple[int, ...]] = 3, 2
+    plain_levels = 3, 2
     search_range, rule = ON_GRIDS, RULE_ON_GRIDS
 
-    jumps = 0
-    """Seams over which colours jump, which end the surface for kernels."""
+    geometry: GridGeometry
+    jumps: int = 0  # seams over which colours jump, which end the surface for kernels
+    is_in_one_block: bool = False  # leaves stacks as they are, and returns averages in new ones
 
-    def single(self, marked: Bools) -> Bools:
-        """Return which of the marked cells, shape (R, C), have no marked ones among the eight beside them."""
-        counts = np.pad(marked, 1).astype(np.uint8)
-        counts = counts[:-2] + counts[1:-1] + counts[2:]
-        single: Bools = counts[:, :-2] + counts[:, 1:-1] + counts[:, 2:] == 1
-        return marked & single
+    def measure(self, colours: Stack, step: Step) -> Metric:
+        """Choose the metric, eq. (1), which is induced row block by row block while they are averaged."""
+        return Metric(step, len(colours), self._gaussian if step.regularised and step.beta else None)
 
-    def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
-        """Return squares of cells."""
-        return squares_for(self, most, tick)
-
-    def refresh(self, stack: Stack) -> None:
-        """Give the halo the colours of the cells that it shows."""
-        refresh_halo(stack, self.atlas, self.threads)
-
-    def partitions(
-        self, count: int, widening: int, steps: Sequence[Step], channels: int
-    ) -> list[GridPartition]:
-        """Cut into partitions, whose margins are always wide enough."""
-        del widening
-        return cut_grid(self, count, steps, channels)
-
-    @property
-    def work(self) -> KernelWork:
-        """How much work its kernels are."""
-        return KernelWork(self.kernels, self.unit)
-
-    def trial(self) -> SampleTrial:
-        """Choose blocks of the canvas, and draw the perturbations of their colours."""
-        atlas, planes, own = self.atlas, self.colours, self.parameters
-        budget = tried_cells(atlas)
-        if len(atlas.owned_cells) <= budget:
-            part, scored = self.in_one_block(), atlas.owned_cells
-        else:
-            reach = own.window // 2 + guide_radius(own.metric_scale)
-            cells, core = choose_blocks(atlas, budget, reach)
-            part = self.cut_blocks(cells, core, reach)
-            planes = self.pick(planes, cells)
-            planes[:, part.atlas.kind == EMPTY] = 0
-            scored = np.flatnonzero(core & (part.atlas.kind == OWNED))
-        drawn = perturbations(wanted_probes(len(scored)), len(planes), part.atlas, self.noise.covariances)
-        signs = np.array(drawn, np.float32)
-        return SampleTrial(part, planes, signs, scored, correlated=self.noise.is_shared)
-
-    def cut_blocks(self, cells: Int64s, core: Bools, reach: int) -> GridManifold:
-        """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
-        side = cells.shape[1]
-        at = np.arange(side)
-        inner = (at >= reach) & (at < side - reach)
-        part = self.cut(cells, np.tile(inner[:, None] & inner, (len(cells) // side, 1)))
-        part.atlas = with_halo(part.atlas, self.atlas, cells, core)
-        return part
-
-    def release(self) -> None:
-        """Keep everything: averages need all that cuts need."""
-
-    def put_rows(self, rows: Float32s, stacks: Sequence[Float32s]) -> None:
-        """Put rows of the owned cells back, and give the halo its values."""
-        planes = [plane.reshape(-1) for stack in stacks for plane in stack]
-        for plane, channel in zip(planes, rows.T, strict=True):
-            plane[self.atlas.owned_cells] = channel
+    def average(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
+    ) -> Averaged:
+        """Average the channels by eq. (9): in place, unless all is one block."""
+        grid, threads = self.geometry, self.parameters.thread_count
+        (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
+        blocks = row_blocks(rows, columns, margin, threads)
+        if self.is_in_one_block or len(blocks) < 2:
+            after, samples = self._apply_kernel(stacks, metric, progress)
+            refresh_halo(after, grid.atlas, threads)
+            return Averaged(_split(after, stacks), samples)
+        samples, finished = 0, None
+        for block in blocks:
+            large_arrays.leave_memory()
+            around = slice(max(0, block.start - margin), min(rows, block.stop + margin))
+            own = slice(block.start - around.start, block.stop - around.start)
+            inside = np.zeros((around.stop - around.start, 1), bool)
+            inside[own] = True
+            part, gaussian = self.cut(around, inside), cast("GridGaussian | None", metric.gaussian)
+            if gaussian is not None:
+                gaussian = gaussian.from_row(around.start)
+            share = (block.stop - block.start) / len(inside)
+            before, shared = (
+                [stack[:, around] for stack in stacks],
+                _share(progress, block.start * columns, share),
+            )
+            after, held = part._apply_kernel(before, dataclasses.replace(metric, gaussian=gaussian), shared)
+            # The next block depends on what this one replaces, and on nothing above.
+            if finished is not None:
+                self._put(stacks, *finished)
+            finished, samples = (block, after[:, own]), samples + held
+        if finished is not None:
+            self._put(stacks, *finished)
+        large_arrays.leave_memory()
         for stack in stacks:
-            refresh_halo(stack, self.atlas, self.threads)
+            refresh_halo(stack, grid.atlas, threads)
+        return Averaged(stacks, samples)
 
-    def take(self, stack: Float32s, samples: Int64s) -> Float32s:
-        """Return the channels of some cells, by their flat indices, with a row a cell."""
-        return colours_at(stack, samples, self.threads)
+    def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
+        """Replace rows of stacks by those of planes, in place."""
+        from beltrami_cli._native import copy_planes
 
-    def values(self) -> Float32s:
-        """Return the colours of the owned cells as they are now, shape (T, N)."""
-        return self.noise.to_input(colours_at(self.colours, self.atlas.owned_cells, self.threads))
+        for stack, own in zip(stacks, _split(planes, stacks), strict=True):
+            copy_planes(own, stack[:, rows], self.parameters.thread_count)
 
-    def new_colours(self) -> NewColours:
-        """Return the colours of the owned cells as they are now, and those of the gutter."""
-        return canvas_colours(self.atlas, self.colours, self.threads).mapped(self.noise.to_input)
+    def _apply_kernel(
+        self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
+    ) -> tuple[Float32s, int]:
+        """Average stacks, of which the first holds the colours, at once; return the samples held, too."""
+        from beltrami_cli._native import smooth_grid
 
-    def find_clipped(self) -> ClippedChannels | None:
-        """Find the channels that were cut off."""
-        return find_clipped_on_canvas(self.colours, int(np.count_nonzero(self.atlas.kind)), self.noise.sigma)
+        own, grid = at_step(self.parameters, metric.step), self.geometry
+        distances, beta = self._channels(stacks[0][: metric.channels], metric.step, metric.gaussian)
+        planes = [plane for stack in stacks for plane in stack]
+        return smooth_grid(
+            grid.atlas.kind, grid.atlas.squared_lengths, grid.scale, grid.repeats, distances, planes, beta, own.t,
+            own.radius, own.window // 2, scheme_of(own), own.thread_count, progress,
+        )  # fmt: skip
 
-    def marks(self, clipped: ClippedChannels) -> Float32s:
-        """Return the marks of the cells at a limit, shape (M, R, C)."""
-        kind = self.atlas.kind
-        marks = large_arrays.empty((len(clipped.clipped), *kind.shape), np.float32)
-        for rows in self._blocks():
-            marks[:, rows] = clipped.marks(self.colours[:, rows], self.threads)
-            np.copyto(marks[:, rows], 0, where=kind[rows] == EMPTY)
-        refresh_halo(marks, self.atlas, self.threads)
-        return marks
+    def kernel_at(self, sample: int, step: Step) -> SampledKernel:
+        """Return the kernel of an owned cell; cells of the halo count as the owned ones that they are nearest to."""
+        gaussian = self.measure(self.colours, step).gaussian
+        metric, beta = self._channels(self.colours, step, gaussian)
+        own, atlas = at_step(self.parameters, step), self.geometry.atlas
+        columns, reach = atlas.kind.shape[1], own.window // 2
+        row, column = divmod(int(atlas.owned_cells[sample]), columns)
+        window = self._distances(metric, beta, own, (row, column))
+        offsets = np.argwhere(np.isfinite(window)) - reach
+        distances = window[tuple(offsets.T + reach)]
+        # Samples at one place have the distance 0 too, and the cell itself comes first.
+        order = np.lexsort([offsets.any(axis=1), distances])
+        offsets, distances = offsets[order], distances[order]
+        cells = (offsets[:, 0] + row) * columns + offsets[:, 1] + column
+        weights = kernel_values(distances, own.t)
+        if self.geometry.repeats is not None:
+            weights /= self.geometry.repeats.reshape(-1)[cells]
+        colours = np.ascontiguousarray(self.colours.reshape(len(self.colours), -1)[:, cells].T)
+        is_halo = np.isin(cells, atlas.halo_cells)
+        cells[is_halo] = atlas.halo_nearest[np.searchsorted(atlas.halo_cells, cells[is_halo])]
+        samples = np.searchsorted(atlas.owned_cells, cells)
+        return SampledKernel(samples, distances, weights, self.noise.to_input(colours), offsets)
 
-    def restore(self, clipped: ClippedChannels, colours: Float32s, marks: Float32s) -> None:
-        """Turn averages of clipped colours into estimates of the colours without noise."""
-        for rows in self._blocks():
-            clipped.restore(colours[:, rows], marks[:, rows], self.relative[0, rows], self.threads)
+    def _distances(
+        self, metric: Float32s, beta: float, own: KernelParameters, centre: tuple[int, int]
+    ) -> Float32s:
+        """Return the distances of the cells in the window of one, infinite beyond the kernel's radius."""
+        from beltrami_cli._native import grid_distances
 
-    def _blocks(self) -> Iterator[slice]:
-        """Go through the rows in blocks of `large_arrays.BLOCK` cells."""
-        rows, columns = self.atlas.kind.shape
-        return large_arrays.blocks(rows, max(_ROWS, large_arrays.BLOCK // max(1, columns)))
+        grid, reach = self.geometry, own.window // 2
+        # Nothing further away has an effect, and stencils of a whole canvas take long.
+        around = reach + _BEYOND_WINDOW
+        top, left = (max(0, place - around) for place in centre)
+        part = np.s_[..., top : centre[0] + around + 1, left : centre[1] + around + 1]
+        kind = np.ascontiguousarray(grid.atlas.kind[part])
+        return grid_distances(
+            kind, np.ascontiguousarray(grid.atlas.squared_lengths[part]),
+            None if grid.scale is None else np.ascontiguousarray(grid.scale[part]),
+            np.ascontiguousarray(metric[part]), beta, own.radius, reach, scheme_of(own),
+            (centre[0] - top) * kind.shape[1] + centre[1] - left,
+        )  # fmt: skip
 
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
     ) -> Stack:
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
+        atlas, threads, relative = self.geometry.atlas, self.geometry.threads, self.noise.relative
         estimates = collaborate_on_canvas(
-            self.atlas.kind, noisy, pilot, mixing, self.threads, progress, relative=self.noise.relative
+            atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative
         )
-        refresh_halo(estimates, self.atlas, self.threads)
+        refresh_halo(estimates, atlas, threads)
         return estimates
 
     def perturbation(self) -> Array:
-        """Return random planes like the noise: independent signs, or correlated as the noise is."""
-        return perturbations(1, len(self.colours), self.atlas, self.noise.covariances)[0]
+        return perturbations(1, len(self.colours), self.geometry.atlas, self.noise.covariances)[0]
 
-    def planes(self, count: int) -> Float32s:
-        """Return planes of zeros."""
-        planes: Float32s = large_arrays.zeros((count, *self.atlas.kind.shape), np.float32)
-        return planes
+    def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
+        """Return squares of cells."""
+        return squares_for(self.geometry.atlas, self.parameters, most, self.noise.relative, tick)
 
-    def total(self, planes: Float32s) -> Float64s:
-        """Sum planes over the owned cells."""
-        kind, total = self.atlas.kind, np.zeros(len(planes))
-        for rows in large_arrays.blocks(len(kind), _ROWS):
-            own = np.where(kind[rows] == OWNED, planes[:, rows], np.float32(0))
-            total += own.sum(axis=(1, 2), dtype=np.float64)
-        return total
+    def trial(self) -> SampleTrial:
+        """Choose blocks of the canvas, and draw the perturbations of their colours."""
+        atlas, planes, own = self.geometry.atlas, self.colours, self.parameters
+        budget = tried_cells(atlas)
+        if len(atlas.owned_cells) <= budget:
+            part, scored = dataclasses.replace(self, is_in_one_block=True), atlas.owned_cells
+        else:
+            reach = own.window // 2 + guide_radius(own.metric_scale)
+            cells, core = choose_blocks(atlas, budget, reach)
+            part = cut_blocks(self, cells, core, reach)
+            planes = pick(planes, cells)
+            planes[:, part.geometry.atlas.kind == EMPTY] = 0
+            scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
+        drawn = perturbations(
+            wanted_probes(len(scored)), len(planes), part.geometry.atlas, self.noise.covariances
+        )
+        signs = np.array(drawn, np.float32)
+        return SampleTrial(part, planes, signs, scored, correlated=self.noise.is_shared)
 
-    def spread(self, planes: Float32s) -> Float32s:
-        """Average planes over the surface, in passes that reach as far as the halo."""
-        from beltrami_cli._native import convolve_to
+    def cut(self, samples: slice | Int64s, inside: Bools) -> GridManifold:
+        """Return a part without colours, see `GridGeometry.cut`."""
+        noise = self.noise
+        if noise.relative is not None:
+            noise = noise.with_relative(pick(noise.relative, samples))
+        return dataclasses.replace(
+            self,
+            geometry=self.geometry.cut(samples, inside),
+            colours=self.colours[:0],
+            noise=noise,
+            guides=tuple((pick(planes, samples), beta) for planes, beta in self.guides),
+            is_in_one_block=True,
+        )
 
-        taps = gaussian_taps(_SPREAD)
-        reach, kind = len(taps) // 2, self.atlas.kind
-        before, after = self.planes(len(planes)), self.planes(len(planes))
-        for rows in self._blocks():
-            np.multiply(planes[:, rows], kind[rows] != EMPTY, out=before[:, rows])
-        for _ in range(round((self.width / _SPREAD) ** 2)):
-            for rows in self._blocks():
-                first = max(0, rows.start - reach)
-                around = slice(first, rows.stop + reach)
-                convolve_to(
-                    before[:, around], taps, rows.start - first, kind[around], after[:, rows], self.threads
-                )
-            refresh_halo(after, self.atlas, self.threads)
-            before, after = after, before
-        return before
+    def new_colours(self) -> NewColours:
+        """Return the colours of the owned cells as they are now, and those of the gutter."""
+        atlas, threads = self.geometry.atlas, self.geometry.threads
+        return canvas_colours(atlas, self.colours, threads).mapped(self.noise.to_input)
 
-    def _laid_out(self, guide: Guide) -> Float32s:
-        planes = painted(self.atlas, guide.values, self.threads)
-        if guide.in_chart_frame:
-            end_at_seams(planes, self.atlas, self.threads)
-        return planes
 
-    def steps(self, stack: Float32s) -> Float32s:
-        """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
-        owned = self.atlas.kind == OWNED
-        rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // _ENOUGH_STEPS))
-        both = owned[rows, :-1] & owned[rows, 1:]
-        return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
+def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> GridManifold:
+    """Cut out blocks; cells beyond their borders keep their colours, as halo that is not refreshed."""
+    side = cells.shape[1]
+    at = np.arange(side)
+    inner = (at >= reach) & (at < side - reach)
+    part = whole.cut(cells, np.tile(inner[:, None] & inner, (len(cells) // side, 1)))
+    atlas = with_halo(part.geometry.atlas, whole.geometry.atlas, cells, core)
+    return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, atlas=atlas))
+
+
+def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:
+    """Return the rows that are averaged at a time; each block depends on none but its neighbours."""
+    wanted = max(ROW_BLOCK_CELLS, CELLS_PER_THREAD * threads) // max(1, columns)
+    height = -(-max(wanted, margin, 1) // TILE_ROWS) * TILE_ROWS
+    return [slice(top, min(rows, top + height)) for top in range(0, rows, height)]
+
+
+def scheme_of(parameters: KernelParameters) -> str:
+    """Return the core's name of the scheme by which distances are measured."""
+    if parameters.scheme == "metric":
+        return "metric"
+    return "sweep" if parameters.window <= _WIDEST_SWEEP else "triangles"
+
+
+def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
+    return np.split(planes, np.cumsum([len(stack) for stack in like])[:-1])
+
+
+def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
+    """Add the work of earlier row blocks to the progress of one, of whose cells only a share is new."""
+    return None if progress is None else lambda done: progress(before + int(done * share))
 
 
 def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:

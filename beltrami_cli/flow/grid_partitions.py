@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
-from beltrami_cli.flow.grid_kernels import GridKernels
-from beltrami_cli.flow.partitions import Advance
-from beltrami_cli.flow.records import Step
+from beltrami_cli.flow.canvas import kernel_margin
+from beltrami_cli.flow.domain import Stack
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.partitions import Advance, Split
+from beltrami_cli.flow.records import Averaged, Step
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas
 
 
@@ -30,14 +33,14 @@ class GridPartition:
 
     def __init__(
         self,
-        whole: GridKernels,
+        whole: GridManifold,
         core: Core,
         number: Int64s,  # of the sample in each cell of the canvas
         source: Int64s,  # number of the sample whose value the cell has
         steps: Sequence[Step],
         channels: int,
     ) -> None:
-        margin, (rows, columns) = whole.margin, whole.atlas.kind.shape
+        margin, (rows, columns) = kernel_margin(whole.parameters), whole.geometry.atlas.kind.shape
         down = np.arange(max(0, core.top - margin), min(rows, core.bottom + margin))
         along = np.arange(max(0, core.left - margin), min(columns, core.right + margin))
         cells = (down[:, None] * columns + along).astype(np.int64)
@@ -46,8 +49,9 @@ class GridPartition:
         )
         self._part = whole.cut(cells, inside)
         self._steps, self._channels, self.threads = tuple(steps), channels, whole.parameters.threads
-        self.owned = number[cells.reshape(-1)[self._part.atlas.owned_cells]]
-        self._filled = np.flatnonzero(self._part.atlas.kind != EMPTY)
+        atlas = self._part.geometry.atlas
+        self.owned = number[cells.reshape(-1)[atlas.owned_cells]]
+        self._filled = np.flatnonzero(atlas.kind != EMPTY)
         drawn = source[cells.reshape(-1)[self._filled]]
         self.borrowed = np.setdiff1d(drawn, self.owned)
         # Both are ascending, so that a value is found by bisection.
@@ -57,21 +61,41 @@ class GridPartition:
 
     def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
         """Run an iteration, see `Partition`."""
-        part = self._part
-        part.threads = threads
-        planes = np.zeros((own.shape[1], *part.atlas.kind.shape), np.float32)
+        parameters = dataclasses.replace(self._part.parameters, threads=threads)
+        part, atlas = dataclasses.replace(self._part, parameters=parameters), self._part.geometry.atlas
+        planes = np.zeros((own.shape[1], *atlas.kind.shape), np.float32)
         values = np.concatenate([own, borrowed])
         for plane, channel in zip(planes.reshape(len(planes), -1), values.T, strict=True):
             plane[self._filled] = channel[self._rows]
-        part.measure(planes[: self._channels], self._steps[iteration])
-        averaged = part.average([planes])
-        return Advance(part.rows(averaged.stacks), averaged.samples, 0)
+        metric = part.measure(planes[: self._channels], self._steps[iteration])
+        averaged = part.average([planes], metric)
+        return Advance(part.geometry.take(averaged.stacks[0], atlas.owned_cells), averaged.samples, 0)
 
 
-def cut_grid(whole: GridKernels, count: int, steps: Sequence[Step], channels: int) -> list[GridPartition]:
+def iterate_on_grid(
+    whole: GridManifold,
+    stacks: list[Stack],
+    steps: Sequence[Step],
+    split: Split,
+    progress: Callable[[int, int], None] | None,
+) -> Averaged:
+    """Run all iterations on partitions, whose margins are always wide enough."""
+    grid, channels = whole.geometry, len(stacks[0])
+    rows = np.concatenate([grid.take(stack, grid.atlas.owned_cells) for stack in stacks], axis=1)
+    done = split.run(lambda _: cut_grid(whole, split.count, steps, channels), rows, len(steps), progress)
+    planes = [plane.reshape(-1) for stack in stacks for plane in stack]
+    for plane, channel in zip(planes, done.values.T, strict=True):
+        plane[grid.atlas.owned_cells] = channel
+    for stack in stacks:
+        grid.refresh(stack)
+    return Averaged(stacks, done.samples, done.truncated)
+
+
+def cut_grid(whole: GridManifold, count: int, steps: Sequence[Step], channels: int) -> list[GridPartition]:
     """Cut a canvas into up to `count` partitions with about the same number of owned cells."""
-    number, source = _sources(whole.atlas)
-    cores = _cores(whole.atlas.kind == OWNED, count)
+    atlas = whole.geometry.atlas
+    number, source = _sources(atlas)
+    cores = _cores(atlas.kind == OWNED, count)
     return [GridPartition(whole, core, number, source, steps, channels) for core in cores]
 
 

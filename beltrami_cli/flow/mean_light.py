@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s
-from beltrami_cli.flow.domain import in_blocks
+from beltrami_cli.flow.domain import Geometry, in_blocks
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.noise.stabilising import COLOURS
 from beltrami_cli.flow.parameters import Space
@@ -56,34 +56,36 @@ class MeanLight:
     def restore(self, manifold: Manifold) -> None:
         """Bring the smoothed colours of the manifold to the mean light of before, in place."""
         stabiliser, space = manifold.noise.stabiliser, self.space
-        manifold.refresh(manifold.colours)
+        manifold.geometry.refresh(manifold.colours)
         light = _light_of(manifold, space)
         for channel in range(len(light)):
-            _give_back(manifold, self.planes[channel : channel + 1], light[channel : channel + 1])
-        for own, new in zip(in_blocks(manifold.axis, manifold.colours), in_blocks(0, light), strict=True):
+            _give_back(manifold.geometry, self.planes[channel : channel + 1], light[channel : channel + 1])
+        axis = manifold.geometry.axis
+        for own, new in zip(in_blocks(axis, manifold.colours), in_blocks(0, light), strict=True):
             own[0][:] = _converted(new[0], lambda rows: to_space(rows, "linear", space))
             if stabiliser is not None:
                 stabiliser.stabilise(own[0])
-        manifold.refresh(manifold.colours)
+        manifold.geometry.refresh(manifold.colours)
 
 
-def _give_back(manifold: Manifold, before: Float32s, after: Float32s) -> None:
+def _give_back(geometry: Geometry, before: Float32s, after: Float32s) -> None:
     """Add the light that a channel has lost, in place."""
     smoothed = after.copy()
     for band in _bands(smoothed):
-        sums = manifold.planes(2)
+        sums = geometry.planes(2)
         for z, u, (lost, size) in in_blocks(0, before, smoothed, sums):
             weighted = _weights(u[0], band)
             lost[:], size[:] = weighted * (z[0] - u[0]), weighted * np.abs(u[0])
-        sums = manifold.spread(sums)
+        sums = geometry.spread(sums)
         for u, own, (lost, size) in in_blocks(0, smoothed, after, sums):
             own[0] += _weights(u[0], band) * np.abs(u[0]) * lost / np.maximum(size, _NO_LIGHT)
 
 
 def _light_of(manifold: Manifold, space: Space) -> Float32s:
     """Return planes of the light of all channels."""
-    planes, stabiliser = manifold.planes(manifold.colours.shape[manifold.axis]), manifold.noise.stabiliser
-    for own, light in zip(in_blocks(manifold.axis, manifold.colours), in_blocks(0, planes), strict=True):
+    axis, stabiliser = manifold.geometry.axis, manifold.noise.stabiliser
+    planes = manifold.geometry.planes(manifold.colours.shape[axis])
+    for own, light in zip(in_blocks(axis, manifold.colours), in_blocks(0, planes), strict=True):
         colours = own[0].copy()
         if stabiliser is not None:
             stabiliser.restore(colours)

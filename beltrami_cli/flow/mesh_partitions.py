@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Int32s
-from beltrami_cli.flow.mesh_kernels import MeshKernels
-from beltrami_cli.flow.partitions import Advance
-from beltrami_cli.flow.records import Step
+from beltrami_cli.arrays import Bools, Float32s, Int32s
+from beltrami_cli.flow.domain import Stack
+from beltrami_cli.flow.manifold import Metric
+from beltrami_cli.flow.mesh_manifold import MeshManifold, average_rows
+from beltrami_cli.flow.partitions import Advance, Split
+from beltrami_cli.flow.records import Averaged, Step, at_step
 
 # Sixteen samples make a group of the solver along segments, and groups are formed within blocks of this many
 # consecutive samples. The members of a group change the rounding of its averages, so partitions own whole blocks.
@@ -36,7 +39,7 @@ class MeshPartition:
 
     def __init__(
         self,
-        whole: MeshKernels,
+        whole: MeshManifold,
         owned: tuple[int, int],
         ring: Int32s,  # edges from each sample to the owned ones, shape (S,); -1: not received
         known: int,
@@ -55,59 +58,91 @@ class MeshPartition:
         self.owned, self.borrowed = samples[inside], samples[~inside]
         self._own = slice(before + gap, before + gap + len(self.owned))
         self._borrowed_places = places[~inside]
-        self._unknown = np.zeros((self._part.size, 1), np.float32)
+        self._unknown = np.zeros((len(samples) + gap, 1), np.float32)
         self._unknown[places, 0] = ring[samples] > known
         self.threads = whole.parameters.threads
 
     def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
         """Run an iteration, see `Partition`."""
-        part, parameters = self._part, self._part.parameters
-        part.threads = threads
-        values = np.zeros((part.size, own.shape[1]), np.float32)
+        parameters = dataclasses.replace(self._part.parameters, threads=threads)
+        part, size = dataclasses.replace(self._part, parameters=parameters), len(self._unknown)
+        values = np.zeros((size, own.shape[1]), np.float32)
         values[self._own] = own
         values[self._borrowed_places] = borrowed
-        part.measure(np.ascontiguousarray(values[:, : self._channels]), self._steps[iteration])
+        metric = part.measure(np.ascontiguousarray(values[:, : self._channels]), self._steps[iteration])
         # Incomplete samples are marked in a further channel: averages are not 0 where kernels hold any of them.
         marks_ride_along = parameters.weights == "uniform" and parameters.threshold >= _FAINTEST
         channels = np.concatenate([values, self._unknown], axis=1) if marks_ride_along else values
-        smoothed, held, truncated = part.apply_kernel(channels)
+        smoothed, held, truncated = average_rows(part, channels, metric)
         mine, is_exact = smoothed[self._own], True
         if marks_ride_along:
             is_exact, mine = not mine[:, -1].any(), mine[:, :-1]
         # Along segments, the samples that kernels reached before they were cut short decide the order of summation.
-        cut_short = part.is_along_segments and truncated > 0
+        cut_short = part.geometry.is_along_segments and truncated > 0
         if cut_short or not marks_ride_along:
             limit = _UNLIMITED if cut_short else parameters.max_samples
-            is_exact = not part.marked(self._unknown, limit)[self._own].any()
+            is_exact = not _marked(part, metric, self._unknown, limit)[self._own].any()
         # The core counts over all samples; the share of the owned ones is estimated.
-        share = len(own) / max(1, part.size - self._gap)
+        share = len(own) / max(1, size - self._gap)
         return Advance(
             np.ascontiguousarray(mine), (held - self._gap) * share, round(truncated * share), is_exact
         )
 
 
+def _marked(part: MeshManifold, metric: Metric, marks: Float32s, max_samples: int) -> Bools:
+    """Find the samples whose kernels hold a marked one, with kernels of up to `max_samples`."""
+    own = at_step(part.parameters, metric.step)
+    t = max(own.radius, 1e-6) ** 2  # with such a long time step no kernel value is small
+    averages = part.geometry.core.smooth(marks, None, t, own.radius, max_samples, own.thread_count, None)[0]
+    return np.asarray(averages.any(axis=1))
+
+
+def iterate_on_mesh(
+    whole: MeshManifold,
+    stacks: list[Stack],
+    steps: Sequence[Step],
+    split: Split,
+    progress: Callable[[int, int], None] | None,
+) -> Averaged:
+    """Run all iterations on partitions, which receive samples as far as kernels are expected to reach."""
+    reach, channels = first_reach(whole), stacks[0].shape[1]
+    rows = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
+    done = split.run(
+        lambda widening: cut_mesh(whole, split.count, widening * reach, steps, channels),
+        rows,
+        len(steps),
+        progress,
+    )
+    widths = np.cumsum([stack.shape[1] for stack in stacks])
+    for stack, after in zip(stacks, np.split(done.values, widths[:-1], axis=1), strict=True):
+        stack[:] = after
+    return Averaged(stacks, done.samples, done.truncated)
+
+
 def cut_mesh(
-    whole: MeshKernels, count: int, reach: int, steps: Sequence[Step], channels: int
+    whole: MeshManifold, count: int, reach: int, steps: Sequence[Step], channels: int
 ) -> list[MeshPartition]:
     """Cut a surface into up to `count` partitions that receive samples up to `reach` edges away."""
+    mesh = whole.geometry
     if any(step.regularised for step in steps):
-        whole.fix_gain()
-    neighbours = Neighbours(whole.size, whole.core.edges())
-    blocks = -(-whole.size // _BLOCK)
+        gain = mesh.gaussian(whole.parameters.metric_scale).gain
+        whole = dataclasses.replace(whole, geometry=dataclasses.replace(mesh, gain=gain))
+    neighbours = Neighbours(mesh.size, mesh.core.edges())
+    blocks = -(-mesh.size // _BLOCK)
     borders = np.unique(np.linspace(0, blocks, min(count, blocks) + 1).round().astype(int)) * _BLOCK
-    beyond = _KNOWN_FOR_SEGMENTS if whole.is_along_segments else _KNOWN_FOR_MARCHING
+    beyond = _KNOWN_FOR_SEGMENTS if mesh.is_along_segments else _KNOWN_FOR_MARCHING
     partitions = []
-    for owned in zip(borders[:-1].tolist(), np.minimum(borders[1:], whole.size).tolist(), strict=True):
+    for owned in zip(borders[:-1].tolist(), np.minimum(borders[1:], mesh.size).tolist(), strict=True):
         ring = neighbours.rings(*owned, reach + beyond)
         partitions.append(MeshPartition(whole, owned, ring, reach, steps, channels))
     return partitions
 
 
-def first_reach(whole: MeshKernels) -> int:
+def first_reach(whole: MeshManifold) -> int:
     """Guess the radius of kernels in edges; partitions that prove too narrow are cut again."""
     own = whole.parameters
-    spacing = whole.spacing if own.units == "world" else 1.0
-    return min(whole.size, 2 + int(EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
+    spacing = whole.geometry.spacing if own.units == "world" else 1.0
+    return min(whole.geometry.size, 2 + int(EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
 
 
 class Neighbours:

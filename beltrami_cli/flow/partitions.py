@@ -108,3 +108,26 @@ class Runner(Protocol):
         progress: Callable[[int, int], None] | None,
     ) -> Joined:
         """Run all iterations from the values of all samples, shape (S, N); TooNarrowError if one is not exact."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Surfaces are smoothed in `count` partitions, by a runner."""
+
+    count: int
+    runner: Runner
+
+    def run(
+        self,
+        cut: Callable[[int], Sequence[Partition]],
+        values: Float32s,
+        iterations: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> Joined:
+        """Cut a surface and run all iterations; partitions that prove too narrow are cut again, twice as wide."""
+        widening = 1
+        while True:
+            try:
+                return self.runner.run(cut(widening), values, iterations, progress)
+            except TooNarrowError:
+                widening *= 2

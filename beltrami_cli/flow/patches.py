@@ -32,7 +32,7 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.domain import CoarseLevel, Domain, in_blocks
-from beltrami_cli.flow.manifold import Manifold
+from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.by_level import OPPONENTS
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
@@ -95,16 +95,17 @@ def blend_with_patches(
     stage: Callable[[int], Callable[[int], None] | None],
 ) -> Blend:
     """Blend the kernel's result with that of patches; `noisy` is a stack that is overwritten."""
-    axis, sigma = manifold.axis, manifold.noise.sigma
+    geometry, sigma = manifold.geometry, manifold.noise.sigma
+    axis, threads = geometry.axis, geometry.threads
     before = kernel(large_arrays.copy_of(noisy))
     signs = manifold.perturbation()
     size = np.float32(_PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
-    _add(axis, disturbed, signs, size, manifold.threads)
+    _add(axis, disturbed, signs, size, threads)
     disturbed = kernel(disturbed)
     if clipped is not None:
-        for own, pilot, relative in in_blocks(axis, noisy, before, manifold.relative):
-            clipped.impute(own, pilot, relative[0], manifold.threads)
+        for own, pilot, relative in in_blocks(axis, noisy, before, relative_variance(manifold)):
+            clipped.impute(own, pilot, relative[0], threads)
     mixing = mixing_of(manifold, before, manifold.noise.covariance)
     second = with_pilot(mixing, manifold)
 
@@ -116,18 +117,18 @@ def blend_with_patches(
         return manifold.collaborate(colours, first, second, stage(_SECOND))
 
     after = estimate(noisy, before)
-    with _added(axis, noisy, signs, size, manifold.threads):
+    with _added(axis, noisy, signs, size, threads):
         response = estimate(noisy, disturbed)
     # What is smoother counts less or more, as in the choice of parameters.
     counted = np.sqrt(manifold.parameters.strength)
-    model = _Model(sigma * np.sqrt(counted), clipped, manifold.threads)
+    model = _Model(sigma * np.sqrt(counted), clipped, threads)
     results, responses = (before, after), (disturbed, response)
     share, gain = _mix(manifold, model, (noisy, signs, size), results, responses)
     del response, responses
-    for level in manifold.coarse_levels():
+    for level in _plain_levels(manifold):
         means = _means(level, manifold, model, (noisy, signs, size), results)
         gain += _improve_means(level, model, second, means, (before, disturbed))
-    count = max(1, manifold.kernels)
+    count = max(1, geometry.kernels)
     return Blend(before, share / count, manifold.noise.growth**2 * gain / count / len(sigma))
 
 
@@ -141,17 +142,25 @@ def _mix(
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
     from beltrami_cli._native import blend
 
-    axis, (colours, signs, size) = manifold.axis, noisy
-    sums = manifold.planes(2)
-    stacks = in_blocks(axis, colours, signs, *results, *responses, manifold.relative)
+    geometry, (colours, signs, size) = manifold.geometry, noisy
+    axis, sums = geometry.axis, geometry.planes(2)
+    stacks = in_blocks(axis, colours, signs, *results, *responses, relative_variance(manifold))
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, in_blocks(0, sums), strict=True):
         model.write_terms(z, b / size, (p, q, near_p, near_q), relative, own)
-    weights, share, gain = _weigh(manifold, sums, model.variance, _OF_SAMPLES)
+    weights, share, gain = _weigh(geometry, sums, model.variance, _OF_SAMPLES)
     stacks = in_blocks(axis, *results, *responses)
     for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
-        blend(p, q, own, manifold.threads)
-        blend(near_p, near_q, own, manifold.threads)
+        blend(p, q, own, geometry.threads)
+        blend(near_p, near_q, own, geometry.threads)
     return share, gain
+
+
+def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
+    """Go through levels, coarse to fine, at which plain colours are estimated better than sample by sample."""
+    if manifold.noise.is_shared:  # which they have been estimated for
+        return
+    levels = manifold.levels(max(manifold.plain_levels))
+    yield from (levels[number - 1] for number in manifold.plain_levels if number <= len(levels))
 
 
 @dataclass(frozen=True)
@@ -176,14 +185,15 @@ def _means(
     results: tuple[Float32s, Float32s],
 ) -> _NoisyMeans:
     """Take means of noisy colours, and compare them with the first of both results; the second is lost."""
-    axis, (colours, signs, size), (before, memory) = manifold.axis, noisy, results
+    axis, relatives = manifold.geometry.axis, relative_variance(manifold)
+    (colours, signs, size), (before, memory) = noisy, results
     means = level.means(colours)
-    with _added(axis, colours, signs, size, manifold.threads):
+    with _added(axis, colours, signs, size, model.threads):
         probe = level.means(colours) - means
-    for z, p, own, relative in in_blocks(axis, colours, before, memory, manifold.relative):
+    for z, p, own, relative in in_blocks(axis, colours, before, memory, relatives):
         model.write_residual(z, p, relative, own)
     residual = level.means(memory)
-    for p, own, relative in in_blocks(axis, before, memory, manifold.relative):
+    for p, own, relative in in_blocks(axis, before, memory, relatives):
         model.write_share_within(p, relative, own)
         np.subtract(1, own, out=own)
         own *= np.square(own)
@@ -324,7 +334,7 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
 
 def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
-    steps = manifold.steps(colours)
+    steps = manifold.geometry.steps(colours)
     some = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
     mixed = np.square(np.einsum("kj,ij->ki", some, OPPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])

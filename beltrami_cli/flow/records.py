@@ -12,12 +12,16 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import Indices
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.moving_positions import MovingPositions
 
 LOG = logging.getLogger(__name__)
 """Says how much work is ahead, before it starts."""
@@ -54,6 +58,7 @@ class Averaged:
     stacks: list[Float32s]
     samples: float
     truncated: int = 0
+    moving: MovingPositions | None = None  # after the iteration
 
 
 @dataclass(frozen=True)

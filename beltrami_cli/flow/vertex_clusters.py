@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
 from itertools import islice
 from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.domain import CoarseLevel, Stack
 from beltrami_cli.flow.noise.haar_noise import root_of
@@ -20,24 +19,31 @@ from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
 _FEWEST = 500
 
 
+def collaborate_on_graph(
+    graph: Graph,
+    noisy: Stack,
+    pilot: Stack,
+    mixing: Mixing,
+    relative: Float32s | None,
+    progress: Callable[[int], None] | None = None,
+) -> Stack:
+    """Estimate colours from patches that look alike in the pilot; `relative`: variance of the noise by its mean."""
+    estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
+    graph.patches.collaborate(
+        noisy, pilot, mixing.parts, relative, mixing.has_pilot, estimates, weights, graph.threads, progress
+    )
+    return estimates
+
+
 class Clusters(CoarseLevel):
-    """Means of clusters of samples, as a stack with a row a cluster; `axes`: see `SurfacePatches`."""
+    """Means of clusters of samples, as a stack with a row a cluster."""
 
     axis: ClassVar[int] = 1
     width: ClassVar[float] = 3.0
 
-    def __init__(
-        self, samples: Graph, level: Level, axes: Float64s, differing: Float32s | None, threads: int
-    ) -> None:
-        self._samples, self._level, self._axes, self._threads = samples, level, axes, threads
-        self._graph, self._counts, self.noise = level.graph, level.counts, level.noise
-        ones = np.ones((samples.size, 1), np.float32)
-        self.relative = self.means(ones if differing is None else differing)[:, 0]
-
-    @cached_property
-    def _patches(self) -> SurfacePatches:
-        own = self._graph
-        return SurfacePatches(own.positions, own.edges, self._axes, own.priorities, self._threads)
+    def __init__(self, samples: Graph, level: Level, relative: Float32s) -> None:
+        self._samples, self._level, self._graph = samples, level, level.graph
+        self._counts, self.noise, self.relative = level.counts, level.noise, relative
 
     def means(self, stack: Stack) -> Float32s:
         """Return the means of rows of samples."""
@@ -49,14 +55,9 @@ class Clusters(CoarseLevel):
         return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
-        """Estimate means from patches of clusters in tangent planes; shared noise does not fall with their size."""
-        estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
-        own = mixing.parts
+        """Estimate means from patches of clusters; shared noise does not fall with their size."""
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
-        self._patches.collaborate(
-            noisy, pilot, own, relative, mixing.has_pilot, estimates, weights, self._threads, None
-        )
-        return estimates
+        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative)
 
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""
@@ -77,13 +78,12 @@ class Clusters(CoarseLevel):
         return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)
 
 
-def clusters_for(
-    samples: Graph, most: int, axes: Float64s, differing: Float32s | None, threads: int
-) -> list[Clusters]:
+def clusters_for(samples: Graph, most: int, relative: Float32s | None) -> list[Clusters]:
     """Return up to `most` levels of clusters, fine to coarse, as far as they hold enough of them."""
     found: list[Clusters] = []
+    variances = np.ones((samples.size, 1), np.float32) if relative is None else relative
     for level in islice(levels_of(samples), 1, most + 1):
         if level.graph.size < _FEWEST:
             break
-        found.append(Clusters(samples, level, axes, differing, threads))
+        found.append(Clusters(samples, level, level.means(variances)[:, 0]))
     return found

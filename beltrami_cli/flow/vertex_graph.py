@@ -13,14 +13,18 @@ References
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.regularisation import MeshGaussian
+
+if TYPE_CHECKING:
+    from beltrami_cli._native import SurfacePatches
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about alike. On a triangle
 # lattice a pass adds so many squared spacings to the variance.
@@ -34,6 +38,8 @@ class Graph:
     positions: Float64s  # (S, 3)
     edges: Int32s  # (E, 2)
     priorities: NDArray[np.uint64]  # (S,)
+    axes: Float64s = field(default_factory=lambda: np.eye(3)[:2])  # that turn with the model, (2, 3)
+    threads: int = 1
 
     @property
     def size(self) -> int:
@@ -43,6 +49,13 @@ class Graph:
     @cached_property
     def _means(self) -> MeshGaussian:
         return MeshGaussian(self.size, self.edges, np.ones(len(self.edges)), _FLAT, gain=1.0)
+
+    @cached_property
+    def patches(self) -> SurfacePatches:
+        """The patches in the tangent planes of all samples."""
+        from beltrami_cli._native import SurfacePatches
+
+        return SurfacePatches(self.positions, self.edges, self.axes, self.priorities, self.threads)
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
         """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
@@ -59,7 +72,8 @@ class Graph:
         pairs = np.sort(ends[:, 0] * len(centres) + ends[:, 1])
         pairs = pairs[np.diff(pairs, prepend=-1) > 0]  # unlike numpy.unique, this loads no other module
         edges = np.stack(np.divmod(pairs, len(centres)), axis=1).astype(np.int32)
-        return Graph(np.stack(sums, axis=1) / counts, edges, self.priorities[centres])
+        means = np.stack(sums, axis=1) / counts
+        return Graph(means, edges, self.priorities[centres], self.axes, self.threads)
 
     def clusters(self) -> tuple[Int32s, Int64s]:
         """Return the cluster of each sample, and the samples in the middle of clusters."""

@@ -199,7 +199,7 @@ def smooth(
     counts = report.counts
     assert repainted.colours is not None
     return SmoothResult(
-        repainted.colours, plan.beta, plan.manifold.spacing, report.noise, int(counts["samples"]),
+        repainted.colours, plan.beta, plan.manifold.geometry.spacing, report.noise, int(counts["samples"]),
         int(counts["hard_edge_samples"]), result.samples_per_kernel, result.truncated, report.iterations,
         report.guides, repainted.positions,
         normal_noise=None if moving is None else moving.sigma,
@@ -275,14 +275,14 @@ def smooth_image(
     light_in = settings.space if encoding == "linear" and settings.space != "data" else None
     plan = plan_on_image(place, working, settings.kernel, guides, numbers, noise=noise, light_in=light_in)
     result = smooth_manifold(plan, progress)
-    pixels = plan.manifold.atlas.owned_texels
-    before, after = working(pixels), result.manifold.values()
+    pixels = plan.manifold.geometry.atlas.owned_texels
+    before, after = working(pixels), result.manifold.new_colours().table()
     smoothed, moved, old = table.copy(), np.any(before != after, axis=1), table[pixels]
     if moved.any():
         # The way there and back is not exact; what comes of it stays in the range of the colours.
         back = from_space(after[moved], encoding, settings.space)
         smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
     return ImageResult(
-        smoothed.reshape(*shape, -1), plan.beta, plan.manifold.spacing, plan.noise, len(pixels),
+        smoothed.reshape(*shape, -1), plan.beta, plan.manifold.geometry.spacing, plan.noise, len(pixels),
         result.samples_per_kernel, result.choice, result.patches,
     )  # fmt: skip

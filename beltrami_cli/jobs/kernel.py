@@ -95,7 +95,7 @@ def kernel_file(
     if suffix == ".csv":
         written = _table(table)
     elif isinstance(samples, PaintedLayer):
-        written = _mesh(samples, sample_of, kernel, nearness, _greys(manifold.values(), samples))
+        written = _mesh(samples, sample_of, kernel, nearness, _greys(manifold.new_colours().table(), samples))
     else:
         written = _picture(manifold, index, kernel, nearness, samples, suffix)
     output.write(written)
@@ -216,10 +216,12 @@ def _picture(
     """Draw the canvas around a sample three times: its colours, the nearness, the weights."""
     around, offsets = manifold.parameters.window // 2 + _SURROUNDINGS, kernel.offsets
     assert offsets is not None
-    row, column = divmod(int(manifold.atlas.owned_cells[index]), manifold.atlas.kind.shape[1])
+    row, column = divmod(
+        int(manifold.geometry.atlas.owned_cells[index]), manifold.geometry.atlas.kind.shape[1]
+    )
     place = np.s_[..., row : row + 2 * around + 1, column : column + 2 * around + 1]
     edge = [(around, around)] * 2
-    filled = np.pad(manifold.atlas.kind, edge, constant_values=EMPTY)[place] != EMPTY
+    filled = np.pad(manifold.geometry.atlas.kind, edge, constant_values=EMPTY)[place] != EMPTY
     colours = np.pad(manifold.colours, [(0, 0), *edge])[place]
     greys = _greys(manifold.noise.to_input(colours.reshape(len(colours), -1).T), samples).reshape(
         *filled.shape, 3

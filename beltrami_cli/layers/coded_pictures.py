@@ -59,7 +59,7 @@ def plan_on_pictures(
 def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[], None] | None) -> Float32s:
     """Return what the kernel alone makes of the owned cells."""
     plan = choose_parameters(manifold, dataclasses.replace(kernel, patches="off"), tick)
-    return smooth(plan, None if tick is None else lambda *_: tick()).manifold.values()
+    return smooth(plan, None if tick is None else lambda *_: tick()).manifold.new_colours().table()
 
 
 def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | None]) -> list[CodedPicture]:

@@ -128,7 +128,7 @@ class ImageLayer(Layer):
     def describe(self) -> dict[str, object]:
         plan, facts = self.plan(), self.facts()
         del facts["format"]  # is that of the file
-        return {"image": {**facts, "pitch": plan.manifold.spacing}, **self._planned(plan)}
+        return {"image": {**facts, "pitch": plan.manifold.geometry.spacing}, **self._planned(plan)}
 
     def notices(self) -> list[str]:
         return [*self.picture.notices, *self._own_notices()]
@@ -153,7 +153,7 @@ class ImageLayer(Layer):
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> ImageReport:
         return ImageReport(
             image=self.facts(),
-            pitch=plan.manifold.spacing,
+            pitch=plan.manifold.geometry.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
             **self._used(plan, result),
         )

@@ -179,7 +179,7 @@ class TextureLayer(layer.Layer):
             slot=self.slot,
             textures=self.facts(),
             counts={**counts, "jumps": plan.manifold.jumps},
-            pitch=plan.manifold.spacing,
+            pitch=plan.manifold.geometry.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
             **used,
         )
@@ -190,9 +190,9 @@ class TextureLayer(layer.Layer):
         plans = [plan] if len(described) == 1 else map(self._alone, range(len(described)))
         seams = 0
         for facts, own in zip(described, plans, strict=True):
-            atlas = own.manifold.atlas
+            atlas = own.manifold.geometry.atlas
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": own.manifold.spacing, "noise": self.named(own.noise)}
+            facts |= {"pitch": own.manifold.geometry.spacing, "noise": self.named(own.noise)}
             seams += atlas.seams
         return {
             "slot": self.slot,
@@ -200,7 +200,7 @@ class TextureLayer(layer.Layer):
             **self.atlas.counts,
             "seams_between_textures": max(0, self.atlas.seams - seams),
             "colour_jumps": plan.manifold.jumps,
-            "pitch": plan.manifold.spacing,
+            "pitch": plan.manifold.geometry.spacing,
             "exposure": exposure,
             **self._planned(plan),
         }

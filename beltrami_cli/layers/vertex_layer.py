@@ -14,9 +14,9 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.embedding import Guide, to_space
-from beltrami_cli.flow.geometry import GeometryParameters
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold
+from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples_per_kernel
+from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.layers.image_surface import ImageSurface, options_of_meshes, plan_on_image
 from beltrami_cli.layers.layer import Repainted
@@ -125,14 +125,14 @@ class VertexLayer(PaintedLayer):
         moving = {}
         if (moved := manifold.moving) is not None:
             moving = {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
-        held = round(manifold.samples_per_kernel(_PROBED_KERNELS, plan.step(0)), 1)
+        held = round(samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0)), 1)
         planned = self._planned(plan)
         planned["smooth"] |= moving | {"samples_per_kernel": held}
         return {
             "colours": describe_colours(painted),
             "cloud" if self.is_cloud else "surface": {
                 **facts,
-                "mean_edge_length": manifold.spacing,
+                "mean_edge_length": manifold.geometry.spacing,
                 "bounds": bounds(painted.positions),
             },
             **planned,
@@ -164,8 +164,8 @@ class VertexLayer(PaintedLayer):
         return self.sampling.sample_of.astype(np.int64)
 
     def moved(self, result: FlowResult[Any]) -> Float64s | None:
-        moving = result.manifold.moving
-        return None if moving is None else result.manifold.in_order(moving.positions)[self.sampling.sample_of]
+        moving, mesh = result.manifold.moving, result.manifold.geometry
+        return None if moving is None else mesh.in_order(moving.positions)[self.sampling.sample_of]
 
     def repaint(
         self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
@@ -225,13 +225,13 @@ class RangeLayer(PaintedLayer):
         return to_space(colours, self.painted.encoding, self.settings.space)
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> VertexReport:
-        samples = len(plan.manifold.atlas.owned_texels)
+        samples = len(plan.manifold.geometry.atlas.owned_texels)
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         return self._report(plan, result, {**counts, "samples": samples, "hard_edge_samples": 0})
 
     def describe(self) -> dict[str, object]:
         plan, grid = self.plan(), self.grid
-        measured = len(plan.manifold.atlas.owned_texels)
+        measured = len(plan.manifold.geometry.atlas.owned_texels)
         return {
             "colours": describe_colours(self.painted),
             "surface": {
@@ -239,13 +239,13 @@ class RangeLayer(PaintedLayer):
                 "vertices": len(self.painted.positions),
                 "samples": measured,
                 "holes": grid.size - measured,
-                "mean_edge_length": plan.manifold.spacing,
+                "mean_edge_length": plan.manifold.geometry.spacing,
             },
             **self._planned(plan),
         }
 
     def sample_of(self, plan: Plan[Any]) -> Int64s:
-        measured = self.grid.reshape(-1)[plan.manifold.atlas.owned_texels]
+        measured = self.grid.reshape(-1)[plan.manifold.geometry.atlas.owned_texels]
         sample_of = np.full(len(self.painted.positions), -1)
         sample_of[measured] = np.arange(len(measured))
         return sample_of

@@ -85,13 +85,18 @@ SURFACE = wavy_surface(94)
 def smooth_mesh(surface, parameters, progress=None, **others):
     """Return what comes of a mesh: its colours, and the result."""
     result = smooth(choose_parameters(mesh_manifold(surface, parameters, **others), parameters), progress)
-    return SimpleNamespace(colours=result.manifold.values(), **vars(result))
+    return SimpleNamespace(colours=result.manifold.new_colours().table(), **vars(result))
 
 
 def outcome(plan):
     """Smooth a grid; return its colours, those of the gutter, and the samples that a kernel held."""
     result = smooth(plan)
-    return result.manifold.values(), result.manifold.new_colours().beyond, result.samples_per_kernel
+    new = result.manifold.new_colours()
+    return new.table(), new.beyond, result.samples_per_kernel
+
+
+def is_clipped(plan):
+    return plan.manifold.geometry.find_clipped(plan.manifold.colours, plan.manifold.noise.sigma) is not None
 
 
 def same_bits(one, other):

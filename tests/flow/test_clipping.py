@@ -68,7 +68,7 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
     draws = np.random.default_rng(0).standard_normal((400_000, 1))
     for level in (0.0, 0.03, 0.1, 0.9, 0.95, 1.0):
         samples = np.clip(level + SIGMA * draws, 0, 1).astype(np.float32)
-        clipped = find_clipped(samples, np.array([SIGMA]))
+        clipped = find_clipped(samples.T, np.array([SIGMA]))
         mean = samples.mean(axis=0, keepdims=True, dtype=np.float64).T.astype(np.float32)
         marks = clipped.marks(samples.T).mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
         clipped.restore(mean, marks, np.float32(1))
@@ -141,7 +141,7 @@ def test_an_image_without_noise_and_values_beyond_the_limits_are_not_taken_for_c
     np.testing.assert_array_equal(
         *(smooth_image(clean, beta=5.0, clipping=way).colours for way in ("keep", "restore"))
     )
-    noise = SIGMA * np.random.default_rng(1).standard_normal((1000, 1)).astype(np.float32)
+    noise = SIGMA * np.random.default_rng(1).standard_normal((1, 1000)).astype(np.float32)
     assert find_clipped(1 + noise, np.array([SIGMA])) is None
 
 

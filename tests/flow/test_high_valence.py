@@ -180,4 +180,4 @@ def test_parameters_are_tried_on_surfaces_only(mesh, expected):
     positions, faces = mesh
     none = np.zeros((0, 3), np.int32)
     surface = SampledSurface(positions, faces, none, noisy(len(positions)))
-    assert mesh_manifold(surface, KernelParameters()).work.is_surface is expected
+    assert mesh_manifold(surface, KernelParameters()).geometry.work(1.0).is_surface is expected

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow import grid_kernels
+from beltrami_cli.flow import grid_manifold
 from beltrami_cli.flow.noise.by_place import find_relative_noise, louder_blocks
 from oracles.paintings import flat_paint, line_art, photograph, psnr
 
@@ -110,6 +110,6 @@ def test_both_halves_are_smoothed_as_their_noise_asks():
 def test_blocks_of_rows_give_the_same(monkeypatch):
     noisy = of_two_photographs()[1]
     whole = beltrami_cli.smooth_image(noisy, fast=True).colours
-    monkeypatch.setattr(grid_kernels, "ROW_BLOCK_CELLS", 1)
-    monkeypatch.setattr(grid_kernels, "CELLS_PER_THREAD", 1)
+    monkeypatch.setattr(grid_manifold, "ROW_BLOCK_CELLS", 1)
+    monkeypatch.setattr(grid_manifold, "CELLS_PER_THREAD", 1)
     assert np.array_equal(beltrami_cli.smooth_image(noisy, fast=True).colours, whole)

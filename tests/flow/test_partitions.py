@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow import mesh_partitions
+from beltrami_cli.flow import grid_partitions, mesh_partitions
 from beltrami_cli.flow.beltrami_flow import choose_parameters, in_partitions
+from beltrami_cli.flow.canvas import kernel_margin
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.geometry import GeometryParameters
-from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
+from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
@@ -23,6 +23,7 @@ from flow.split_surfaces import (
     SURFACE,
     InTurn,
     image_plan,
+    is_clipped,
     noisy,
     outcome,
     same_bits,
@@ -56,8 +57,10 @@ ON_MESHES = {
 
 def test_triangles_are_kept_only_where_partitions_are_cut():
     manifold = mesh_manifold(SURFACE, KernelParameters(**FIXED))
-    triangles = weakref.ref(manifold.faces)
-    choose_parameters(manifold, KernelParameters(**FIXED))
+    triangles = weakref.ref(manifold.geometry.faces)
+    plan = choose_parameters(manifold, KernelParameters(**FIXED))
+    del manifold
+    assert plan.manifold.geometry.size
     assert triangles() is None
 
 
@@ -129,7 +132,7 @@ def test_a_grid_in_partitions_has_the_bits_of_the_whole(make, name):
     """The result and the gutter are those of the whole, and samples are counted exactly."""
     parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
     plan = make(parameters)
-    assert name == "world" or plan.manifold.find_clipped() is not None
+    assert name == "world" or is_clipped(plan)
     whole = outcome(plan)
     for count in (1, 2, 5):
         runner = Sent()
@@ -143,8 +146,7 @@ def test_a_margin_that_is_one_cell_too_narrow_is_not_enough(monkeypatch):
     """So the test above would see it."""
     parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0})
     whole = smoothed(image_plan(parameters))
-    margin = GridManifold.margin.fget
-    monkeypatch.setattr(GridManifold, "margin", property(lambda manifold: margin(manifold) - 2))
+    monkeypatch.setattr(grid_partitions, "kernel_margin", lambda parameters: kernel_margin(parameters) - 2)
     with in_partitions(4, InTurn(2)):
         parts = smoothed(image_plan(parameters))
     assert not np.array_equal(parts, whole)

@@ -206,8 +206,10 @@ class Seen:
 
             return kept
 
-        manifold.collaborate = seen(manifold.collaborate, estimates)
-        done = blend(manifold, noisy, seen(kernel, kernels), *others)
+        collaborate = seen(manifold.collaborate, estimates)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(type(manifold), "collaborate", lambda _, *given: collaborate(*given))
+            done = blend(manifold, noisy, seen(kernel, kernels), *others)
         self.kernel, self.patches = kernels[0], estimates[1]
         self.blend, self.gain = done.colours.copy(), done.gain
         return done
@@ -216,7 +218,7 @@ class Seen:
         """Return the mean square errors of the kernel, of patches and of the blend, cut off as they are stored."""
         smooth_plan(plan)
         colours = [
-            stack.reshape(len(stack), -1)[:, plan.manifold.atlas.owned_cells].T
+            stack.reshape(len(stack), -1)[:, plan.manifold.geometry.atlas.owned_cells].T
             for stack in (self.kernel, self.patches, self.blend)
         ]
         limits = clean.min(), clean.max()
@@ -229,7 +231,7 @@ def test_the_estimated_gain_is_the_true_one_on_white_noise(monkeypatch):
     clean = photograph(128, contrast=0.1)
     plan = pixel_plan(with_noise(clean, SIGMA, cut_off=False), **{**ON, "iterations": 3})
     known = dataclasses.replace(plan.manifold.noise, sigma=np.full(3, SIGMA))
-    plan = dataclasses.replace(plan, manifold=plan.manifold.having(noise=known))
+    plan = dataclasses.replace(plan, manifold=dataclasses.replace(plan.manifold, noise=known))
     seen = Seen(monkeypatch)
     kernel, alone, blend = seen.errors(plan, clean)
     # Given w, the estimate scatters by n . d, the noise times the difference of both, over all samples; noise that

@@ -55,7 +55,7 @@ def test_noise_that_vertices_share_is_found(sphere):
     assert manifold.noise.is_shared
     assert manifold.noise.of_input == pytest.approx(SIGMA, rel=0.25)
     assert manifold.noise.grain > 1.5
-    alone = mesh.estimate_sigma(manifold.colours, manifold.edges)
+    alone = mesh.estimate_sigma(manifold.colours, manifold.geometry.edges)
     assert (alone < 0.6 * SIGMA).all()
 
 
@@ -100,9 +100,9 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     positions, faces = sphere
     manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), 2.0))
     covariances = manifold.noise.covariances
-    levels = list(islice(levels_of(manifold.graph), len(covariances) + 1))
+    levels = list(islice(levels_of(manifold.geometry.graph(manifold.colours)), len(covariances) + 1))
     random = np.random.default_rng(5)
-    signs = random.choice(np.float32([-1, 1]), (len(levels), manifold.size, 3))
+    signs = random.choice(np.float32([-1, 1]), (len(levels), manifold.geometry.size, 3))
     noise = draw_noise_of_clusters(covariances, levels, signs)
     for number, (fine, above) in enumerate(pairwise(levels[:3])):
         parents = above.members[fine.centres]

@@ -117,9 +117,9 @@ def test_constants_stay_and_colours_stay_in_range_for_any_number_of_threads():
     assert np.array_equal(smooth_image(board.surface(), grey)[0], grey)
     image = board.image_of(painting(48))
     one, plan = smooth_image(board.surface(), image, threads=1)
-    owned = image.reshape(-1, 3)[plan.manifold.atlas.owned_texels]
-    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[plan.manifold.atlas.owned_texels].all()
-    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[plan.manifold.atlas.owned_texels].all()
+    owned = image.reshape(-1, 3)[plan.manifold.geometry.atlas.owned_texels]
+    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[plan.manifold.geometry.atlas.owned_texels].all()
+    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[plan.manifold.geometry.atlas.owned_texels].all()
     for threads in (2, 5):
         assert np.array_equal(one, smooth_image(board.surface(), image, threads=threads)[0])
 

@@ -94,7 +94,7 @@ def texel_plan(atlas, colours, parameters, **others):
 
 def smoothed(plan):
     """Smooth texels and return their colours."""
-    return smooth(plan).manifold.values()
+    return smooth(plan).manifold.new_colours().table()
 
 
 def smooth_image(surface, image, **parameters):

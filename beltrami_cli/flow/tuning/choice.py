@@ -240,7 +240,7 @@ def choose(
     tick: Callable[[], None] | None = None,
 ) -> tuple[KernelParameters, Choice]:
     """Choose the free parameters by the smallest error that is estimated on a sample of the manifold."""
-    metric_sigma = manifold.metric_sigma
+    metric_sigma = manifold.noise.sigma[manifold.metric_channels]
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
     weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * parameters.strength
@@ -310,7 +310,7 @@ def choose_by_rule(
     manifold: Manifold, parameters: KernelParameters, rule: Rule
 ) -> tuple[KernelParameters, Choice]:
     """Set the free parameters by a rule for the noise of the channels that enter the metric."""
-    metric_sigma, beta = manifold.metric_sigma, manifold.beta
+    metric_sigma, beta = manifold.noise.sigma[manifold.metric_channels], manifold.beta
     if "beta" in parameters.free and len(metric_sigma):
         strength = float(np.sqrt(parameters.strength))
         beta = choose_beta(metric_sigma, rule.contrast) * manifold.unit / strength
@@ -340,10 +340,10 @@ def tune(
     unchanged = dataclasses.replace(closed, iterations=0) if "iterations" in parameters.free else closed
     if not noisy:
         return unchanged, None
-    if parameters.fast or not manifold.work.is_surface:
+    if parameters.fast or not manifold.geometry.work(manifold.unit).is_surface:
         return choose_by_rule(manifold, parameters, manifold.rule)
     trial = manifold.trial()
     if not trial.samples:  # as of points that all lie by themselves
         return unchanged, None
-    LOG.info("work: parameters are tried on %d of %d samples first", trial.samples, manifold.kernels)
+    LOG.info("work: parameters are tried on %d of %d samples first", trial.samples, manifold.geometry.kernels)
     return choose(trial, manifold, parameters, tick)

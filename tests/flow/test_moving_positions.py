@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.geometry import estimate_normal_sigma
+from beltrami_cli.flow.moving_positions import estimate_normal_sigma
 from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
 from oracles import surfaces
 

@@ -17,12 +17,13 @@ References
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.flow.embedding import choose_beta
 from beltrami_cli.flow.noise.mesh import residuals
 from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
@@ -40,49 +41,68 @@ class GeometryParameters:
     normal_beta: float | None = None
 
 
+@dataclass(frozen=True, eq=False)
 class MovingPositions:
-    """The positions and normals of a surface while they are smoothed; `unit`: the spacing in units of length."""
+    """The positions and normals of a surface, before or after iterations."""
 
-    def __init__(
-        self,
+    positions: Float64s
+    normals: Float32s
+    sigma: float  # of the normals, about each of two axes, in radians
+    beta: float  # of the normals
+    faces: Int32s
+    places: Int32s
+    spacing: float
+    origin: Float64s  # the core takes float32: coordinates far from the origin would lose their digits there
+    leads: Bools  # a sample without triangles moves only together with the others at its place
+    stays: Bools  # an open border would shrink along itself, and cracks would open where another surface touches it
+
+    @classmethod
+    def of(
+        cls,
         positions: Float64s,
         faces: Int32s,
         edges: Int32s,
+        *,
         spacing: float,
         unit: float,
         parameters: GeometryParameters,
-    ) -> None:
-        self._faces, self._spacing, self._places = faces, spacing, parameters.places
-        # A sample without triangles moves only together with the others at its place.
-        self._leads = np.bincount(faces.ravel(), minlength=len(positions)) > 0
-        self._leads_at = np.bincount(self._places, self._leads)
-        # An open border would shrink along itself, and cracks would open where another surface touches it.
-        self._stays = on_boundary(self._places[faces], len(self._leads_at))[self._places]
-        # The core takes float32: coordinates far from the origin would lose their digits there.
-        self._origin = positions.mean(axis=0) if len(positions) else np.zeros(3)
-        self.positions = positions
-        self.normals = vertex_normals(positions, faces, self._places)
-        self.sigma = estimate_normal_sigma(self.normals, edges)
-        chosen = parameters.normal_beta
-        self.beta = choose_normal_beta(self.normals, edges, self.sigma) * unit if chosen is None else chosen
+    ) -> MovingPositions:
+        """Measure the normals; `unit`: that of length, in sample spacings."""
+        places = parameters.places
+        count = int(places.max(initial=-1)) + 1
+        normals = vertex_normals(positions, faces, places)
+        sigma, beta = estimate_normal_sigma(normals, edges), parameters.normal_beta
+        return cls(
+            positions=positions,
+            normals=normals,
+            sigma=sigma,
+            beta=choose_normal_beta(normals, edges, sigma) * unit if beta is None else beta,
+            faces=faces,
+            places=places,
+            spacing=spacing,
+            origin=positions.mean(axis=0) if len(positions) else np.zeros(3),
+            leads=np.bincount(faces.ravel(), minlength=len(positions)) > 0,
+            stays=on_boundary(places[faces], count)[places],
+        )
 
     def channels(self) -> Float32s:
         """Return the positions as channels to be averaged, shape (S, 3), in sample spacings."""
-        return ((self.positions - self._origin) / self._spacing).astype(np.float32)
+        return ((self.positions - self.origin) / self.spacing).astype(np.float32)
 
-    def move(self, before: Float32s, after: Float32s, average: Average) -> None:
-        """Move the positions; borders stay fixed, and samples of one place stay together."""
+    def moved(self, before: Float32s, after: Float32s, average: Average) -> MovingPositions:
+        """Return the positions after an iteration; borders stay, and samples of one place stay together."""
         taken = before - after
-        moves = (average(taken).astype(np.float64) - taken) * self._spacing
+        moves = (average(taken).astype(np.float64) - taken) * self.spacing
         # Directions come from the smoothed shape: the normals of a spike are those of its sides.
-        tensors = normal_tensors(self.positions + moves, self._faces, self._places)
-        moves = np.einsum("sij,sj->si", tensors[self._places], moves)
-        moves[self._stays | ~self._leads] = 0
+        tensors = normal_tensors(self.positions + moves, self.faces, self.places)
+        moves = np.einsum("sij,sj->si", tensors[self.places], moves)
+        moves[self.stays | ~self.leads] = 0
+        leads = np.maximum(np.bincount(self.places, self.leads), 1)
         for axis in range(moves.shape[1]):
-            total = np.bincount(self._places, moves[:, axis], len(self._leads_at))
-            moves[:, axis] = (total / np.maximum(self._leads_at, 1))[self._places]
-        self.positions = self.positions + moves
-        self.normals = vertex_normals(self.positions, self._faces, self._places)
+            moves[:, axis] = (np.bincount(self.places, moves[:, axis]) / leads)[self.places]
+        positions = self.positions + moves
+        normals = vertex_normals(positions, self.faces, self.places)
+        return dataclasses.replace(self, positions=positions, normals=normals)
 
 
 # The length of a vector of two independent normal numbers has the median sqrt(2 ln 2).

@@ -1,0 +1,227 @@
+"""The geometry of a triangulated surface; its samples are kept in a cache-friendly order."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from beltrami_cli._native import SegmentManifold, TriangulatedManifold, vertex_order
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
+from beltrami_cli.flow.domain import Geometry, Stack
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import MeshWork
+from beltrami_cli.flow.regularisation import MeshGaussian
+from beltrami_cli.flow.tuning.mesh_trial import fingerprints
+from beltrami_cli.flow.vertex_graph import Graph
+from beltrami_cli.surface.atlas import OWNED
+from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
+from beltrami_cli.surface.records import SampledSurface
+
+# Sums of the blend are taken by passes over neighbours. On a triangle lattice each pass adds 0.43 squared spacings to
+# the variance: as many passes as `MeshGeometry.width` needs.
+_SPREAD, _PASSES = 3.0, 38
+
+# Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
+_COARSE = np.float32(256)
+
+
+@dataclass(kw_only=True, eq=False)
+class MeshGeometry(Geometry):
+    """Vertices, triangles and edges; stacks have a row a vertex."""
+
+    axis: ClassVar[int] = 1
+    width: ClassVar[float] = 4.0
+
+    order: Int32s  # the caller's number of each sample
+    positions: Float64s
+    faces: Int32s
+    edges: Int32s  # but bridges over hard colour edges, which say nothing about spacing or noise
+    lengths: Float64s  # of edges, in spacings around them
+    spacing: float
+    scales: Float32s | None  # factors of lengths that make the spacing around each sample 1
+    weights: Float32s | None  # areas
+    is_along_segments: bool
+    threads: int
+    gain: float | None = None  # of the regularised metric of the whole surface; None: its own
+
+    _core: SegmentManifold | TriangulatedManifold | None = None
+    _graph: Graph | None = None
+
+    @classmethod
+    def of(cls, surface: SampledSurface, parameters: KernelParameters) -> MeshGeometry:
+        order = vertex_order(surface.positions, surface.all_faces)
+        rank, positions = rank_in(order), surface.positions[order]
+        faces = rank[surface.all_faces]
+        length = mean_side(surface.positions, surface.faces) if parameters.units == "world" else 1.0
+        is_along_segments = parameters.is_along_segments(length)
+        core = _core_of(faces, len(order), is_along_segments)
+        edges, lengths = edges_in_space(core.edges(), positions)
+        spacing = local_spacing(len(order), edges, lengths)
+        return cls(
+            order=order,
+            positions=positions,
+            faces=faces,
+            edges=edges,
+            lengths=lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]]),
+            spacing=float(lengths.mean()) if len(lengths) else 0.0,
+            scales=(1 / spacing).astype(np.float32) if parameters.units == "spacing" else None,
+            weights=vertex_areas(positions, rank[surface.faces]) if parameters.weights == "area" else None,
+            is_along_segments=is_along_segments,
+            threads=parameters.thread_count,
+            _core=core,
+        )
+
+    @property
+    def size(self) -> int:
+        return len(self.positions)
+
+    @property
+    def kernels(self) -> int:
+        return len(self.positions)
+
+    @property
+    def kind(self) -> Uint8s:
+        return np.broadcast_to(np.uint8(OWNED), (self.size, 1))
+
+    @property
+    def core(self) -> SegmentManifold | TriangulatedManifold:
+        """The manifold of the compiled core, made when it is first needed."""
+        if self._core is None:
+            self._core = _core_of(self.faces, self.size, self.is_along_segments)
+        return self._core
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_core": None, "_graph": None}
+
+    def graph(self, colours: Stack) -> Graph:
+        """Return the samples and their edges, with priorities by the colours with which it is first called."""
+        if self._graph is None:
+            joined, places = self._is_joined(), _in_three_dimensions(self.positions)
+            priorities, axes = (
+                fingerprints(coarse(colours), self.edges),
+                _axes(places[joined], colours[joined]),
+            )
+            self._graph = Graph(places, self.edges, priorities, axes, self.threads)
+        return self._graph
+
+    def cut(self, samples: Int64s, places: Int64s, size: int) -> MeshGeometry:
+        """Return the part of some samples, ascending, at places in a larger part of `size`."""
+        rank = np.full(self.size, -1, np.int32)
+        rank[samples] = places
+        corners, ends = rank[self.faces], rank[self.edges]
+        inside = (ends >= 0).all(axis=1)
+        scales, weights = self.scales, self.weights
+        return dataclasses.replace(
+            self,
+            order=np.zeros(0, self.order.dtype),
+            positions=placed(self.positions, samples, places, size),
+            faces=corners[(corners >= 0).all(axis=1)],
+            edges=ends[inside],
+            lengths=self.lengths[inside],
+            scales=None if scales is None else placed(scales, samples, places, size, 1),
+            weights=None if weights is None else placed(weights, samples, places, size),
+            _core=None,
+            _graph=None,
+        )
+
+    def for_kernels(self) -> MeshGeometry:
+        """Return the geometry without triangles, which only cuts need."""
+        return dataclasses.replace(self, faces=np.empty((0, 3), np.int32))  # a slice would keep them
+
+    def in_order(self, rows: Array) -> Array:
+        """Bring rows back to the order that the caller gave them in."""
+        ordered = np.empty_like(rows)
+        ordered[self.order] = rows
+        return ordered
+
+    def work(self, unit: float) -> MeshWork:
+        return MeshWork(self.size, unit, self.edges, len(self.faces))
+
+    def take(self, stack: Stack, samples: Int64s) -> Float32s:
+        return stack[samples]
+
+    def steps(self, stack: Stack) -> Float32s:
+        """Return differences along all edges."""
+        return stack[self.edges[:, 0]] - stack[self.edges[:, 1]]
+
+    def single(self, marked: Bools) -> Bools:
+        """Return which of the marked samples have no edge to a marked one."""
+        single = marked.copy()
+        single[self.edges[marked[self.edges].all(axis=1)]] = False
+        return single
+
+    def find_clipped(self, colours: Stack, sigma: Float64s) -> ClippedChannels | None:
+        """Find the channels that were cut off; isolated samples keep their colours, and do not count."""
+        return find_clipped(np.ascontiguousarray(colours[self._is_joined()].T), sigma)
+
+    def gaussian(self, scale: float) -> MeshGaussian:
+        return MeshGaussian(self.size, self.edges, self.lengths, scale, self.gain)
+
+    def planes(self, count: int) -> Float32s:
+        return np.zeros((count, self.size), np.float32)
+
+    def total(self, planes: Float32s) -> Float64s:
+        return np.asarray(planes.sum(axis=1, dtype=np.float64))
+
+    def spread(self, planes: Float32s) -> Float32s:
+        """Average rows over the surface, in passes over the neighbours of each sample."""
+        means = MeshGaussian(self.size, self.edges, self.lengths, _SPREAD, gain=1.0)
+        rows = np.ascontiguousarray(planes.T)
+        for _ in range(_PASSES):
+            rows = means.smooth(rows)
+        return np.ascontiguousarray(rows.T)
+
+    def _is_joined(self) -> Bools:
+        joined = np.zeros(self.size, bool)
+        joined[self.edges] = True
+        return joined
+
+
+def rank_in(order: Int32s) -> Int32s:
+    """Return where each sample stands in an order of all."""
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order), dtype=rank.dtype)
+    return rank
+
+
+def placed(rows: Array, samples: Int64s, places: Int64s, size: int, filling: float = 0) -> Array:
+    """Return the rows of some samples at places in an array of `size` rows."""
+    if size == len(samples):
+        return rows[samples]
+    whole = np.full((size, *rows.shape[1:]), filling, rows.dtype)
+    whole[places] = rows[samples]
+    return whole
+
+
+def coarse(colours: Stack) -> Float32s:
+    """Return colours in steps by which signs and the patches that start groups are chosen."""
+    return np.asarray(np.round(colours * _COARSE), np.float32)
+
+
+def _core_of(faces: Int32s, size: int, is_along_segments: bool) -> SegmentManifold | TriangulatedManifold:
+    return (SegmentManifold if is_along_segments else TriangulatedManifold)(faces, size)
+
+
+def _in_three_dimensions(positions: Float64s) -> Float64s:
+    """Return positions with zeros added, or projected on the three directions in which they extend most."""
+    if positions.shape[1] > 3:
+        offsets = positions - positions.mean(axis=0)
+        directions = np.linalg.eigh(np.einsum("ij,ik->jk", offsets, offsets))[1]
+        return np.ascontiguousarray(np.einsum("ij,jk->ik", offsets, directions[:, -3:]))
+    places = np.zeros((len(positions), 3))
+    places[:, : positions.shape[1]] = positions
+    return places
+
+
+def _axes(positions: Float64s, colours: Float32s) -> Float64s:
+    """Return two directions, shape (2, 3), that turn with the model: to where colours are brighter and stronger."""
+    if not len(positions):
+        return np.eye(3)[:2]
+    offsets = positions - positions.mean(axis=0)
+    level = colours.sum(axis=1, dtype=np.float64)
+    level -= level.mean()
+    return np.stack([np.einsum("i,ij->j", weights, offsets) for weights in (level, level**2)])
