@@ -103,7 +103,7 @@ def judge(scene, atlas, quality, subsampling, sigma):
             planes = painted(atlas, stored, threads=1) if planes is None else planes
             return grid_manifold(atlas, planes, own, whole=Whole(noise=noise))
 
-        plan = plan_on_pictures(manifold, atlas, pixels, tables, own, None)
+        plan = plan_on_pictures(manifold, atlas, list(zip(pixels, tables, strict=True)), own)
         return tuning_scene.psnr(smooth(plan).manifold.new_colours().table(), clean)
 
     best = max(

@@ -89,7 +89,7 @@ def stage_seconds(source, guided):
     for texture in surface.textures:
         read_image(texture.data, texture.name)
     marks.append(time.process_time())
-    plan = TextureLayer(surface, "baseColor", settings).plan()
+    plan = TextureLayer.read(surface, "baseColor", settings).plan()
     marks.append(time.process_time())
     smooth(plan)
     decoding, setup, iteration = np.diff([*marks, time.process_time()])

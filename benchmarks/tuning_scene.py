@@ -87,7 +87,8 @@ class Vertices:
 
     def plan(self, noisy, parameters):
         colours = noisy[self._place[2].ravel()]
-        surface, sampling = sample_vertices(self.painted, colours)
+        sampling = sample_vertices(self.painted)
+        surface = sampling.surface(self.painted, np.ascontiguousarray(colours[sampling.first_vertex]))
         self.rows = sampling.sample_of[self._first]
         return choose_parameters(mesh_manifold(surface, parameters), parameters)
 

@@ -203,7 +203,9 @@ class MeshManifold(Manifold):
         )
 
     def new_colours(self) -> NewColours:
-        return NewColours.of(self.geometry.in_order(self.noise.to_input(self.colours)))
+        mesh, moving = self.geometry, self.moving
+        new = NewColours.of(mesh.in_order(self.noise.to_input(self.colours)))
+        return new if moving is None else dataclasses.replace(new, positions=mesh.in_order(moving.positions))
 
     def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
         """Return random stacks like the noise, by nearby colours: signs, or noise that neighbours share."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.atlas import Indices
 
@@ -87,6 +87,7 @@ class NewColours:
     places: Indices  # texels or pixels of the samples, shape (S,)
     beyond_places: Indices  # texels or pixels around charts, shape (G,)
     beyond: Float32s  # their colours, shape (G, N)
+    positions: Float64s | None = None  # of the samples, shape (S, 3), if they moved
 
     @classmethod
     def of(

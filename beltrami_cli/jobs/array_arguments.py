@@ -84,7 +84,7 @@ def painted_arrays(
 
 
 def checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple[int, int]) -> ImageSurface:
-    """Check where pixels lie; those whose colours are not finite are holes, too."""
+    """Check where pixels lie; where a colour, height or position is not finite is a hole, too."""
     valid = np.asarray(np.isfinite(table.reshape(*shape, -1)).all(axis=2))
     if surface is None:
         return ImageSurface(valid=valid)
@@ -93,8 +93,10 @@ def checked_surface(surface: ImageSurface | None, table: Float32s, shape: tuple[
     positions, heights = surface.positions, surface.heights
     if positions is not None:
         positions = _numbers(positions, "positions", (*shape, "M")).astype(np.float64)
+        valid &= np.isfinite(positions).all(axis=2)
     if heights is not None:
         heights = _numbers(heights, "heights", shape).astype(np.float64)
+        valid &= np.isfinite(heights)
     if surface.valid is not None:
         valid &= _numbers(surface.valid, "valid", shape, "bui").astype(bool)
     return ImageSurface(heights, positions, valid)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import smooth as smooth_manifold
-from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.jobs.array_arguments import (
     checked_surface,
@@ -20,10 +18,12 @@ from beltrami_cli.jobs.array_arguments import (
     require_encoding,
     settings_for,
 )
-from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.layers.image_surface import ImageSurface
+from beltrami_cli.layers.reports import VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
-from beltrami_cli.layers.vertex_layer import CloudCounts, VertexLayer, count_cloud
-from beltrami_cli.surface.records import Encoding
+from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, VertexLayer, count_cloud
+from beltrami_cli.surface.records import Encoding, PaintedVertices
 
 Progress = Callable[[int, int], None]
 
@@ -190,23 +190,32 @@ def smooth(
         raise UsageError(f"smooth_geometry needs positions in 3 dimensions, not {dimensions}")
     if faces is None and dimensions > 3:
         raise UsageError(f"positions in {dimensions} dimensions need faces")
-    samples = VertexLayer(painted, settings, guides, noise)
-    samples.is_cloud = faces is None
-    plan = samples.plan()
-    result = smooth_manifold(plan, progress)
-    report, moving = samples.report(plan, result), result.manifold.moving
-    repainted = samples.repaint(result.manifold.new_colours(), positions=samples.moved(result))
-    counts = report.counts
+    layer = VertexLayer(
+        painted=painted, settings=settings, guides=guides, noise=noise, fits_surface=faces is None
+    )
+    done = smooth_layer(layer, progress)
+    report, repainted = done.report, done.repainted
+    assert isinstance(report, VertexReport)
     assert repainted.colours is not None
+    counts, geometry = report.counts, report.geometry or {}
     return SmoothResult(
-        repainted.colours, plan.beta, plan.manifold.geometry.spacing, report.noise, int(counts["samples"]),
-        int(counts["hard_edge_samples"]), result.samples_per_kernel, result.truncated, report.iterations,
-        report.guides, repainted.positions,
-        normal_noise=None if moving is None else moving.sigma,
-        normal_beta=None if moving is None else moving.beta,
-        cloud=count_cloud(samples.joined) if faces is None else None,
-        choice=result.choice, patches=result.patches,
-    )  # fmt: skip
+        colours=repainted.colours,
+        beta=report.beta,
+        spacing=report.spacing,
+        noise=report.noise,
+        samples=int(counts["samples"]),
+        hard_edge_samples=int(counts["hard_edge_samples"]),
+        samples_per_kernel=done.samples_per_kernel,
+        truncated=int(counts["truncated_kernels"]),
+        iterations=report.iterations,
+        guide_betas=report.guides,
+        positions=repainted.positions,
+        normal_noise=geometry.get("normal_noise"),
+        normal_beta=geometry.get("normal_beta"),
+        cloud=count_cloud(layer.joined) if faces is None else None,
+        choice=done.choice,
+        patches=report.patches,
+    )
 
 
 def smooth_image(
@@ -265,24 +274,37 @@ def smooth_image(
     channels = tuple(map(str, range(table.shape[1])))
     settings, guides, noise = settings_for(parameters, guide, channels, shape, overrides)
     require_encoding(encoding)
-    metric = settings.embedding.metric_channels
-
-    def working(pixels: NDArray[np.int64]) -> NDArray[np.float32]:
-        return to_space(table[pixels], encoding, settings.space)
-
-    numbers = None if metric is None else sorted({channels.index(channel) for channel in metric})
     place = checked_surface(surface, table, shape)
-    light_in = settings.space if encoding == "linear" and settings.space != "data" else None
-    plan = plan_on_image(place, working, settings.kernel, guides, numbers, noise=noise, light_in=light_in)
-    result = smooth_manifold(plan, progress)
-    pixels = plan.manifold.geometry.atlas.owned_texels
-    before, after = working(pixels), result.manifold.new_colours().table()
-    smoothed, moved, old = table.copy(), np.any(before != after, axis=1), table[pixels]
-    if moved.any():
-        # The way there and back is not exact; what comes of it stays in the range of the colours.
-        back = from_space(after[moved], encoding, settings.space)
-        smoothed[pixels[moved]] = np.clip(back, old.min(axis=0), old.max(axis=0))
+    assert place.valid is not None
+    pixels = np.flatnonzero(place.valid)
+    grid = np.full(shape, -1)
+    grid[place.valid] = np.arange(len(pixels))
+    layer = GridLayer(
+        painted=PaintedVertices(
+            positions=np.empty((len(pixels), 0)),  # which `surface` has
+            faces=np.empty((0, 3), np.int32),
+            colours=table[pixels],
+            channels=channels,
+            encoding=encoding,
+            stored="float32",
+        ),
+        grid=grid,
+        surface=place,
+        settings=settings,
+        guides=[replace(guide, values=guide.values[pixels]) for guide in guides],
+        noise=None if noise is None else noise[pixels],
+    )
+    done = smooth_layer(layer, progress)
+    report, smoothed = done.report, table.copy()
+    assert isinstance(report, VertexReport)
+    smoothed[pixels] = done.repainted.colours
     return ImageResult(
-        smoothed.reshape(*shape, -1), plan.beta, plan.manifold.geometry.spacing, plan.noise, len(pixels),
-        result.samples_per_kernel, result.choice, result.patches,
-    )  # fmt: skip
+        colours=smoothed.reshape(*shape, -1),
+        beta=report.beta,
+        spacing=report.spacing,
+        noise=np.array(list(report.noise.values())),
+        samples=int(report.counts["samples"]),
+        samples_per_kernel=done.samples_per_kernel,
+        choice=done.choice,
+        patches=report.patches,
+    )

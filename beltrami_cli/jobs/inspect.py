@@ -10,10 +10,10 @@ from typing import cast
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.layers.levelled_charts import describe_level, photograph_attribute, photographs_of
+from beltrami_cli.layers.levelled_charts import describe_exposure, photograph_attribute, photographs_of
 from beltrami_cli.layers.memory_check import checked_memory, memory_beside, too_many_together
 from beltrami_cli.layers.selection import layers_of, require_scale, select, vertex_layer
-from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures, only_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.tile_groups import TileGroups
@@ -75,21 +75,19 @@ def inspect_file(
             notices.append(f"{slot}: noise and parameters are {which}.")
         chosen = dataclasses.replace(selection, slots=tuple(rest))
         for samples in layers_of(document, chosen, settings, access, in_groups=in_groups):
-            if samples.part == "textures":
+            if isinstance(samples, TextureLayer):
                 textures.append(samples.describe())
+                if samples.group is None:
+                    textures[-1]["exposure"] = describe_exposure(samples)
             else:
-                steps = None
-                if samples.part == "vertices" and photograph_attribute(document) is not None:
-                    # First, since a description uses up the surface.
-                    steps = samples.level(LevelSettings(strength=0.0), photographs_of(document))
                 facts |= samples.describe()
-                if steps is not None:
-                    facts["exposure"] = describe_level(steps)
-            notices += samples.notices()
+                if samples.part == "vertices" and photograph_attribute(document) is not None:
+                    facts["exposure"] = describe_exposure(samples, photographs_of(document))
+            notices += samples.notices
         for slot in rest:
             groups = [each for each in textures if each["slot"] == slot]
             if len(groups) > 1:  # exposures belong to all groups together
-                exposure = TextureLayer(document.textured(slot), slot, settings).exposure()
+                exposure = describe_exposure(TextureLayer.read(document.textured(slot), slot, settings))
                 for each in groups:
                     each["exposure"] = exposure
     if textures:
@@ -104,12 +102,12 @@ def inspect_file(
 
 def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
     """Describe the textures of a slot one by one, and noise and parameters by some of them."""
-    facts = TextureLayer(groups.evenly_chosen(), slot, settings).describe()
+    facts = TextureLayer.read(groups.evenly_chosen(), slot, settings).describe()
     del facts["seams_between_textures"], facts["exposure"]
     plain = dataclasses.replace(settings, kernel=dataclasses.replace(settings.kernel, free=()))
     images, counts = list[object](), Counter[str]()
     for index in range(len(groups.surface.textures)):
-        samples = TextureLayer(only_textures(groups.surface, [index]), slot, plain)
+        samples = TextureLayer.read(only_textures(groups.surface, [index]), slot, plain)
         images += cast("list[object]", samples.describe()["images"])
         counts.update(samples.atlas.counts)
     return {**facts, "images": images, **counts}

@@ -75,14 +75,14 @@ class Noising(Painter[Noisy]):
     def changes(self) -> bool:
         return self.noise.sigma != 0
 
-    def paint(self, samples: Layer, job: Job) -> Noisy:
+    def paint(self, layer: Layer, job: Job) -> Noisy:
         del job
-        targets = targets_of(samples)
-        after = _noisy(samples, targets, self.noise)
+        targets = targets_of(layer)
+        after = _noisy(layer, targets, self.noise)
         change = np.square(after - targets.colours, dtype=np.float64)
-        what = "vertex colours" if samples.part == "vertices" else samples.label
+        what = "vertex colours" if layer.part == "vertices" else layer.label
         rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
-        return Noisy(repainted(samples, targets, after), Added(what, len(change), rms))
+        return Noisy(repainted(layer, targets, after), Added(what, len(change), rms))
 
 
 def noise_file(

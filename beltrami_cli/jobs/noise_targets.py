@@ -6,28 +6,30 @@ Samples at one place have one random number, so that split vertices stay equal, 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.canvas import painted as on_canvas
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image import Picture, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
-from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.layer import Change, Layer, Repainted, encoded
-from beltrami_cli.layers.painted_layer import PaintedLayer
-from beltrami_cli.layers.settings import SLOTS
-from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.surface.atlas import texels_by_texture
+from beltrami_cli.layers.image_layer import ImageLayer, written
+from beltrami_cli.layers.layer import Change, Layer, Repainted, rewritten
+from beltrami_cli.layers.painted_layer import PaintedLayer, coloured_rows
+from beltrami_cli.layers.settings import COLOUR_SLOTS, SLOTS
+from beltrami_cli.layers.texel_colours import Repainting, all_texel_colours
+from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
+from beltrami_cli.surface.atlas import fill_gutter, texels_by_texture
 from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.grouping import group_places
@@ -54,7 +56,7 @@ def targets_of(samples: Layer) -> NoiseTargets:
     """Return the coloured vertices, covered texels or pixels."""
     space = samples.settings.space
     if isinstance(samples, PaintedLayer):
-        painted, rows = samples.painted, samples.coloured()
+        painted, rows = samples.painted, _coloured(samples)
         colours = to_space(painted.colours[rows][:, samples.channels.changing], painted.encoding, space)
         return NoiseTargets(colours, _places(painted, rows), space=space)
     if isinstance(samples, ImageLayer):
@@ -68,7 +70,7 @@ def targets_of(samples: Layer) -> NoiseTargets:
     number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
     is_grey = np.array([len(picture.colour) == 1 for picture in samples.pictures], bool)
     return NoiseTargets(
-        colours=samples.colours.samples(atlas),
+        colours=all_texel_colours(samples.colours, samples.pictures, atlas),
         number_of=number,
         stream=1 + SLOTS.index(samples.slot),
         is_grey=is_grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1],
@@ -79,7 +81,7 @@ def targets_of(samples: Layer) -> NoiseTargets:
 def positions_of(samples: Layer) -> tuple[Float64s, Float64s]:
     """Return the positions of the targets, (K, 3), and their distance from neighbours, (K,)."""
     if isinstance(samples, PaintedLayer):
-        painted, rows = samples.painted, samples.coloured()
+        painted, rows = samples.painted, _coloured(samples)
         return painted.positions[rows], _spacing(painted, rows, _places(painted, rows))
     if isinstance(samples, ImageLayer):
         row, column = np.nonzero(samples.valid)
@@ -96,19 +98,14 @@ def coded_as_jpeg(samples: Layer, quality: int) -> Float32s:
     if samples.names not in (("red", "green", "blue"), ("grey",)):
         cause = f"{samples.label}: JPEG codes all channels together; leave out --channels and --alpha"
         raise UsageError(cause)
-    assert isinstance(samples, TextureLayer | ImageLayer)
+    pictures: Sequence[Picture]
     if isinstance(samples, ImageLayer):
-        pictures, offsets, places = (
-            [samples.picture],
-            np.array([0, samples.valid.size]),
-            np.flatnonzero(samples.valid),
-        )
+        pictures, offsets = [samples.picture], np.array([0, samples.valid.size])
+        places = np.flatnonzero(samples.valid)
     else:
-        pictures, offsets, places = (
-            samples.pictures,
-            samples.atlas.texture_offsets,
-            samples.atlas.owned_texels,
-        )
+        assert isinstance(samples, TextureLayer)
+        pictures, offsets = samples.pictures, samples.atlas.texture_offsets
+        places = samples.atlas.owned_texels
     space = samples.colours.space
     coded = np.empty((len(places), len(samples.names)), np.float32)
     for index, inside, texels in texels_by_texture(offsets, places):
@@ -124,7 +121,7 @@ def coded_as_jpeg(samples: Layer, quality: int) -> Float32s:
 def repainted(samples: Layer, targets: NoiseTargets, after: Float32s) -> Repainted:
     """Replace the colours of targets by others; colours beyond seams are shifted by the same amount."""
     if isinstance(samples, PaintedLayer):
-        painted, places = samples.painted, (samples.coloured()[:, None], samples.channels.changing)
+        painted, places = samples.painted, (_coloured(samples)[:, None], samples.channels.changing)
         back = from_space(after, painted.encoding, targets.space)
         colours = painted.colours.copy()
         # Conversion to the working space and back is not exact: unchanged colours keep their bits.
@@ -132,7 +129,7 @@ def repainted(samples: Layer, targets: NoiseTargets, after: Float32s) -> Repaint
         return Repainted(Change.between(painted.colours, colours), colours)
     if isinstance(samples, ImageLayer):
         losses = noise_losses(samples.picture, samples.suffix, "an OUTPUT in .png keeps all")
-        return samples.written(NewColours.of(after, np.flatnonzero(samples.valid)), encoded, losses)
+        return written(samples, NewColours.of(after, np.flatnonzero(samples.valid)), losses)
     assert isinstance(samples, TextureLayer)
     return _repainted_textures(samples, targets, after)
 
@@ -142,17 +139,37 @@ def _repainted_textures(samples: TextureLayer, targets: NoiseTargets, after: Flo
     planes = on_canvas(atlas, added, threads=1)
     beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
     new = NewColours.of(added, atlas.owned_texels, atlas.gutter_texels, beyond)
-    painter, notices = samples.painter(wanted.gutter), list[str]()
+    painter, notices = painter_of(samples, wanted.gutter), list[str]()
     images: dict[tuple[Slot, str], ImageFile] = {}
     for index, (texture, picture) in enumerate(zip(samples.surface.textures, samples.pictures, strict=True)):
-        pixels = painter.shift(index, new, targets.limits)
-        file, said = encoded(picture, pixels, wanted, wanted.image_suffix, as_data=samples.is_data)
+        pixels, is_data = _shifted(painter, index, new, targets.limits), samples.slot not in COLOUR_SLOTS
+        file, said = rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
         images[samples.slot, texture.key] = file
         notices += said
         notices += noise_losses(picture, wanted.image_suffix, "--texture-format png keeps all")
     if not len(added):
         notices.append("no visible texel is covered by the surface, so its textures stay as they are")
     return Repainted(Change(), images=images, notices=tuple(notices))
+
+
+def _shifted(painter: Repainting, index: int, added: NewColours, limits: tuple[float, float]) -> Array:
+    """Return a picture's pixels with an offset added to its colours and gutter, within limits."""
+    picture = painter.pictures[index]
+    pixels, shape = picture.pixels.copy(), picture.pixels.shape[:2]
+    inside, texels = painter.of_texture(added.places, index)
+    change = np.zeros((*shape, added.beyond.shape[1]), np.float32)
+    table = change.reshape(-1, change.shape[2])
+    table[texels] = added.take(slice(None), inside)
+    if painter.gutter is not None:
+        covered, known, rows = painter.near_charts(index, shape, added)
+        table[painter.of_texture(added.beyond_places[rows], index)[1]] = added.beyond[rows]
+        fill_gutter(change, covered, painter.gutter, known)
+    moved = np.flatnonzero(table.any(axis=1))
+    after = (painter.colours.working(picture, moved) + table[moved]).clip(*limits)
+    painter.paint(
+        pixels, index, moved + painter.texture_offsets[index], lambda block, inside: after[block][inside]
+    )
+    return pixels
 
 
 def as_jpeg(shown: Float32s, quality: int) -> Float32s:
@@ -168,6 +185,10 @@ def jpeg_file(shown: Float32s, quality: int) -> bytes:
     new.spec.attribute("jpeg:subsampling", "4:2:0")
     picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
     return write_image(picture, new.pixels, jpeg_quality=quality).data
+
+
+def _coloured(layer: PaintedLayer) -> NDArray[np.intp]:
+    return coloured_rows(layer.painted, in_triangles=layer.in_triangles)
 
 
 def _places(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:

@@ -73,8 +73,8 @@ class Painter(ABC, Generic[AnyPainted]):
         return self
 
     @abstractmethod
-    def paint(self, samples: Layer, job: Job) -> AnyPainted:
-        """Give samples new colours."""
+    def paint(self, layer: Layer, job: Job) -> AnyPainted:
+        """Give a layer new colours."""
 
 
 def recolour(
@@ -153,10 +153,10 @@ def paint(
     """Paint what is selected, layer by layer; `suffix`: of another image format that is written."""
     painted = []
     options = {"colours_only": painter.colours_only, "in_groups": in_groups}
-    for samples in layers_of(document, selection, settings, job.access, suffix, **options):
-        samples.require_writable()
-        painted.append(painter.paint(samples, job))
-        del samples
+    for layer in layers_of(document, selection, settings, job.access, suffix, **options):
+        layer.require_writable()
+        painted.append(painter.paint(layer, job))
+        del layer
     return painted
 
 

@@ -17,7 +17,7 @@ from beltrami_cli.jobs.file_job import FileJob, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import paint, recolour
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_report, smooth_samples
+from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.selection import Selection, require_scale
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
@@ -166,9 +166,9 @@ def _new_texture(
             smoothed,
         )
     with file.watch.stage("smooth"):
-        samples = TextureLayer(made.surface(), "baseColor", settings)
-        samples.require_writable()
-        again = smooth_samples(samples, job, "the new texture")
+        layer = TextureLayer.read(made.surface(), "baseColor", settings)
+        layer.require_writable()
+        again = smooth_in_job(layer, job, "the new texture")
     (image,) = again.repainted.images.values()
     return made, image, [again]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, ClassVar
@@ -12,12 +12,14 @@ from typing import Any, ClassVar
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.records import NewColours
+from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.recolour import Painter
 from beltrami_cli.layers.layer import Change, Layer, Part, Repainted
-from beltrami_cli.layers.levelled_charts import photographs_of
+from beltrami_cli.layers.levelled_charts import colours_of, level, photographs_of
 from beltrami_cli.layers.reports import ImageReport, LayerReport, LevelReport, SlotReport, VertexReport
 from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
 from beltrami_cli.layers.settings import LevelSettings, SmoothSettings, describe_settings
@@ -26,19 +28,66 @@ _USUAL_TICKS = 30  # while parameters are chosen
 
 
 @dataclass(frozen=True)
+class Recoloured:
+    """New colours of a layer, and how the kernel made them."""
+
+    colours: NewColours
+    report: LayerReport  # without the change of colours
+    warnings: list[str]
+    is_smoothed: bool
+    choice: Choice | None
+    samples_per_kernel: float  # not rounded, as in the report
+
+
+@dataclass(frozen=True)
 class Smoothed:
-    """What smoothing makes of samples: their part of the document, what was done, and what users should know."""
+    """What smoothing makes of a layer: its part of the document, what was done, and what users should know."""
 
     part: Part
     repainted: Repainted
     report: LayerReport
     warnings: list[str]
+    choice: Choice | None
+    samples_per_kernel: float
     levelled: LevelReport | None = None  # what was done to exposure steps before
 
 
-def smooth_samples(samples: Layer, job: Job, label: str | None = None) -> Smoothed:
-    """Run the flow on samples, and put the colours back; `label`: their name in progress, if not their own."""
-    label = label or samples.label
+def recolour_layer(
+    layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
+) -> Recoloured:
+    """Choose parameters, calling `tick`, and run the flow on a layer."""
+    plan = layer.plan(tick)
+    result = smooth(plan, progress)
+    report = layer.report(plan, result)
+    return Recoloured(
+        colours=result.manifold.new_colours(),
+        report=report,
+        warnings=report.warnings(plan.parameters.max_samples),
+        is_smoothed=plan.parameters.iterations > 0,
+        choice=result.choice,
+        samples_per_kernel=result.samples_per_kernel,
+    )
+
+
+def smooth_layer(
+    layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
+) -> Smoothed:
+    """Run the flow on a layer, and put the colours back."""
+    made = recolour_layer(layer, progress, tick)
+    repainted = layer.repaint(made.colours, is_smoothed=made.is_smoothed)
+    return Smoothed(
+        part=layer.part,
+        repainted=repainted,
+        report=dataclasses.replace(made.report, change=repainted.change.summary()),
+        warnings=made.warnings,
+        choice=made.choice,
+        samples_per_kernel=made.samples_per_kernel,
+        levelled=layer.level_report,
+    )
+
+
+def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
+    """Smooth a layer, whose name in progress is `label`."""
     choosing, steps = job.progress_of(f"{label}: choosing parameters"), count()
 
     def tick() -> None:
@@ -46,20 +95,12 @@ def smooth_samples(samples: Layer, job: Job, label: str | None = None) -> Smooth
         assert choosing is not None
         choosing(number := next(steps), number + _USUAL_TICKS)
 
-    plan = samples.plan(None if choosing is None else tick)
-    result = smooth(plan, job.progress_of(label))
-    report, warnings = samples.report(plan, result), samples.warnings(result)
-    new, positions = result.manifold.new_colours(), samples.moved(result)
-    is_smoothed = plan.parameters.iterations > 0
-    del plan, result  # before images as large are made
-    repainted = samples.repaint(new, is_smoothed=is_smoothed, positions=positions)
-    report = dataclasses.replace(report, change=repainted.change.summary())
-    return Smoothed(samples.part, repainted, report, warnings)
+    return smooth_layer(layer, job.progress_of(label), None if choosing is None else tick)
 
 
 @dataclass(frozen=True)
 class Levelled:
-    """Samples without exposure steps, and what was found of these."""
+    """A layer without exposure steps, and what was found of these."""
 
     repainted: Repainted
     report: LevelReport
@@ -85,14 +126,13 @@ class Levelling(Painter[Levelled]):
             return self
         return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
 
-    def level(self, samples: Layer) -> LevelReport:
-        return samples.level(self.wanted, self.photographs if samples.part == "vertices" else None)
-
-    def paint(self, samples: Layer, job: Job) -> Levelled:
+    def paint(self, layer: Layer, job: Job) -> Levelled:
         del job
-        report = self.level(samples)
-        repainted = samples.repaint(samples.levelled(), is_smoothed=False)
-        return Levelled(repainted, dataclasses.replace(report, change=repainted.change.summary()))
+        layer = level(layer, self.wanted, self.photographs)
+        repainted = layer.repaint(colours_of(layer), is_smoothed=False)
+        assert layer.level_report is not None
+        change = repainted.change.summary()
+        return Levelled(repainted, dataclasses.replace(layer.level_report, change=change))
 
 
 @dataclass(frozen=True)
@@ -126,9 +166,10 @@ class Smoothing(Painter[Smoothed]):
             return self
         return dataclasses.replace(self, levelling=self.levelling.prepared(document, selection, target))
 
-    def paint(self, samples: Layer, job: Job) -> Smoothed:
-        levelled = None if self.levelling is None else self.levelling.level(samples)
-        return dataclasses.replace(smooth_samples(samples, job), levelled=levelled)
+    def paint(self, layer: Layer, job: Job) -> Smoothed:
+        if self.levelling is not None:
+            layer = level(layer, self.levelling.wanted, self.levelling.photographs)
+        return smooth_in_job(layer, job, layer.label)
 
 
 def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:

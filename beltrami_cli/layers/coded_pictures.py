@@ -29,14 +29,18 @@ _PILOTS = 2
 def plan_on_pictures(
     make: Make,
     atlas: Atlas,
-    pixels: Sequence[Array],
-    tables: Sequence[JpegTables | None],
+    coded: Sequence[tuple[Array, JpegTables | None]],
     kernel: KernelParameters,
-    tick: Callable[[], None] | None,
+    *,
+    tick: Callable[[], None] | None = None,
     light_in: Space | None = None,
 ) -> Plan[GridManifold]:
-    """Plan the smoothing of pictures, decoded again if JPEG coded white noise in all; `make`: on given colours."""
-    pictures = _coded(atlas, pixels, tables) if kernel.evens_noise and not kernel.fast else []
+    """Plan the smoothing of pictures, decoded again if JPEG coded white noise in all of them.
+
+    `make` makes the manifold, of given colours with their noise if these are given. `coded`: the pixels and tables of
+    all pictures as their files have them; none if the samples have other colours.
+    """
+    pictures = _coded(atlas, coded) if kernel.evens_noise and not kernel.fast else []
     sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
     if sigma is None:
         return choose_parameters(make(None, None), kernel, tick, light_in=light_in)
@@ -62,19 +66,18 @@ def _smoothed(manifold: GridManifold, kernel: KernelParameters, tick: Callable[[
     return smooth(plan, None if tick is None else lambda *_: tick()).manifold.new_colours().table()
 
 
-def _coded(atlas: Atlas, pixels: Sequence[Array], tables: Sequence[JpegTables | None]) -> list[CodedPicture]:
+def _coded(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> list[CodedPicture]:
     """Return the pictures, unless one of them is no JPEG file, or some are grey and others are not."""
-    known = [each for each in tables if each is not None]
-    alike = len(known) == len(pixels) and len({own.shape[2] for own in pixels}) == 1
-    if not alike or any(own.dtype != np.uint8 for own in pixels):
+    known = [(pixels, tables) for pixels, tables in coded if tables is not None and pixels.dtype == np.uint8]
+    if len(known) < len(coded) or len({pixels.shape[2] for pixels, _ in known}) != 1:
         return []
-    used = [large_arrays.zeros(own.shape[:2], bool) for own in pixels]
+    used = [large_arrays.zeros(pixels.shape[:2], bool) for pixels, _ in known]
     for block in large_arrays.blocks(len(atlas.owned_texels)):
         for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
             used[index].reshape(-1)[texels] = True
     return [
-        CodedPicture(own, mask, each.steps, each.span)
-        for own, mask, each in zip(pixels, used, known, strict=True)
+        CodedPicture(pixels, mask, tables.steps, tables.span)
+        for (pixels, tables), mask in zip(known, used, strict=True)
     ]
 
 

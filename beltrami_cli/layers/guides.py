@@ -181,7 +181,7 @@ class GuidedTexels:
         pictures = [read_texture(texture) for texture in guiding.textures]
         textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
         plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)
-        colours = PictureColours(pictures, slot, plain)
+        colours = PictureColours.of(pictures, slot, plain)
         images = []
         for picture in pictures:
             height, width = picture.pixels.shape[:2]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.flow.beltrami_flow import Plan
@@ -56,11 +57,6 @@ class ImageSurface:
     positions: NDArray[Any] | None = None
     valid: NDArray[np.bool_] | None = None
     notices: tuple[str, ...] = ()
-
-    def window(self, place: tuple[slice, slice]) -> ImageSurface:
-        every = self.heights, self.positions, self.valid
-        heights, positions, valid = (None if each is None else each[place] for each in every)
-        return ImageSurface(heights, positions, valid)
 
     @property
     def kind(self) -> str:
@@ -146,12 +142,13 @@ def plan_on_image(
     surface: ImageSurface,
     colours_of: Callable[[Pixels], NDArray[np.float32]],
     kernel: KernelParameters,
+    *,
     guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
     tick: Callable[[], None] | None = None,
     noise: NDArray[np.float32] | None = None,
     rows: Pixels | None = None,
-    coded: tuple[NDArray[Any], JpegTables] | None = None,
+    coded: tuple[Array, JpegTables | None] | None = None,
     light_in: Space | None = None,
 ) -> Plan[GridManifold]:
     """Plan the smoothing of an image, whose owned texels are the pixels that are not holes, row by row.
@@ -188,8 +185,7 @@ def plan_on_image(
             deviations=None if noise is None else noise[own],
         )
 
-    pictures = ([coded[0]], [coded[1]]) if coded else ([], [])
-    return plan_on_pictures(manifold, atlas, *pictures, kernel, tick, light_in)
+    return plan_on_pictures(manifold, atlas, [coded] if coded else [], kernel, tick=tick, light_in=light_in)
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:

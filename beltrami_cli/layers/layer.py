@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.records import NewColours
@@ -23,7 +23,7 @@ from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.layers.reports import LayerReport, LevelReport
-from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot
@@ -85,69 +85,59 @@ def choose_channels(
 
 
 class Layer(ABC):
-    """Coloured samples of a document; UsageError if settings name absent channels or contradict the document."""
+    """Coloured samples of a document, immutable; UsageError if settings name absent channels or contradict them."""
 
-    part: ClassVar[Part]  # of a document, that they belong to
-    label: str  # their name in messages
+    part: ClassVar[Part]  # of the document, that they belong to
     settings: SmoothSettings
-    names: tuple[str, ...]  # of the sampled channels: those that change, and those that only enter the metric
+    level_report: LevelReport | None = None  # what was done to exposure steps, if they were looked for
+
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """Their name in messages."""
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """The names of the sampled channels: those that change, and those that only enter the metric."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What users should know of them."""
+        return ()
 
     @abstractmethod
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:
-        """Plan their smoothing, which takes over their memory; `tick` is called meanwhile, and may raise."""
+        """Plan their smoothing; `tick` is called meanwhile, and may raise."""
 
     @abstractmethod
     def report(self, plan: Plan[Any], result: FlowResult[Any]) -> LayerReport:
         """Return the report of what was done, without the change of colours."""
 
     @abstractmethod
-    def repaint(
-        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
-    ) -> Repainted:
-        """Write new colours of all samples back, with positions of the vertices if these moved.
+    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
+        """Write new colours of all samples back.
 
         Where neither smoothing nor levelling changed a texture, its gutter stays.
-        The samples cannot be used afterwards.
         """
-
-    def cells(self) -> Cells | None:
-        """Return where the samples lie in pictures; None: they are in none."""
-        return None
-
-    def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
-        """Take exposure steps out of the colours, before flows are made of them; `photographs`: of all vertices."""
-        del wanted, photographs
-        cause = (
-            f"{self.label}: there are no charts that could differ in exposure; textures of models have them"
-        )
-        raise UsageError(cause)
-
-    def levelled(self) -> NewColours:
-        """Return the colours after `level`."""
-        raise NotImplementedError
-
-    def moved(self, result: FlowResult[Any]) -> Float64s | None:
-        """Return the positions of all vertices, if smoothing moved them."""
-        del result
-        return None
-
-    def require_writable(self) -> None:  # noqa: B027
-        """Raise errors about images as outputs, before anything is computed."""
 
     @abstractmethod
     def describe(self) -> dict[str, object]:
         """Return facts about them, their noise, and what smoothing would do, in JSON types, by what they are about."""
 
-    def notices(self) -> list[str]:
-        """Return what users should know of them."""
-        return []
+    def cells(self) -> Cells | None:
+        """Return where the samples lie in pictures; None: they are in none."""
+        return None
+
+    def require_writable(self) -> None:  # noqa: B027
+        """Raise errors about images as outputs, before anything is computed."""
 
     def _used(self, plan: Plan[Any], result: FlowResult[Any]) -> dict[str, Any]:
-        """Return what all reports have in common, by the names of their fields."""
+        """Return the fields that all reports have in common."""
         return {
             "beta": plan.beta,
             "iterations": plan.parameters.iterations,
-            "noise": self.named(plan.noise),
+            "noise": named(self.names, plan.noise),
             "noise_model": plan.described_noise,
             "guides": plan.manifold.guide_betas,
             "choice": describe_choice(result.choice),
@@ -155,7 +145,7 @@ class Layer(ABC):
         }
 
     def _planned(self, plan: Plan[Any]) -> dict[str, Any]:
-        """Return what `describe` says of all kinds: the noise, and the parameters of the kernel as planned."""
+        """Return the noise, and the parameters of the kernel as planned, for `describe`."""
         choice = describe_choice(plan.choice)
         used = dataclasses.asdict(dataclasses.replace(plan.parameters, beta=plan.beta))
         del used["free"]  # nothing is any more
@@ -167,14 +157,13 @@ class Layer(ABC):
             **({"guide_betas": plan.manifold.guide_betas} if plan.manifold.guide_betas else {}),
             **({"choice": choice} if choice else {}),
         }
-        return {"noise": self.named(plan.noise), "noise_model": plan.described_noise, "smooth": smooth}
+        noise = named(self.names, plan.noise)
+        return {"noise": noise, "noise_model": plan.described_noise, "smooth": smooth}
 
-    def warnings(self, result: FlowResult[Any]) -> list[str]:
-        del result
-        return []
 
-    def named(self, values: Float64s) -> dict[str, float]:
-        return {name: float(value) for name, value in zip(self.names, values, strict=True)}
+def named(names: Sequence[str], values: Float64s) -> dict[str, float]:
+    """Return values by the names of their channels."""
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
 
 
 def describe_choice(choice: Choice | None) -> dict[str, object] | None:
@@ -226,24 +215,19 @@ def store(
     return Change(values.size, *store_integers(table, pixels, values, channels, threads))
 
 
-def encoded(
-    picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
-) -> tuple[ImageFile, list[str]]:
-    """Write new pixels as a file like a picture's own, or in another format; return also what users should know."""
-    quality, small = wanted.jpeg_quality, wanted.small
-    file = write_image(picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
-    is_chosen = suffix is not None
-    lost = losses(picture, suffix) if suffix is not None else ()
-    return dataclasses.replace(file, is_chosen=is_chosen), [*picture.notices, *file.notices, *lost]
-
-
 def rewritten(
     picture: Picture, pixels: Array, wanted: TextureSettings, suffix: str | None, *, as_data: bool
 ) -> tuple[ImageFile, list[str]]:
-    """Do so only if a pixel or the format changed; otherwise the file is the picture's own."""
+    """Write new pixels as a file like a picture's own, or in another format; return also what users should know.
+
+    If neither a pixel nor the format changed, the file is the picture's own.
+    """
     if suffix is None and is_unchanged(picture, pixels):
         return ImageFile(picture.source, picture.suffix), []
-    return encoded(picture, pixels, wanted, suffix, as_data=as_data)
+    quality, small = wanted.jpeg_quality, wanted.small
+    file = write_image(picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
+    lost = losses(picture, suffix) if suffix is not None else ()
+    return dataclasses.replace(file, is_chosen=suffix is not None), [*picture.notices, *file.notices, *lost]
 
 
 @dataclass

@@ -1,7 +1,8 @@
-"""Charts of textures and parts of meshes whose exposures are levelled: their names, and what is said of them."""
+"""Layers without exposure steps between their charts: of textures, or of vertices by their photographs."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -10,11 +11,17 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Int64s
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.flow.canvas import colours_at
+from beltrami_cli.flow.grid_manifold import grid_manifold
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.formats.image.metadata import JpegTables
+from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.reports import LevelReport
-from beltrami_cli.levelling.correction import Levelled
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings
+from beltrami_cli.layers.texture_layer import TextureLayer, on_canvas
+from beltrami_cli.layers.vertex_layer import VertexLayer
+from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import Texture
@@ -25,6 +32,60 @@ _NO_EXPOSURE = (
     "no exposure steps: those at some seams do not foretell the others, as exposures of charts would"
 )
 _TOO_SMALL = "the change would be too small to be seen"
+
+
+def level(layer: Layer, wanted: LevelSettings, photographs: Int64s | None = None) -> Layer:
+    """Return a layer with exposure steps taken out, and the report of that; `photographs`: of all vertices."""
+    if isinstance(layer, TextureLayer):
+        return _level_textures(layer, wanted)
+    if isinstance(layer, VertexLayer):
+        return _level_vertices(layer, wanted, photographs)
+    cause = "there are no charts that could differ in exposure; textures of models have them"
+    raise UsageError(f"{layer.label}: {cause}")
+
+
+def _level_textures(layer: TextureLayer, wanted: LevelSettings) -> TextureLayer:
+    if layer.slot not in COLOUR_SLOTS:
+        cause = f"{layer.label}: they are data, which no camera exposed; leave them out of --slots"
+        raise UsageError(cause)
+    atlas, planes, charts = (
+        layer.atlas,
+        on_canvas(layer),
+        TextureCharts.of(layer.atlas, layer.surface.textures),
+    )
+    is_coloured = layer.names == ("red", "green", "blue")
+    halved = [is_coloured and each is not None and max(each.span) > 1 for each in layer.tables]
+    found, change = level_canvas(atlas, planes, wanted.strength, charts.matching(wanted.reference), halved)
+    return dataclasses.replace(
+        layer,
+        levelled=colours_at(planes, atlas.owned_cells, layer.settings.kernel.thread_count)
+        if change
+        else None,
+        level_report=_report(layer.label, found, change, charts.facts(layer.pictures)),
+    )
+
+
+def _level_vertices(layer: VertexLayer, wanted: LevelSettings, photographs: Int64s | None) -> VertexLayer:
+    if photographs is None or wanted.reference:
+        raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")
+    surface = layer.surface()
+    of_samples = np.zeros(len(surface.colours), np.int64)
+    of_samples[layer.sampling.sample_of] = photographs
+    mesh = surface.positions, surface.all_faces
+    found, change, colours = level_mesh(*mesh, surface.colours, of_samples, wanted.strength)
+    parts: list[dict[str, object]] = [{"chart": part} for part in range(len(found.groups))]
+    return dataclasses.replace(
+        layer, levelled=colours, level_report=_report(layer.label, found, change, parts)
+    )
+
+
+def colours_of(layer: Layer) -> NewColours:
+    """Return the colours of a layer as they are, to be written back where exposure steps were taken out."""
+    if isinstance(layer, VertexLayer):
+        return NewColours.of(layer.surface().colours)
+    assert isinstance(layer, TextureLayer)
+    still, metric = layer.settings.kernel.with_values(iterations=0), layer.colours.metric_channels
+    return grid_manifold(layer.atlas, on_canvas(layer), still, metric_channels=metric).new_colours()
 
 
 @dataclass(frozen=True)
@@ -83,16 +144,8 @@ class TextureCharts:
         return found
 
 
-def halved_colour(tables: Sequence[JpegTables | None], names: Sequence[str]) -> list[bool]:
-    """Return which textures are JPEG with colour at half the resolution, along rows, columns or both."""
-    is_coloured = tuple(names) == ("red", "green", "blue")
-    return [is_coloured and each is not None and max(each.span) > 1 for each in tables]
-
-
-def level_report(
-    what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]
-) -> LevelReport:
-    """Put together what is known; `charts` are facts about each."""
+def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:
+    """Report the levelling of colours; `charts` are facts about each chart."""
     facts, verdict = found.facts, found.verdict
     reason = "" if change else _TOO_SMALL
     if verdict is None:
@@ -146,8 +199,12 @@ def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
     return np.asarray(found.reshape(-1), np.int64)
 
 
-def describe_level(report: LevelReport) -> dict[str, object]:
-    """Return what is known of exposure steps, in JSON types, for `info`."""
+def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[str, object] | None:
+    """Describe exposure steps, in JSON types; None for data."""
+    if isinstance(layer, TextureLayer) and layer.slot not in COLOUR_SLOTS:
+        return None
+    report = level(layer, LevelSettings(strength=0.0), photographs).level_report
+    assert report is not None
     return {
         "step": report.before,
         "seams": report.seams,

@@ -5,22 +5,17 @@ from __future__ import annotations
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Int32s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.embedding import Guide, from_space
-from beltrami_cli.layers.layer import (
-    Change,
-    ChosenChannels,
-    Layer,
-    Part,
-    Repainted,
-    choose_channels,
-)
+from beltrami_cli.layers.layer import Change, ChosenChannels, Layer, Part, Repainted, choose_channels
 from beltrami_cli.layers.reports import VertexReport
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import PaintedVertices
@@ -44,24 +39,25 @@ def describe_colours(painted: PaintedVertices) -> dict[str, object]:
     }
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class PaintedLayer(Layer):
-    """The common part of vertices on a mesh and on a grid; `in_triangles`: vertices in none have no colour."""
+    """The common part of vertices on a mesh and on a grid."""
 
     part: ClassVar[Part] = "vertices"
 
-    def __init__(
-        self,
-        painted: PaintedVertices,
-        settings: SmoothSettings,
-        guides: Sequence[Guide] = (),
-        noise: Float32s | None = None,
-        *,
-        in_triangles: bool = False,
-    ) -> None:
-        self.painted, self.settings, self.guides = painted, settings, tuple(guides)
-        self._noise, self._in_triangles = noise, in_triangles
-        self.channels = columns_of(painted, settings)
-        self.names = tuple(painted.channels[channel] for channel in self.channels.sampled)
+    painted: PaintedVertices
+    settings: SmoothSettings
+    guides: Sequence[Guide] = ()
+    noise: Float32s | None = None  # standard deviations, with a row for each vertex
+    in_triangles: bool = False  # vertices in no triangle have no colour
+
+    @cached_property
+    def channels(self) -> ChosenChannels:
+        return columns_of(self.painted, self.settings)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.painted.channels[channel] for channel in self.channels.sampled)
 
     @property
     def joined(self) -> PaintedVertices:
@@ -72,13 +68,10 @@ class PaintedLayer(Layer):
     def sample_of(self, plan: Plan[Any]) -> Int64s:
         """Return the sample of a manifold that each of the V vertices belongs to, shape (V,); -1: none."""
 
-    def coloured(self) -> NDArray[np.intp]:
-        return coloured_rows(self.painted, in_triangles=self._in_triangles)
-
     def _report(self, plan: Plan[Any], result: FlowResult[Any], counts: dict[str, float]) -> VertexReport:
         return VertexReport(
             counts={
-                "vertices": len(self.painted.positions),
+                "vertices": len(self.painted.colours),
                 **counts,
                 "samples_per_kernel": round(result.samples_per_kernel, 2),
                 "truncated_kernels": result.truncated,
@@ -87,7 +80,9 @@ class PaintedLayer(Layer):
             **self._used(plan, result),
         )
 
-    def _repainted(self, vertices: NDArray[np.intp], after: Float32s) -> Repainted:
+    def _repainted(
+        self, vertices: NDArray[np.integer[Any]], after: Float32s, positions: Float64s | None = None
+    ) -> Repainted:
         """Give some vertices new colours; conversion there and back is not exact, but its result stays in range."""
         painted, changing = self.painted, self.channels.changing
         colours = painted.colours.copy()
@@ -95,7 +90,7 @@ class PaintedLayer(Layer):
             before = painted.colours[:, changing]
             back = from_space(after, painted.encoding, self.settings.space)
             colours[vertices[:, None], changing] = np.clip(back, before.min(axis=0), before.max(axis=0))
-        return Repainted(Change.between(painted.colours, colours), colours)
+        return Repainted(Change.between(painted.colours, colours), colours, positions)
 
 
 def coloured_rows(painted: PaintedVertices, *, in_triangles: bool = False) -> NDArray[np.intp]:

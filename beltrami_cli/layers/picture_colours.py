@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.canvas import painted_by
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.formats.image import Picture
@@ -24,9 +24,8 @@ from beltrami_cli.formats.image.picture import (
 )
 from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
-from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, Indices, texels_by_texture
-from beltrami_cli.surface.records import Slot, Texture
+from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.surface.records import Slot
 
 COLOURS = ("red", "green", "blue", "grey")
 # The channels that a data slot uses; others of the same image belong to another slot.
@@ -36,83 +35,78 @@ _CHOOSE_LAYER = "choose one by its name, as in --channels LAYER"
 _EXPORT_LAYER = "export one layer as a file of its own"
 
 
+@dataclass(frozen=True, kw_only=True)
 class PictureColours:
-    """Colours of the pixels of several pictures as samples with the same N channels, and back.
-
-    `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are stored,
-    unless `colours_only` leaves out those that no setting names.
-    """
+    """Which channels of several pictures are sampled, all with the same N names, and how they are converted."""
 
     names: tuple[str, ...]  # of the N channels: those that change, and those that enter the metric
     written: list[int]  # which of the N change
     metric_channels: list[int] | None  # which of the N enter the metric; None: all
     space: Space  # of the samples: the working space, or data as stored
-    others: tuple[str, ...]  # the names of those that are neither colours nor opacity
+    light_space: Space | None  # the same if they stand for light, as pictures of floats do; None: they do not
+    width: int  # colour channels of the pictures; grey pictures beside coloured ones have red = green = blue
+    kept: list[int]  # which of these are sampled
+    changing: list[int]  # which of these change
+    others: dict[
+        str, int
+    ]  # the sampled channels of an image that are neither colours nor opacity, by their names
+    has_alpha: bool  # whether opacity is sampled
+    hides: bool  # whether transparent pixels supply no colour
+    is_normal: bool  # whether colours are normals, of length 1
 
-    def __init__(
-        self, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *,
+    @classmethod
+    def of(
+        cls, pictures: Sequence[Picture], slot: Slot, settings: SmoothSettings, *,
         is_image: bool = False, colours_only: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> PictureColours:  # fmt: skip
+        """Choose the channels.
+
+        `is_image`: of a single picture that is no texture, and whose further channels are samples, too, as they are
+        stored, unless `colours_only` leaves out the channels that no setting names.
+        """
         for picture in pictures:
             require_colours(picture, _CHOOSE_LAYER if is_image else _EXPORT_LAYER)
-        self._pictures = pictures
-        self.space = settings.space if slot in COLOUR_SLOTS else "data"
-        self._is_normal = slot == "normal"
-        self._width = max(len(picture.colour) for picture in pictures)
-        # Grey pictures beside coloured ones have red = green = blue.
-        names = COLOURS[:3] if self._width == 3 else COLOURS[3:]
-        if self.space == "oklab" and self._width != 3:
+        space: Space = settings.space if slot in COLOUR_SLOTS else "data"
+        width = max(len(picture.colour) for picture in pictures)
+        names = COLOURS[:3] if width == 3 else COLOURS[3:]
+        if space == "oklab" and width != 3:
             cause = f"{pictures[0].name} is grey" if is_image else "all textures are grey"
             raise UsageError(f"the space oklab needs red, green and blue, but {cause}")
         further = _further_channels(pictures[0], names) if is_image else {}
         colours_only = colours_only and settings.channels is None
         used = _SLOT_CHANNELS.get(slot, {*names} if colours_only else {*names, *further})
         smoothes_alpha = settings.textures.alpha == "smooth"
-        self._hides = slot in COLOUR_SLOTS and not smoothes_alpha
-        self._alpha = smoothes_alpha and any(picture.alpha is not None for picture in pictures)
+        has_alpha = smoothes_alpha and any(picture.alpha is not None for picture in pictures)
         chosen = choose_channels(
             (*names, *further), settings, f"{pictures[0].name} has" if is_image else "the textures have",
-            used=used, opacity=self._alpha, abbreviable=COLOURS,
+            used=used, opacity=has_alpha, abbreviable=COLOURS,
         )  # fmt: skip
-        self._changing = [i for i in chosen.changing if i < self._width]
-        if not (self._changing or is_image):
+        changing = [i for i in chosen.changing if i < width]
+        if not (changing or is_image):
             cause = f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
             raise UsageError(cause)
-        self._kept = [i for i in chosen.sampled if i < self._width]
-        self.written, self.metric_channels = chosen.written, chosen.metric
-        self.names = tuple((*names, *further, "alpha")[i] for i in chosen.sampled)
-        self.others = tuple(name for name in self.names if name in further)
-        self._others = [further[name] for name in self.others]
+        sampled = tuple((*names, *further, "alpha")[i] for i in chosen.sampled)
+        is_light = space != "data" and all(picture.encoding == "linear" for picture in pictures)
+        return cls(
+            names=sampled,
+            written=chosen.written,
+            metric_channels=chosen.metric,
+            space=space,
+            light_space=space if is_light else None,
+            width=width,
+            kept=[i for i in chosen.sampled if i < width],
+            changing=changing,
+            others={name: further[name] for name in sampled if name in further},
+            has_alpha=has_alpha,
+            hides=slot in COLOUR_SLOTS and not smoothes_alpha,
+            is_normal=slot == "normal",
+        )
 
     @property
     def shows_all(self) -> bool:
         """Whether samples have the colours of pictures as they are stored, with all of their channels."""
-        is_plain = self.space in ("srgb", "data") and not (self._alpha or self._others or self._is_normal)
-        return is_plain and len(self._kept) == self._width
-
-    @property
-    def light_space(self) -> Space | None:
-        """The space of the samples if these stand for light, as pictures of floats do; None: they do not."""
-        is_light = self.space != "data" and all(picture.encoding == "linear" for picture in self._pictures)
-        return self.space if is_light else None
-
-    def samples(self, atlas: Atlas) -> Float32s:
-        """Return the colours of the owned cells in the working space, shape (T, N)."""
-        table = large_arrays.empty((len(atlas.owned_texels), len(self.names)), np.float32)
-        for block in large_arrays.blocks(len(table)):
-            table[block] = self._of_block(atlas, block)
-        return table
-
-    def on_canvas(self, atlas: Atlas, threads: int) -> Float32s:
-        """Return the colours of the owned cells, and of what continues them, on the canvas, shape (N, R, C)."""
-        return painted_by(atlas, len(self.names), lambda block: self._of_block(atlas, block), threads)
-
-    def _of_block(self, atlas: Atlas, block: slice) -> Float32s:
-        texels = atlas.owned_texels[block]
-        table = np.empty((len(texels), len(self.names)), np.float32)
-        for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
-            table[inside] = self.working(self._pictures[index], own)
-        return table
+        is_plain = self.space in ("srgb", "data") and not (self.has_alpha or self.others or self.is_normal)
+        return is_plain and len(self.kept) == self.width
 
     def working(self, picture: Picture, pixels: Int64s) -> Float32s:
         """Return the colours of some pixels (row * width + column) of a picture in the working space, shape (T, N)."""
@@ -125,12 +119,12 @@ class PictureColours:
     def _working(self, picture: Picture, stored: Array) -> Float32s:
         pixels = self._straight(picture, full_scale_one(stored))
         colours = to_space(self._widened(picture, pixels), picture.encoding, self.space)
-        columns = [colours if len(self._kept) == self._width else colours[:, self._kept]]
-        if self._others:
-            columns.append(pixels[:, self._others])
-        if self._alpha and picture.alpha is None:
+        columns = [colours if len(self.kept) == self.width else colours[:, self.kept]]
+        if self.others:
+            columns.append(pixels[:, list(self.others.values())])
+        if self.has_alpha and picture.alpha is None:
             columns.append(np.ones((len(pixels), 1), np.float32))
-        elif self._alpha:
+        elif self.has_alpha:
             columns.append(pixels[:, picture.alpha, None])
         return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
 
@@ -138,34 +132,24 @@ class PictureColours:
         """Return which pixels of a picture have finite numbers in all sampled channels, shape (H, W)."""
         if picture.pixels.dtype.kind != "f":
             return np.ones(picture.pixels.shape[:2], bool)
-        sampled = [picture.colour[i] for i in self._kept] + self._others
-        sampled += [picture.alpha] if self._alpha and picture.alpha is not None else []
+        sampled = [picture.colour[i] for i in self.kept] + [*self.others.values()]
+        sampled += [picture.alpha] if self.has_alpha and picture.alpha is not None else []
         return np.asarray(np.isfinite(picture.pixels[..., sampled]).all(axis=2))
-
-    def transparent(self, atlas: Atlas, textures: Sequence[Texture]) -> Bools:
-        """Return which owned cells supply no colour because their texel is transparent."""
-        hidden, pictures = np.zeros(len(atlas.owned_texels), bool), self._pictures
-        pairs = zip(pictures, textures, strict=True)
-        can_hide = [picture.alpha is not None and texture.alpha_hides for picture, texture in pairs]
-        for block in large_arrays.blocks(len(hidden) if self._hides and any(can_hide) else 0):
-            for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
-                if can_hide[index]:
-                    hidden[block][inside] = self.hidden(pictures[index], texels)
-        return hidden
 
     def hidden(self, picture: Picture, pixels: Int64s | slice) -> Bools:
         """Return which of some pixels (row * width + column) of a picture supply no colour."""
         table = _table(picture)
-        if picture.alpha is None or not self._hides:
+        if picture.alpha is None or not self.hides:
             return np.zeros(table[pixels, 0].shape, bool)
         return ~supplies_colour(picture, table[pixels, picture.alpha])
 
     def columns(self, picture: Picture) -> list[int]:
         """Return which channels of a picture change."""
-        is_grey, first = len(picture.colour) == 1, len(self._kept)
-        colours = {picture.colour[0 if is_grey else i]: None for i in self._changing}
-        others = [self._others[i - first] for i in self.written if 0 <= i - first < len(self._others)]
-        opacity = [picture.alpha] if self._alpha and picture.alpha is not None else []
+        is_grey, first = len(picture.colour) == 1, len(self.kept)
+        colours = {picture.colour[0 if is_grey else i]: None for i in self.changing}
+        further = list(self.others.values())
+        others = [further[i - first] for i in self.written if 0 <= i - first < len(further)]
+        opacity = [picture.alpha] if self.has_alpha and picture.alpha is not None else []
         return [*colours, *others, *opacity]
 
     def stored(self, picture: Picture, table: Array, pixels: Indices, samples: Float32s) -> Float32s:
@@ -173,7 +157,7 @@ class PictureColours:
 
         Conversion to the working space and back is not exact, so where a sample is as before, its number is, too.
         """
-        columns, count = self.columns(picture), len(self._changing)
+        columns, count = self.columns(picture), len(self.changing)
         new = samples if self.written == list(range(samples.shape[1])) else samples[:, self.written]
         if not self._is_converted(picture):
             return new[:, : len(columns)]
@@ -181,7 +165,7 @@ class PictureColours:
         moved = self.shown(picture, rows) != new
         before = full_scale_one(rows)
         colours = self._colours(picture, before, new[:, :count]) if count else new[:, :0]
-        if colours.shape[1] < count or self._is_normal or self.space == "oklab":  # which mixes the channels
+        if colours.shape[1] < count or self.is_normal or self.space == "oklab":  # which mixes the channels
             moved[:, :count] = moved[:, :count].any(axis=1, keepdims=True)
         first = count - colours.shape[1]
         after = np.concatenate([colours, new[:, count:]], axis=1)[:, : len(columns)]
@@ -191,9 +175,9 @@ class PictureColours:
         """Convert new colours of pixels that had values of full scale 1, shape (K, C), to what is stored of them."""
         whole = self._widened(picture, self._straight(picture, values))
         working = to_space(whole, picture.encoding, self.space).copy()
-        working[:, self._changing] = new
+        working[:, self.changing] = new
         stored = from_space(working, picture.encoding, self.space)
-        if self._is_normal:  # stored as (n + 1) / 2
+        if self.is_normal:  # stored as (n + 1) / 2
             normals = 2 * stored - 1
             length = np.linalg.norm(normals, axis=1, keepdims=True)
             unit = (normals / np.maximum(length, 1e-12) + 1) / 2
@@ -202,7 +186,7 @@ class PictureColours:
             stored = np.clip(stored, 0, 1)
         if self._is_divided(picture):
             stored *= values[:, picture.alpha, None]
-        return stored[:, self._changing] if len(picture.colour) == 3 else stored.mean(axis=1, keepdims=True)
+        return stored[:, self.changing] if len(picture.colour) == 3 else stored.mean(axis=1, keepdims=True)
 
     def opacity(self, picture: Picture) -> Float32s | None:
         """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
@@ -210,12 +194,12 @@ class PictureColours:
 
     def _is_converted(self, picture: Picture) -> bool:
         """Whether samples of a picture differ from the numbers that it stores."""
-        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self._width
-        return not is_plain or self._is_normal or self._is_divided(picture)
+        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self.width
+        return not is_plain or self.is_normal or self._is_divided(picture)
 
     def _is_divided(self, picture: Picture) -> bool:
         # Colours that are averaged together with alpha are weighted by it already.
-        return self._hides and self.space != "data" and is_associated(picture)
+        return self.hides and self.space != "data" and is_associated(picture)
 
     def _straight(self, picture: Picture, pixels: Float32s) -> Float32s:
         return without_alpha(picture, pixels) if self._is_divided(picture) else pixels
@@ -223,7 +207,7 @@ class PictureColours:
     def _widened(self, picture: Picture, pixels: Float32s) -> Float32s:
         every = tuple(range(pixels.shape[1]))
         colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
-        return np.repeat(colours, self._width, axis=1) if colours.shape[1] < self._width else colours
+        return np.repeat(colours, self.width, axis=1) if colours.shape[1] < self.width else colours
 
 
 def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:

@@ -27,6 +27,11 @@ class LayerReport:
     choice: dict[str, object] | None
     patches: float | None  # the share of the result that is from patches; None: only the kernel was run
 
+    def warnings(self, max_samples: int) -> list[str]:
+        """Return what users should be warned of, where kernels held at most `max_samples`."""
+        del max_samples
+        return []
+
 
 @dataclass(frozen=True, kw_only=True)
 class VertexReport(LayerReport):
@@ -39,6 +44,17 @@ class VertexReport(LayerReport):
     # If positions were smoothed: the estimated noise of the normals in radians, the beta used for them, and the mean,
     # root mean square and largest distance that a vertex moved, in the file's own unit of length.
     geometry: dict[str, float] | None = None
+
+    def warnings(self, max_samples: int) -> list[str]:
+        found, outliers = list[str](), self.counts.get("outliers", 0)
+        if outliers:
+            alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"
+            where = "too far from others, in one line with them, or nowhere"
+            found.append(f"{outliers} of {self.counts['vertices']} points {alone} {where}")
+        if truncated := self.counts["truncated_kernels"]:
+            remedy = "lower t, or raise --max-samples"
+            found.append(f"{truncated} kernels were cut short at {max_samples} samples; {remedy}")
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_su
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
 from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.image_surface import refuse_options_of_meshes
+from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer, SharedImages
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.painted_layer import PaintedLayer
@@ -102,7 +102,7 @@ def layers_of(
     # For the other parameters see `ImageLayer`.
     if document.kind == "image":
         if selection.image:
-            yield ImageLayer(document, settings, access, suffix, colours_only=colours_only)
+            yield ImageLayer.read(document, settings, access, suffix=suffix, colours_only=colours_only)
         return
     if selection.vertices:
         yield vertex_layer(document, settings, access)
@@ -112,30 +112,36 @@ def layers_of(
         many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
         groups: list[TextureGroup] = []
         if many is None:
-            samples = TextureLayer(document.textured(slot), slot, settings, (document, access), shared)
+            whole = TextureLayer.read(surface, slot, settings, guided=(document, access), shared=shared)
             if in_groups and len(surface.textures) > 1:
-                groups = separate_groups(samples.surface, samples.atlas, settings.kernel, samples.common)
+                groups = separate_groups(surface, whole.atlas, settings.kernel, whole.common)
             if not groups:
-                yield samples
-            del samples
+                yield whole
+            del whole
         else:
             tiles = TileGroups(surface, *many)
             groups = tiles.parted(tiles.common(slot, settings))
         for group in groups:
-            yield TextureLayer(group.surface, slot, group.common.settings, shared=shared, group=group)
+            yield TextureLayer.read(group.surface, slot, group.common.settings, shared=shared, group=group)
 
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
-    from beltrami_cli.layers.vertex_layer import RangeLayer, VertexLayer
+    from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
 
     painted, grid = document.painted(), document.grid()
     guides = vertex_guides(document, settings, access)
     noise = noise_of_vertices(settings.kernel, document, access)
-    if grid is not None:
-        return RangeLayer(painted, grid, settings, guides, noise)
-    return VertexLayer(painted, settings, guides, noise, in_triangles=document.kind == "volume")
+    if grid is None:
+        in_triangles = document.kind == "volume"
+        return VertexLayer(
+            painted=painted, settings=settings, guides=guides, noise=noise, in_triangles=in_triangles
+        )
+    if wrong := options_of_meshes(settings):
+        cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
+        raise UsageError(cause)
+    return GridLayer(painted=painted, grid=grid, settings=settings, guides=guides, noise=noise)
 
 
 def require_geometry(

@@ -1,4 +1,4 @@
-"""Which textures are meant, and new colours of their texels, with the gutters around charts refilled."""
+"""Which textures are meant, the colours of their texels, and new colours, with the gutters around charts refilled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ from beltrami_cli.layers.layer import Change, store
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import ROWS, Indices, fill_gutter, nearest_covered, within
+from beltrami_cli.surface.atlas import (
+    ROWS,
+    Atlas,
+    Indices,
+    fill_gutter,
+    nearest_covered,
+    texels_by_texture,
+    within,
+    without_owned,
+)
 from beltrami_cli.surface.records import Texture, TexturedSurface
 
 
@@ -42,12 +51,47 @@ def only_textures(surface: TexturedSurface, kept: list[int]) -> TexturedSurface:
     return dataclasses.replace(surface, textures=textures, texture_of=new_index[surface.texture_of])
 
 
+def texel_colours(
+    colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas, block: slice
+) -> Float32s:
+    """Return the colours of a block of the owned cells in the working space, shape (T, N)."""
+    texels = atlas.owned_texels[block]
+    table = np.empty((len(texels), len(colours.names)), np.float32)
+    for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
+        table[inside] = colours.working(pictures[index], own)
+    return table
+
+
+def all_texel_colours(colours: PictureColours, pictures: Sequence[Picture], atlas: Atlas) -> Float32s:
+    """Return the colours of all owned cells, which are converted block by block."""
+    table = large_arrays.empty((len(atlas.owned_texels), len(colours.names)), np.float32)
+    for block in large_arrays.blocks(len(table)):
+        table[block] = texel_colours(colours, pictures, atlas, block)
+    return table
+
+
+def without_transparent(
+    atlas: Atlas, colours: PictureColours, pictures: Sequence[Picture], textures: Sequence[Texture]
+) -> Atlas:
+    """Return the atlas without the owned cells that supply no colour because their texel is transparent."""
+    pairs = zip(pictures, textures, strict=True)
+    can_hide = [picture.alpha is not None and texture.alpha_hides for picture, texture in pairs]
+    if not (colours.hides and any(can_hide)):
+        return atlas
+    hidden = np.zeros(len(atlas.owned_texels), bool)
+    for block in large_arrays.blocks(len(hidden)):
+        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels[block]):
+            if can_hide[index]:
+                hidden[block][inside] = colours.hidden(pictures[index], texels)
+    return without_owned(atlas, hidden) if hidden.any() else atlas
+
+
 _BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats
 # A step between two texels has the noise of both; beyond this many deviations of what smoothing took away it is real.
 _REAL_STEP = 3.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Repainting:
     """Writes texels of an atlas to its textures; `gutter`: texels around charts that are refilled, None: none."""
 
@@ -63,36 +107,18 @@ class Repainting:
         """Return a picture's pixels with new colours, and the change of its covered texels."""
         picture = self.pictures[index]
         pixels = large_arrays.copy_of(picture.pixels)
-        change = self._paint(pixels, index, new.places, new.take)
+        change = self.paint(pixels, index, new.places, new.take)
         if self.gutter is not None:
-            covered, known, rows = self._near_charts(index, pixels.shape[:2], new)
+            covered, known, rows = self.near_charts(index, pixels.shape[:2], new)
             chosen, values = new.beyond_places[rows], new.beyond[rows]
-            self._paint(pixels, index, chosen, lambda block, inside: values[block][inside])
+            self.paint(pixels, index, chosen, lambda block, inside: values[block][inside])
             refilled = Refilled(picture.pixels, pixels, covered, known, partial(self.colours.shown, picture))
-            keep_others(refilled, self.gutter, self._of_texture(self.lone, index)[1], self.threads)
+            keep_others(refilled, self.gutter, self.of_texture(self.lone, index)[1], self.threads)
             opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
             fill_gutter(pixels, covered, self.gutter, known, self.threads, columns, opacity)
         return pixels, change
 
-    def shift(self, index: int, added: NewColours, limits: tuple[float, float]) -> Array:
-        """Return a picture's pixels with an offset added to its colours and gutter, within limits."""
-        picture = self.pictures[index]
-        pixels, shape = picture.pixels.copy(), picture.pixels.shape[:2]
-        inside, texels = self._of_texture(added.places, index)
-        change = np.zeros((*shape, added.beyond.shape[1]), np.float32)
-        table = change.reshape(-1, change.shape[2])
-        table[texels] = added.take(slice(None), inside)
-        if self.gutter is not None:
-            covered, known, rows = self._near_charts(index, shape, added)
-            table[self._of_texture(added.beyond_places[rows], index)[1]] = added.beyond[rows]
-            fill_gutter(change, covered, self.gutter, known)
-        moved = np.flatnonzero(table.any(axis=1))
-        after = (self.colours.working(picture, moved) + table[moved]).clip(*limits)
-        there = moved + self.texture_offsets[index]
-        self._paint(pixels, index, there, lambda block, inside: after[block][inside])
-        return pixels
-
-    def _of_texture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
+    def of_texture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
         """Select the texels of one texture, and number them from its first."""
         if len(self.texture_offsets) == 2:  # there is no other
             return slice(None), texels
@@ -100,27 +126,25 @@ class Repainting:
         inside = (texels >= begin) & (texels < end)
         return inside, texels[inside] - begin
 
-    def _near_charts(
-        self, index: int, shape: tuple[int, ...], new: NewColours
-    ) -> tuple[Bools, Bools, Int64s]:
+    def near_charts(self, index: int, shape: tuple[int, ...], new: NewColours) -> tuple[Bools, Bools, Int64s]:
         """Return the covered texels of a texture, shape (H, W), the gutter texels near them, and their rows."""
         assert self.gutter is not None
         covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
         for block in large_arrays.blocks(len(new.places)):
-            covered.reshape(-1)[self._of_texture(new.places[block], index)[1]] = True
-        inside, texels = self._of_texture(new.beyond_places, index)
+            covered.reshape(-1)[self.of_texture(new.places[block], index)[1]] = True
+        inside, texels = self.of_texture(new.beyond_places, index)
         chosen = within(covered, self.gutter).reshape(-1)[texels]
         near.reshape(-1)[texels[chosen]] = True
         return covered, near, np.arange(len(new.beyond_places))[inside][chosen]
 
-    def _paint(
+    def paint(
         self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s]
     ) -> Change:
         """Write samples into pixels like a picture's own, in place, and return how these change."""
         picture, colours = self.pictures[index], self.colours
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
         for block in large_arrays.blocks(len(texels), _BLOCK):
-            inside, here = self._of_texture(texels[block], index)
+            inside, here = self.of_texture(texels[block], index)
             if not len(here):
                 continue
             values = colours.stored(picture, table, here, take(block, inside))

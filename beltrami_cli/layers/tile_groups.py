@@ -21,7 +21,7 @@ from beltrami_cli.flow.grid_manifold import common_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import ImageSize
 from beltrami_cli.layers import memory_check
-from beltrami_cli.layers.layer import describe_choice
+from beltrami_cli.layers.layer import describe_choice, named
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import only_textures
 from beltrami_cli.layers.texture_groups import Borders, Common, TextureGroup
@@ -57,7 +57,7 @@ class TileGroups:
 
     def common(self, slot: Slot, settings: SmoothSettings) -> Common:
         """Estimate noise and choose parameters on some of the textures, with nothing left to choose."""
-        samples = TextureLayer(self.evenly_chosen(), slot, settings)
+        samples = TextureLayer.read(self.evenly_chosen(), slot, settings)
         manifold = samples.manifold()
         noise, plan = common_noise(manifold.noise), choose_parameters(manifold, settings.kernel)
         kernel = dataclasses.replace(
@@ -67,7 +67,7 @@ class TileGroups:
             patches="on" if plan.takes_patches else "off",
         )
         described = {
-            "noise": samples.named(plan.noise),
+            "noise": named(samples.names, plan.noise),
             "noise_model": plan.described_noise,
             "choice": describe_choice(plan.choice),
         }

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.embedding import Guide, to_space
@@ -18,13 +18,11 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.layers.image_surface import ImageSurface, options_of_meshes, plan_on_image
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.layer import Repainted
-from beltrami_cli.layers.levelled_charts import level_report
 from beltrami_cli.layers.painted_layer import PaintedLayer, describe_colours, only_rows
 from beltrami_cli.layers.reports import LevelReport, VertexReport
-from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
-from beltrami_cli.levelling.correction import level_mesh
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
@@ -34,79 +32,64 @@ from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 _PROBED_KERNELS = 1000
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
 class VertexLayer(PaintedLayer):
     """Vertices of a mesh; points without triangles are sampled on the surface that they lie on."""
 
     label = "vertex colours"
 
-    @cached_property
+    fits_surface: bool = True  # to vertices without any triangles
+    levelled: Float32s | None = None  # colours of the samples without exposure steps, (S, N)
+    level_report: LevelReport | None = None
+
+    @property
     def is_cloud(self) -> bool:
-        return not len(self.painted.faces)
+        return self.fits_surface and not len(self.painted.faces)
 
     @cached_property
     def joined(self) -> PaintedVertices:
-        """The vertices with triangles: from the file, or of the surface that is fitted to points."""
         return with_surface(self.painted, self.settings) if self.is_cloud else self.painted
 
     @cached_property
-    def _sampled(self) -> tuple[SampledSurface, VertexSampling]:
-        joined = self.joined
-        colours = joined.colours[:, self.channels.sampled]
-        return sample_vertices(joined, to_space(colours, joined.encoding, self.settings.space))
+    def sampling(self) -> VertexSampling:
+        return sample_vertices(self.joined)
 
     @cached_property
-    def _stored(self) -> Float32s:
-        """The colours of the samples as the file has them."""
-        return self.surface.colours
+    def stored(self) -> Float32s:
+        """The colours of the samples as the file has them, in the working space, shape (S, N)."""
+        colours = to_space(
+            self.joined.colours[:, self.channels.sampled], self.joined.encoding, self.settings.space
+        )
+        return np.ascontiguousarray(colours[self.sampling.first_vertex])
 
-    @property
     def surface(self) -> SampledSurface:
-        return self._sampled[0]
-
-    @property
-    def sampling(self) -> VertexSampling:
-        return self._sampled[1]
+        """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
+        surface = self.sampling.surface(self.joined, self.stored)
+        return surface if self.levelled is None else dataclasses.replace(surface, colours=self.levelled)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
-        # The manifold reorders the surface, of which only colours are kept here.
-        geometry, own, (surface, sampling) = None, self.settings, self._sampled
+        own, sampling = self.settings, self.sampling
+        geometry = None
         if own.embedding.smooth_geometry:
             geometry = GeometryParameters(sampling.place_of, own.embedding.normal_beta)
-        guides = [Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides]
-        none = np.zeros((0, 3))
-        remaining = SampledSurface(none, none.astype(np.int32), none.astype(np.int32), surface.colours)
-        self._sampled = remaining, sampling
         manifold = mesh_manifold(
-            surface, own.kernel, guides=guides, metric_channels=self.channels.metric, geometry=geometry,
-            deviations=None if self._noise is None else sampling.means(self._noise),
+            self.surface(), own.kernel, metric_channels=self.channels.metric, geometry=geometry,
+            guides=[Guide(guide.name, sampling.means(guide.values), guide.beta) for guide in self.guides],
+            deviations=None if self.noise is None else sampling.means(self.noise),
         )  # fmt: skip
         return choose_parameters(manifold, own.kernel, tick)
-
-    def level(self, wanted: LevelSettings, photographs: Int64s | None = None) -> LevelReport:
-        (surface, sampling), stored = self._sampled, self._stored
-        if photographs is None or wanted.reference:
-            raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")
-        of_samples = np.zeros(len(surface.colours), np.int64)
-        of_samples[sampling.sample_of] = photographs
-        mesh = surface.positions, surface.all_faces
-        found, change, colours = level_mesh(*mesh, stored, of_samples, wanted.strength)
-        self._sampled = dataclasses.replace(surface, colours=colours), sampling
-        parts: list[dict[str, object]] = [{"chart": part} for part in range(len(found.groups))]
-        return level_report(self.label, found, change, parts)
-
-    def levelled(self) -> NewColours:
-        return NewColours.of(self.surface.colours)
 
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
         if self.is_cloud:
             counts = dataclasses.asdict(count_cloud(self.joined))
-        samples = len(self.surface.colours)
+        samples = len(self.sampling.first_vertex)
         counts |= {"samples": samples, "hard_edge_samples": samples - self.sampling.places}
         report = self._report(plan, result, counts)
-        moving, positions = result.manifold.moving, self.moved(result)
-        if moving is None or positions is None:
+        moving = result.manifold.moving
+        if moving is None:
             return report
+        positions = result.manifold.geometry.in_order(moving.positions)[self.sampling.sample_of]
         moves = np.linalg.norm(positions - self.painted.positions, axis=1)
         geometry = {
             "normal_noise": moving.sigma,
@@ -139,7 +122,7 @@ class VertexLayer(PaintedLayer):
         }
 
     def _describe_mesh(self) -> dict[str, object]:
-        painted, surface, sampling = self.painted, self.surface, self.sampling
+        painted, surface, sampling = self.painted, self.surface(), self.sampling
         # The position of each place: a hard colour edge is no boundary of the surface.
         positions = np.empty((sampling.places, surface.positions.shape[1]))
         positions[sampling.place_of] = surface.positions
@@ -155,7 +138,7 @@ class VertexLayer(PaintedLayer):
     def _describe_points(self) -> dict[str, object]:
         return {
             "points": len(self.painted.positions),
-            "samples": len(self.surface.colours),
+            "samples": len(self.sampling.first_vertex),
             "coincident_points": len(self.painted.positions) - self.sampling.places,
             **dataclasses.asdict(count_cloud(self.joined)),
         }
@@ -163,61 +146,37 @@ class VertexLayer(PaintedLayer):
     def sample_of(self, plan: Plan[Any]) -> Int64s:
         return self.sampling.sample_of.astype(np.int64)
 
-    def moved(self, result: FlowResult[Any]) -> Float64s | None:
-        moving, mesh = result.manifold.moving, result.manifold.geometry
-        return None if moving is None else mesh.in_order(moving.positions)[self.sampling.sample_of]
-
-    def repaint(
-        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
-    ) -> Repainted:
+    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
         del is_smoothed
         written, sample_of = self.channels.written, self.sampling.sample_of
         after = new.table()[:, written]
-        changed = np.any(after != self._stored[:, written], axis=1)[sample_of]
+        changed = np.any(after != self.stored[:, written], axis=1)[sample_of]
         vertices = np.flatnonzero(changed)
-        repainted = self._repainted(vertices, after[sample_of[vertices]])
-        return dataclasses.replace(repainted, positions=positions)
-
-    def warnings(self, result: FlowResult[Any]) -> list[str]:
-        found = []
-        outliers = count_cloud(self.joined).outliers if self.is_cloud else 0
-        if outliers:
-            alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"
-            where = "too far from others, in one line with them, or nowhere"
-            found.append(f"{outliers} of {len(self.painted.positions)} points {alone} {where}")
-        if result.truncated:
-            limit = result.manifold.parameters.max_samples
-            remedy = "lower t, or raise --max-samples"
-            found.append(f"{result.truncated} kernels were cut short at {limit} samples; {remedy}")
-        return found
+        positions = None if new.positions is None else new.positions[sample_of]
+        return self._repainted(vertices, after[sample_of[vertices]], positions)
 
 
-class RangeLayer(PaintedLayer):
-    """Vertices on a grid, shape (H, W), of vertex numbers, or -1 at holes."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GridLayer(PaintedLayer):
+    """Colours on a grid: the vertices of a range image, or the pixels of an image that is no file."""
 
     label = "range image"
 
-    def __init__(
-        self,
-        painted: PaintedVertices,
-        grid: Int64s,
-        settings: SmoothSettings,
-        guides: Sequence[Guide] = (),
-        noise: Float32s | None = None,
-    ) -> None:
-        super().__init__(painted, settings, guides, noise)
-        self.grid = grid
+    grid: Int64s  # shape (H, W): numbers of the vertices, -1 at holes
+    surface: ImageSurface | None = None  # with the same holes; None: at the positions of the vertices
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        if wrong := options_of_meshes(self.settings):
-            cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"
-            raise UsageError(cause)
-        measured = self.grid >= 0
-        positions = np.full((*self.grid.shape, 3), np.nan)
-        positions[measured] = self.painted.positions[self.grid[measured]]
-        surface, kernel = ImageSurface(None, positions, measured), self.settings.kernel
-        known = self.guides, self.channels.metric, tick, self._noise
-        return plan_on_image(surface, self._working, kernel, *known, rows=self.grid.reshape(-1))
+        space, surface = self.settings.space, self.surface
+        if surface is None:
+            measured = self.grid >= 0
+            positions = np.full((*self.grid.shape, 3), np.nan)
+            positions[measured] = self.painted.positions[self.grid[measured]]
+            surface = ImageSurface(positions=positions, valid=measured)
+        return plan_on_image(
+            surface, self._working, self.settings.kernel, guides=self.guides, tick=tick, noise=self.noise,
+            metric_channels=self.channels.metric, rows=self.grid.reshape(-1),
+            light_in=space if self.painted.encoding == "linear" and space != "data" else None,
+        )  # fmt: skip
 
     def _working(self, places: Int64s) -> Float32s:
         """Return the colours at some places of the grid in the working space, shape (T, N)."""
@@ -250,10 +209,8 @@ class RangeLayer(PaintedLayer):
         sample_of[measured] = np.arange(len(measured))
         return sample_of
 
-    def repaint(
-        self, new: NewColours, *, is_smoothed: bool = True, positions: Float64s | None = None
-    ) -> Repainted:
-        del is_smoothed, positions
+    def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
+        del is_smoothed
         written = self.channels.written
         after = new.table()[:, written]
         moved = np.any(self._working(new.places)[:, written] != after, axis=1)

@@ -194,22 +194,24 @@ class VertexSampling:
         sums = [np.bincount(self.sample_of, column, samples) for column in values.T.astype(np.float64)]
         return np.ascontiguousarray((np.array(sums) / count).T, np.float32)
 
+    def surface(self, painted: PaintedVertices, colours: Float32s) -> SampledSurface:
+        """Return the samples of the vertices as a surface, with their colours in the working space, shape (S, N)."""
+        if self.places == len(self.sample_of):
+            return SampledSurface(painted.positions, painted.faces, np.empty((0, 3), np.int32), colours)
+        faces = self.sample_of[painted.faces]
+        bridges = build_bridges(faces, self.place_of, colours)
+        positions = np.ascontiguousarray(painted.positions[self.first_vertex])
+        return SampledSurface(positions, faces, bridges, colours)
 
-def sample_vertices(painted: PaintedVertices, colours: Float32s) -> tuple[SampledSurface, VertexSampling]:
-    """Make samples of painted vertices whose colours in the working space are given."""
+
+def sample_vertices(painted: PaintedVertices) -> VertexSampling:
+    """Join the vertices that are at one place, and have one colour."""
     place_of, first_of_place = group_places(painted.positions, painted.space_of, painted.faces)
     if len(first_of_place) == len(place_of):  # nothing is split: the vertices are the samples
         every = np.arange(len(place_of), dtype=np.int32)
-        no_bridges = np.empty((0, 3), np.int32)
-        surface = SampledSurface(painted.positions, painted.faces, no_bridges, np.ascontiguousarray(colours))
-        return surface, VertexSampling(every, every, every, len(every))
+        return VertexSampling(every, every, every, len(every))
     sample_of, first_vertex = group_equal_rows(place_of, *painted.colours.T)
-    faces = sample_of[painted.faces]
-    sample_colours = np.ascontiguousarray(colours[first_vertex])
-    bridges = build_bridges(faces, place_of[first_vertex], sample_colours)
-    positions = np.ascontiguousarray(painted.positions[first_vertex])
-    surface = SampledSurface(positions, faces, bridges, sample_colours)
-    return surface, VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))
+    return VertexSampling(sample_of, first_vertex, place_of[first_vertex], len(first_of_place))
 
 
 def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:

@@ -12,18 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float64s, Int64s
-from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_texture
+from beltrami_cli.jobs.smoothing import recolour_layer, smooth_layer
 from beltrami_cli.layers.guides import vertex_guides
 from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.painted_layer import PaintedLayer, only_rows
 from beltrami_cli.layers.settings import EmbeddingSettings, SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import RangeLayer, VertexLayer
+from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
+from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
 from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 
@@ -126,14 +128,14 @@ class Previewer:
     ) -> list[Patch]:
         kernel = settings.kernel
         if self._pixels is None or dataclasses.replace(self._pixels.settings, kernel=kernel) != settings:
-            self._pixels = ImageLayer(self._document, settings, self._access)
+            self._pixels = ImageLayer.read(self._document, settings, self._access)
         rows, columns = self._pixels.valid.shape
         around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
         place = top, left
-        samples = self._pixels.window(place, kernel)
-        pixels, _ = samples.painted(smooth(samples.plan(), progress).manifold.new_colours())
-        shown = displayed_pixels(dataclasses.replace(samples.picture, pixels=pixels))
+        layer = _cut(self._pixels, place, kernel)
+        pixels, _ = layer.painted(recolour_layer(layer, progress).colours)
+        shown = displayed_pixels(dataclasses.replace(layer.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
 
@@ -148,8 +150,13 @@ class Previewer:
         middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
         part = grid[_window(grid.shape, middle, budget)]
         rows = part[part >= 0]
-        samples = RangeLayer(painted, np.ascontiguousarray(part), settings, self._vertex_guides(settings))
-        return [_smoothed(samples, painted, rows, rows, progress)]
+        layer = GridLayer(
+            painted=painted,
+            grid=np.ascontiguousarray(part),
+            settings=settings,
+            guides=self._vertex_guides(settings),
+        )
+        return [_smoothed(layer, rows, rows, progress)]
 
     def _of_vertices(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
@@ -163,7 +170,8 @@ class Previewer:
         part = only_rows(painted, rows, faces.astype(np.int32))
         known = self._vertex_guides(settings)
         guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in known]
-        return [_smoothed(VertexLayer(part, settings, guides), part, rows, np.arange(len(rows)), progress)]
+        layer = VertexLayer(painted=part, settings=settings, guides=guides)
+        return [_smoothed(layer, rows, np.arange(len(rows)), progress)]
 
     def _vertex_guides(self, settings: SmoothSettings) -> list[Guide]:
         if self._guides is None or self._guides[0] != settings.embedding:
@@ -180,18 +188,18 @@ class Previewer:
         order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
         part = _used(surface, order)
         read = _part_of(self._document, self._own, part, self._faces[order])
-        samples = TextureLayer(part, self._slot, settings, (read, self._access))
-        new = smooth(samples.plan(), progress).manifold.new_colours()
-        offsets, patches = samples.atlas.texture_offsets, []
+        layer = TextureLayer.read(part, self._slot, settings, guided=(read, self._access))
+        new, painter = recolour_layer(layer, progress).colours, painter_of(layer, gutter=None)
+        offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
-        for index, picture in enumerate(samples.pictures):
+        for index, picture in enumerate(layer.pictures):
             inside = (new.places >= offsets[index]) & (new.places < offsets[index + 1])
             texels = new.places[inside] - offsets[index]
             if len(texels):
-                pixels = samples.painted(index, new).reshape(-1, picture.pixels.shape[2])[texels]
+                pixels = painter.repaint(index, new)[0].reshape(-1, picture.pixels.shape[2])[texels]
                 shown = displayed_pixels(dataclasses.replace(picture, pixels=pixels[None]))[0]
                 rows, columns = np.divmod(texels, picture.pixels.shape[1])
-                number = keys.index(samples.surface.textures[index].key)
+                number = keys.index(layer.surface.textures[index].key)
                 patches.append(Patch(number, rows, columns, shown))
         return patches
 
@@ -205,16 +213,34 @@ class Previewer:
         return self._order[1]
 
 
-def _smoothed(
-    samples: PaintedLayer, painted: PaintedVertices, rows: Int64s, own: Int64s, progress: Progress | None
-) -> Patch:
-    """Smooth samples of vertices; `rows`: these in the document, `own`: in `painted`."""
-    result = smooth(samples.plan(), progress)
-    made = samples.repaint(result.manifold.new_colours(), positions=samples.moved(result))
-    colours = painted.colours if made.colours is None else made.colours
-    places = painted.positions[own]
-    kept = dataclasses.replace(painted, colours=colours[own], positions=places, faces=_NO_FACES)
+def _smoothed(layer: PaintedLayer, rows: Int64s, own: Int64s, progress: Progress | None) -> Patch:
+    """Smooth vertices; `rows`: their numbers in the document, `own`: in the layer."""
+    made, painted = smooth_layer(layer, progress).repainted, layer.painted
+    assert made.colours is not None
+    colours, places = made.colours[own], painted.positions[own]
+    kept = dataclasses.replace(painted, colours=colours, positions=places, faces=_NO_FACES)
     return Patch(-1, rows, rows, displayed_colours(kept), made.positions)
+
+
+def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters) -> ImageLayer:
+    """Return a part of an image, which begins with a block of JPEG, with other parameters."""
+    surface, guides = layer.surface, list[Guide]()
+    for guide in layer.guides:
+        values = guide.values.reshape(*layer.valid.shape, -1)[place]
+        guides.append(dataclasses.replace(guide, values=values.reshape(-1, values.shape[2])))
+    return dataclasses.replace(
+        layer,
+        settings=dataclasses.replace(layer.settings, kernel=kernel),
+        picture=dataclasses.replace(layer.picture, pixels=np.ascontiguousarray(layer.picture.pixels[place])),
+        valid=layer.valid[place],
+        surface=ImageSurface(
+            heights=None if surface.heights is None else surface.heights[place],
+            positions=None if surface.positions is None else surface.positions[place],
+            valid=layer.valid[place],
+        ),
+        noise=None if layer.noise is None else layer.noise[place],
+        guides=guides,
+    )
 
 
 def _window(shape: tuple[int, ...], middle: Float64s, budget: int) -> tuple[slice, slice]:

@@ -15,15 +15,17 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import canvas_colours
-from beltrami_cli.jobs.job import PLAIN_JOB
-from beltrami_cli.jobs.recolour import recolour
+from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.texel_colours import all_texel_colours
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
@@ -104,23 +106,19 @@ def take(address: str, picture: Path, ready: str) -> None:
         browser.close()
 
 
-class Exposing:
-    """A painter that gives every chart a gain and an offset in each channel, as photographs of their own would."""
+class Exposing(Painter[Any]):
+    """A painter that gives every chart a gain and an offset in each channel, as a photograph of its own would."""
 
-    changes = colours_only = True
-    works_on_disk = works_in_groups = False
-
-    def check(self, *_: object) -> None:
-        """Accept all."""
-
-    def paint(self, samples: Any, _: object) -> Any:
+    def paint(self, layer: Any, job: Job) -> Any:
         """Expose the charts of a texture."""
-        atlas, random = samples.atlas, np.random.default_rng(1)
-        colours = samples.colours.samples(atlas)
+        del job
+        atlas, random = layer.atlas, np.random.default_rng(1)
+        colours = all_texel_colours(layer.colours, layer.pictures, atlas)
         shape = (atlas.charts, colours.shape[1])
         gain, offset = random.uniform(0.82, 1.12, shape), random.uniform(-10, 10, shape) / 255
         exposed = colours * gain[atlas.chart_of] + offset[atlas.chart_of]
-        return samples.repaint(canvas_colours(atlas, painted(atlas, exposed.astype(np.float32), 1), 1))
+        new = canvas_colours(atlas, painted(atlas, exposed.astype(np.float32), 1), 1)
+        return SimpleNamespace(repainted=layer.repaint(new), warnings=())
 
 
 def expose(source: Path, target: Path) -> None:

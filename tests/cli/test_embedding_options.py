@@ -52,7 +52,7 @@ def textured(tmp_path_factory):
 def covered(folder, name):
     """Colours of the covered texels of an image in the folder."""
     surface = open_document(str(folder / "head-tex-noisy.obj")).textured("baseColor")
-    texels = TextureLayer(surface, "baseColor", DEFAULTS).atlas.owned_texels
+    texels = TextureLayer.read(surface, "baseColor", DEFAULTS).atlas.owned_texels
     return read_image((folder / name).read_bytes(), name).pixels[..., :3].reshape(-1, 3)[texels] / 255
 
 

@@ -19,7 +19,7 @@ from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.layers.texel_colours import dithered
 from cli.commands import SAMPLES, refused
 from cli.commands import beltrami as run_beltrami
-from levelling.exposure_scene import ExposureScene
+from levelling.exposure_scene import ExposureScene, stored_colours
 from small_models import COLOURED, ply
 
 HEAD = SAMPLES / "head-tex-clean.glb"
@@ -35,12 +35,10 @@ def beltrami(*arguments, code=0):
 class Exposing(Painter):
     """A painter that gives charts known exposures."""
 
-    def paint(self, samples, job):
-        _, colours = ExposureScene(samples, samples.colours.samples(samples.atlas).astype(float)).exposed(1)
-        planes = painted(samples.atlas, colours.astype(np.float32), 1)
-        return SimpleNamespace(
-            repainted=samples.repaint(canvas_colours(samples.atlas, planes, 1)), warnings=()
-        )
+    def paint(self, layer, job):
+        _, colours = ExposureScene(layer, stored_colours(layer).astype(float)).exposed(1)
+        planes = painted(layer.atlas, colours.astype(np.float32), 1)
+        return SimpleNamespace(repainted=layer.repaint(canvas_colours(layer.atlas, planes, 1)), warnings=())
 
 
 @pytest.fixture(scope="module")

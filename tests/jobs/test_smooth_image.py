@@ -104,6 +104,14 @@ def test_the_space_is_where_averages_are_taken():
     assert smooth_image(IMAGE, beta=4, space="oklab").colours.shape == IMAGE.shape
 
 
+def test_channels_that_are_not_chosen_stay_and_do_not_count():
+    chosen = smooth_image(IMAGE, channels=("1",), fast=True)
+    alone = smooth_image(IMAGE[..., 1], fast=True)
+    np.testing.assert_array_equal(chosen.colours[..., 1], alone.colours[..., 0])
+    np.testing.assert_array_equal(chosen.colours[..., [0, 2]], IMAGE.astype(np.float32)[..., [0, 2]])
+    np.testing.assert_array_equal(chosen.noise, alone.noise)
+
+
 def test_progress_rises_to_the_whole_and_can_stop_the_work():
     calls = []
     smooth_image(IMAGE, iterations=2, progress=lambda done, total: calls.append((done, total)))

@@ -151,9 +151,10 @@ def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
             noisy = clean + (0.01 + 0.08 * clean) * random.normal(size=clean.shape)
             file = model.with_name(tile_name("skin.<UDIM>.png", (u, v)))
             file.write_bytes(encode(np.rint(noisy.clip(0, 1) * 255).astype(np.uint8), "png"))
-    made = []
-    take = TextureLayer.manifold
-    monkeypatch.setattr(TextureLayer, "manifold", lambda self, *of: made.append(take(self, *of)) or made[-1])
+    made, take = [], TextureLayer.manifold
+    monkeypatch.setattr(
+        TextureLayer, "manifold", lambda *of, **more: made.append(take(*of, **more)) or made[-1]
+    )
     monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 16)
     memory = 1_100_000  # bytes; all tiles take 1,207,000 with their arrays in files
     settings = SmoothSettings(parameters_with({}, fast=True))

@@ -14,13 +14,20 @@ from beltrami_cli.flow.grid_manifold import canvas_colours
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.levelled_charts import colours_of, level
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
+from beltrami_cli.layers.texel_colours import all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.levelling.correction import level_canvas
 from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams, with_noise
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
 LIGHT_GAINS = 0.6, 1.6  # of linear light
+
+
+def stored_colours(layer):
+    """Return the colours of the owned cells of textures, shape (T, N)."""
+    return all_texel_colours(layer.colours, layer.pictures, layer.atlas)
 
 
 @dataclass
@@ -36,14 +43,14 @@ class ExposureScene:
 
     @classmethod
     def on(cls, surface):
-        samples = TextureLayer(surface, "baseColor", DEFAULTS)
-        return cls(samples, samples.colours.samples(samples.atlas).astype(float))
+        samples = TextureLayer.read(surface, "baseColor", DEFAULTS)
+        return cls(samples, stored_colours(samples).astype(float))
 
     def as_jpeg(self, colours, quality, subsampling="4:2:0"):
         """Return the scene of other colours that were stored as JPEG, with those of neighbours in the gutters."""
         surface, textures = self.samples.surface, []
         settings = SmoothSettings(textures=TextureSettings(image_suffix=".png"))
-        samples = TextureLayer(surface, "baseColor", settings)
+        samples = TextureLayer.read(surface, "baseColor", settings)
         planes = painted(samples.atlas, colours.astype(np.float32), 1)
         images = samples.repaint(canvas_colours(samples.atlas, planes, 1)).images
         for texture in surface.textures:
@@ -57,8 +64,7 @@ class ExposureScene:
 
     def levelled_as_file(self):
         """Return what `beltrami level` makes of the colours of its files."""
-        self.samples.level(LevelSettings())
-        return self.samples.levelled().table().astype(float)
+        return colours_of(level(self.samples, LevelSettings())).table().astype(float)
 
     @property
     def charts(self):

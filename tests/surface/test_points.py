@@ -211,7 +211,9 @@ def test_coincident_points_take_part_each_with_its_colour():
     record = painted(positions, colours)
     faces = faces_of_points(record, 1)
     assert not len(outliers(len(positions), faces))
-    surface, sampling = sample_vertices(dataclasses.replace(record, faces=faces), record.colours)
+    record = dataclasses.replace(record, faces=faces)
+    sampling = sample_vertices(record)
+    surface = sampling.surface(record, record.colours[sampling.first_vertex])
     assert len(surface.colours) == 144 + 80  # copies of the same colour are one sample
     assert components(len(surface.colours), surface.all_faces)[0] == 1
     assert as_set(sampling.place_of[surface.faces]) == as_set(triangulate_points(places))

@@ -63,8 +63,12 @@ def test_a_soup_of_triangles_is_smoothed_like_the_connected_mesh():
 def test_vertices_in_different_spaces_are_not_joined():
     positions = np.zeros((4, 3))
     record = painted(positions, [[0, 1, 2]], np.full((4, 3), 0.5), np.array([0, 0, 1, 1], np.int32))
-    _, sampling = sample_vertices(record, record.colours)
-    assert sampling.sample_of.tolist() == [0, 0, 1, 1]
+    assert sample_vertices(record).sample_of.tolist() == [0, 0, 1, 1]
+
+
+def sampled_surface(record):
+    sampling = sample_vertices(record)
+    return sampling.surface(record, record.colours[sampling.first_vertex])
 
 
 def two_halves(jump):
@@ -107,7 +111,7 @@ def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
     faces = [[0, 1, 6], [2, 3, 7], [4, 5, 8]]
     colours = np.array([[0.9]] * 2 + [[0.1]] * 2 + [[0.5]] * 2 + [[0.5]] * 3)
     record = painted(positions, faces, colours)
-    surface, _ = sample_vertices(record, record.colours)
+    surface = sampled_surface(record)
     assert len(surface.bridges) == 8
     joined = {
         frozenset(pair) for wall in surface.colours[surface.bridges][:, :, 0].tolist() for pair in [set(wall)]
@@ -119,5 +123,5 @@ def test_copies_that_share_one_end_are_joined_by_a_single_triangle():
     positions = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
     faces = [[0, 1, 2], [0, 3, 4]]
     record = painted(positions, faces, np.array([[0.5], [0.2], [0.2], [0.7], [0.7]]))
-    surface, _ = sample_vertices(record, record.colours)
+    surface = sampled_surface(record)
     assert len({frozenset(wall) for wall in surface.bridges.tolist()}) == 1

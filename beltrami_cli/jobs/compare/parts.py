@@ -30,7 +30,7 @@ from beltrami_cli.layers.memory_check import COMPARED_PIXEL_BYTES, require_memor
 from beltrami_cli.layers.painted_layer import coloured_rows, columns_of, only_rows
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texel_colours import choose_textures
+from beltrami_cli.layers.texel_colours import all_texel_colours, choose_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import with_surface
 from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
@@ -171,7 +171,7 @@ def compare_images(
     both = [(document.name, document.data) for document in documents]
     require_memory(both, access, COMPARED_PIXEL_BYTES)
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
-    samples = [ImageLayer(document, settings, access, colours_only=True) for document in documents]
+    samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
@@ -218,16 +218,19 @@ def compare_textures(
             for name in _names(slot, olds)
         ]
     require_memory(((texture.name, texture.data) for texture in textures), access)
-    prepared = TextureLayer(surface, slot, settings)
+    prepared = TextureLayer.read(surface, slot, settings)
     pictures = [read_texture(texture) for texture in textures]
     for old, new in zip(prepared.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
-    colours = PictureColours(pictures, slot, settings)
+    colours = PictureColours.of(pictures, slot, settings)
     if colours.names != prepared.colours.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(prepared.colours.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
     atlas = prepared.atlas
-    both = prepared.colours.samples(atlas), colours.samples(atlas)
+    both = (
+        all_texel_colours(prepared.colours, prepared.pictures, atlas),
+        all_texel_colours(colours, pictures, atlas),
+    )
     counted = texel_areas(atlas) if weights == "area" else np.ones(len(atlas.owned_texels))
     opacities = [[_opacity(picture) for picture in each] for each in (prepared.pictures, pictures)]
     hides = [texture.alpha_hides for texture in prepared.surface.textures]

@@ -1,0 +1,71 @@
+"""Layers are immutable: what one of their methods returns does not depend on what was called before."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+from beltrami_cli import KernelParameters, SmoothSettings
+from beltrami_cli.formats.access import EVERYTHING_INSIDE
+from beltrami_cli.jobs.file_job import open_input
+from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.layers.levelled_charts import colours_of, describe_exposure, level
+from beltrami_cli.layers.selection import layers_of, select
+from beltrami_cli.layers.settings import LevelSettings
+from cli.commands import SAMPLES
+from cli.pictures import encode
+
+GIVEN = SmoothSettings(kernel=KernelParameters(iterations=1, t=1.0, beta=8.0))
+NAMES = ["knot-noisy.ply", "mirrored-noisy.obj", "picture.png", "grid.npz", "points.npz"]
+
+
+@pytest.fixture
+def layer(request, tmp_path):
+    random = np.random.default_rng(2)
+    colours = random.integers(80, 120, (24, 30, 3)).astype(np.uint8)
+    (tmp_path / "picture.png").write_bytes(encode(colours, "png"))
+    places = np.dstack([*np.mgrid[:24, :30], random.random((24, 30))])
+    np.savez(tmp_path / "grid.npz", positions=places, colours=colours)
+    np.savez(tmp_path / "points.npz", points=places.reshape(-1, 3), point_colours=colours.reshape(-1, 3))
+    path = next(path for path in (tmp_path / request.param, SAMPLES / request.param) if path.exists())
+    document = open_input(str(path), GIVEN, EVERYTHING_INSIDE)
+    (only,) = layers_of(document, select(document, GIVEN), GIVEN, EVERYTHING_INSIDE)
+    return only
+
+
+def is_equal(one, other):
+    """Whether two results of `repaint` are the same to the last bit."""
+    assert one.images.keys() == other.images.keys()
+    if one.colours is not None:
+        return np.array_equal(one.colours, other.colours)
+    return all(image.data == other.images[key].data for key, image in one.images.items())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layer", NAMES, indirect=True)
+def test_the_order_of_calls_makes_no_difference(layer):
+    first = smooth_layer(layer)
+    facts = layer.describe()
+    again = smooth_layer(layer)
+    assert first.report == again.report
+    assert is_equal(first.repainted, again.repainted)
+    assert layer.describe() == facts
+    with pytest.raises(FrozenInstanceError):
+        layer.settings = None
+
+
+@pytest.mark.parametrize("layer", ["mirrored-noisy.obj", "knot-noisy.ply"], indirect=True)
+def test_levelling_leaves_the_layer_as_it_was(layer):
+    before = smooth_layer(layer)
+    photographs = None
+    if layer.part == "vertices":
+        photographs = (layer.painted.positions[:, 0] > 0).astype(np.int64)
+    other = level(layer, LevelSettings(), photographs)
+    assert layer.level_report is None
+    assert other.level_report is not None
+    darker = replace(other, levelled=colours_of(layer).table() * np.float32(0.9))
+    assert not is_equal(smooth_layer(darker).repainted, before.repainted)
+    assert describe_exposure(darker, photographs) == describe_exposure(darker, photographs)
+    assert is_equal(smooth_layer(layer).repainted, before.repainted)
