@@ -26,10 +26,10 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.painted_layer import PaintedLayer
 from beltrami_cli.layers.selection import layers_of, require_scale, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import PaintedLayer
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 

@@ -25,10 +25,10 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.layers.image_layer import ImageLayer, written
 from beltrami_cli.layers.layer import Change, Layer, Repainted, rewritten
-from beltrami_cli.layers.painted_layer import PaintedLayer, coloured_rows
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SLOTS
 from beltrami_cli.layers.texel_colours import Repainting, all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
+from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface.atlas import fill_gutter, texels_by_texture
 from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import limits_of

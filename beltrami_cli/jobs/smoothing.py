@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import FileReport
@@ -28,18 +27,6 @@ _USUAL_TICKS = 30  # while parameters are chosen
 
 
 @dataclass(frozen=True)
-class Recoloured:
-    """New colours of a layer, and how the kernel made them."""
-
-    colours: NewColours
-    report: LayerReport  # without the change of colours
-    warnings: list[str]
-    is_smoothed: bool
-    choice: Choice | None
-    samples_per_kernel: float  # not rounded, as in the report
-
-
-@dataclass(frozen=True)
 class Smoothed:
     """What smoothing makes of a layer: its part of the document, what was done, and what users should know."""
 
@@ -48,40 +35,28 @@ class Smoothed:
     report: LayerReport
     warnings: list[str]
     choice: Choice | None
-    samples_per_kernel: float
+    samples_per_kernel: float  # not rounded, as in the report
     levelled: LevelReport | None = None  # what was done to exposure steps before
-
-
-def recolour_layer(
-    layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
-) -> Recoloured:
-    """Choose parameters, calling `tick`, and run the flow on a layer."""
-    plan = layer.plan(tick)
-    result = smooth(plan, progress)
-    report = layer.report(plan, result)
-    return Recoloured(
-        colours=result.manifold.new_colours(),
-        report=report,
-        warnings=report.warnings(plan.parameters.max_samples),
-        is_smoothed=plan.parameters.iterations > 0,
-        choice=result.choice,
-        samples_per_kernel=result.samples_per_kernel,
-    )
 
 
 def smooth_layer(
     layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
 ) -> Smoothed:
-    """Run the flow on a layer, and put the colours back."""
-    made = recolour_layer(layer, progress, tick)
-    repainted = layer.repaint(made.colours, is_smoothed=made.is_smoothed)
+    """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back."""
+    plan = layer.plan(tick)
+    result = smooth(plan, progress)
+    report, new = layer.report(plan, result), result.manifold.new_colours()
+    warnings, is_smoothed = report.warnings(plan.parameters.max_samples), plan.parameters.iterations > 0
+    choice, samples_per_kernel = result.choice, result.samples_per_kernel
+    del plan, result  # before images as large are made
+    repainted = layer.repaint(new, is_smoothed=is_smoothed)
     return Smoothed(
         part=layer.part,
         repainted=repainted,
-        report=dataclasses.replace(made.report, change=repainted.change.summary()),
-        warnings=made.warnings,
-        choice=made.choice,
-        samples_per_kernel=made.samples_per_kernel,
+        report=dataclasses.replace(report, change=repainted.change.summary()),
+        warnings=warnings,
+        choice=choice,
+        samples_per_kernel=samples_per_kernel,
         levelled=layer.level_report,
     )
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
@@ -28,7 +26,7 @@ from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.lookup import look_up
-from beltrami_cli.surface.records import Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require_finite
 
 _MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits
 _ONE_ROW = "it needs one row for each coloured vertex, in the order of the file"
@@ -46,9 +44,9 @@ def _values(document: Document, name: str, access: Access) -> Float64s:
     known = document.attributes()
     if name.lower() in {attribute.lower() for attribute in known}:
         values = document.attribute(name)
-        require_finite(values, document.name, "vertex")
+        require_finite(values, document.name, "its vertex")
         return values
-    if not exists(name):
+    if not _exists(name):
         attributes = ", ".join(known) or "no others"
         cause = f"no such file, and no attribute of the vertices of {document.name}, which has {attributes}"
         raise InputError(name, cause)
@@ -74,7 +72,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
         shape = " x ".join(map(str, table.shape))
         raise InputError(path, f"its {shape} numbers do not fit the {rows} vertices of {model}", _ONE_ROW)
     numbers = table.astype(np.float64)
-    require_finite(numbers, path, "row")
+    require_finite(numbers, path, "its row")
     return numbers
 
 
@@ -95,15 +93,7 @@ def require_size(image: Array, size: tuple[int, int], path: str, of: str) -> Non
         raise InputError(path, cause, "both must have the same size, pixel by pixel")
 
 
-def require_finite(table: NDArray[np.floating[Any]], name: str, what: str) -> None:
-    """Raise InputError if a number of a table, shape (S, G), is not finite; `what` names a row."""
-    finite = np.isfinite(table).all(axis=1)
-    if not finite.all():
-        raise InputError(name, f"its {what} {int(np.argmin(finite))} is not finite")
-
-
-def exists(path: str) -> bool:
-    """Return whether a file of this name exists, or it is standard input."""
+def _exists(path: str) -> bool:
     return path == "-" or is_there(path)
 
 
@@ -144,7 +134,7 @@ class GuidedTexels:
         if name.lower() in slots:
             slot = slots[name.lower()]
             return Guide(name, self._of_slot(slot), beta, in_chart_frame=slot == "normal")
-        if not exists(name):
+        if not _exists(name):
             known = ", ".join(self.document.slots())
             asked = "texture in the slot" if name in SLOTS else "such file, and no slot"
             raise InputError(name, f"no {asked}; the slots of {self.document.name} are {known}")
@@ -159,7 +149,7 @@ class GuidedTexels:
         image, picture = read_map(path, self.access), self.pictures[0]
         require_size(image, picture.pixels.shape[:2], path, picture.name)
         values = image.reshape(-1, image.shape[2])[self.atlas.owned_texels]
-        require_finite(values, path, "pixel")
+        require_finite(values, path, "its pixel")
         return values
 
     def _of_slot(self, slot: Slot) -> Float32s:
@@ -179,14 +169,18 @@ class GuidedTexels:
 
     def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
         pictures = [read_texture(texture) for texture in guiding.textures]
-        textures, bare = dataclasses.replace(self.settings.textures, alpha="keep"), EmbeddingSettings()
-        plain = dataclasses.replace(self.settings, channels=None, textures=textures, embedding=bare)
+        plain = dataclasses.replace(
+            self.settings,
+            channels=None,
+            textures=dataclasses.replace(self.settings.textures, alpha="keep"),
+            embedding=EmbeddingSettings(),
+        )
         colours = PictureColours.of(pictures, slot, plain)
-        images = []
-        for picture in pictures:
-            height, width = picture.pixels.shape[:2]
-            images.append(colours.working(picture, np.arange(height * width)).reshape(height, width, -1))
-        return images
+        shapes = [picture.pixels.shape[:2] for picture in pictures]
+        return [
+            colours.working(picture, np.arange(rows * columns)).reshape(rows, columns, -1)
+            for picture, (rows, columns) in zip(pictures, shapes, strict=True)
+        ]
 
     def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
         """Return the texture of the guiding slot on the triangles of a smoothed texture; None: none."""
@@ -229,7 +223,7 @@ _AROUND = 17
 def noise_of_pixels(
     kernel: KernelParameters, pictures: Sequence[Picture], pixels: Int64s | Bools, access: Access
 ) -> Float32s | None:
-    """Read the standard deviations of all pixels, shape (H, W, K), checked at some; None if no file has them."""
+    """Read the standard deviations of all pixels, with a row for each, checked at some; None if no file has them."""
     given = kernel.given_noise
     if given is None or not given.source:
         return None
@@ -242,8 +236,9 @@ def noise_of_pixels(
     require_size(image, pictures[0].pixels.shape[:2], given.source, pictures[0].name)
     if given.kind == "frame":
         image = deviation_in_frame(image)
-    _check(image.reshape(-1, image.shape[2])[pixels], given.source, "pixel")
-    return image
+    rows = image.reshape(-1, image.shape[2])
+    _check(rows[pixels], given.source, "pixel")
+    return rows
 
 
 def noise_of_vertices(kernel: KernelParameters, document: Document, access: Access) -> Float32s | None:
@@ -272,7 +267,7 @@ def deviation_in_frame(frame: Float32s) -> Float32s:
 
 
 def _check(deviations: Float32s | Float64s, name: str, row: str) -> None:
-    require_finite(deviations, name, row)
+    require_finite(deviations, name, f"its {row}")
     low, high = deviations.min(initial=0), deviations.max(initial=0)
     if low < 0 or high > 1:
         extreme = f"down to {low:g}" if low < 0 else f"up to {high:g}"

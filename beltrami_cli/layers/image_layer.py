@@ -52,7 +52,7 @@ class ImageLayer(Layer):
     surface: ImageSurface
     valid: Bools  # (H, W): pixels that are samples
     guides: Sequence[Guide] = ()  # with a row for each pixel
-    noise: Float32s | None = None  # standard deviations, (H, W, K)
+    noise: Float32s | None = None  # standard deviations, with a row for each pixel
     tables: JpegTables | None = None
     suffix: str | None = None  # of another image format that is written
     remarks: tuple[str, ...] = ()  # on its surface, holes and channels
@@ -120,7 +120,7 @@ class ImageLayer(Layer):
             guides=self.guides,
             metric_channels=self.colours.metric_channels,
             tick=tick,
-            noise=None if self.noise is None else self.noise.reshape(-1, self.noise.shape[2]),
+            noise=self.noise,
             coded=(self.picture.pixels, self.tables) if self.colours.shows_all else None,
             light_in=self.colours.light_space,
         )

@@ -1,7 +1,7 @@
-"""Samples of an image manifold, taken from a document, and the way back into the document.
+"""Coloured samples of a document, and the way back into the document.
 
 Vertices, points, texels, pixels and vertices on a grid differ only in how their colours are read and written back:
-code that gives samples new colours works for all of them.
+code that gives a layer new colours works for all of them.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def named(names: Sequence[str], values: Float64s) -> dict[str, float]:
 
 
 def describe_choice(choice: Choice | None) -> dict[str, object] | None:
-    """Return what was chosen, and by what estimate."""
+    """Describe the choice of parameters in JSON types."""
     if choice is None:
         return None
     interval = None if choice.interval is None else list(choice.interval)
@@ -230,38 +230,30 @@ def rewritten(
     return dataclasses.replace(file, is_chosen=suffix is not None), [*picture.notices, *file.notices, *lost]
 
 
-@dataclass
-class _Joined:
-    pixels: Array
-    columns: set[int]
-    slots: tuple[Slot, ...]
-
-
 class SharedImages:
-    """Pixels of images so far, for those that several slots show."""
+    """Pixels of images so far, for images that several slots show.
 
-    # Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
+    Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
+    """
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._remaining = Counter(keys)
-        self._joined: dict[str, _Joined] = {}
+        self._joined: dict[str, tuple[Array, set[int], tuple[Slot, ...]]] = {}
 
     def join(
         self, slot: Slot, key: str, pixels: Array, columns: Sequence[int]
     ) -> tuple[Array, tuple[Slot, ...]]:
         """Combine an image's new pixels with the channels that other slots changed; also return these slots."""
-        # Colours and data are encoded differently, so they are not joined.
         self._remaining[key] -= 1
-        known = self._joined.get(key)
         slots: tuple[Slot, ...] = (slot,)
-        if known is not None:
-            alike = (slot in COLOUR_SLOTS) == (known.slots[0] in COLOUR_SLOTS)
-            if alike and known.columns.isdisjoint(columns):
-                others = sorted(known.columns)
-                pixels[..., others] = known.pixels[..., others]
-                columns, slots = [*columns, *others], (*known.slots, slot)
+        if key in self._joined:
+            before, changed, others = self._joined[key]
+            # Colours and data are encoded differently, so they are not joined.
+            if (slot in COLOUR_SLOTS) == (others[0] in COLOUR_SLOTS) and changed.isdisjoint(columns):
+                pixels[..., sorted(changed)] = before[..., sorted(changed)]
+                columns, slots = [*columns, *changed], (*others, slot)
         if self._remaining[key] > 0:
-            self._joined[key] = _Joined(pixels, set(columns), slots)
+            self._joined[key] = pixels, set(columns), slots
         else:
             self._joined.pop(key, None)
         return pixels, slots

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,11 +21,13 @@ from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, on_canvas
-from beltrami_cli.layers.vertex_layer import VertexLayer
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import Texture
+
+if TYPE_CHECKING:
+    from beltrami_cli.layers.vertex_layer import VertexLayer
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
@@ -38,6 +41,8 @@ def level(layer: Layer, wanted: LevelSettings, photographs: Int64s | None = None
     """Return a layer with exposure steps taken out, and the report of that; `photographs`: of all vertices."""
     if isinstance(layer, TextureLayer):
         return _level_textures(layer, wanted)
+    from beltrami_cli.layers.vertex_layer import VertexLayer  # which textures do without
+
     if isinstance(layer, VertexLayer):
         return _level_vertices(layer, wanted, photographs)
     cause = "there are no charts that could differ in exposure; textures of models have them"
@@ -81,11 +86,13 @@ def _level_vertices(layer: VertexLayer, wanted: LevelSettings, photographs: Int6
 
 def colours_of(layer: Layer) -> NewColours:
     """Return the colours of a layer as they are, to be written back where exposure steps were taken out."""
-    if isinstance(layer, VertexLayer):
-        return NewColours.of(layer.surface().colours)
-    assert isinstance(layer, TextureLayer)
-    still, metric = layer.settings.kernel.with_values(iterations=0), layer.colours.metric_channels
-    return grid_manifold(layer.atlas, on_canvas(layer), still, metric_channels=metric).new_colours()
+    if isinstance(layer, TextureLayer):
+        still, metric = layer.settings.kernel.with_values(iterations=0), layer.colours.metric_channels
+        return grid_manifold(layer.atlas, on_canvas(layer), still, metric_channels=metric).new_colours()
+    from beltrami_cli.layers.vertex_layer import VertexLayer
+
+    assert isinstance(layer, VertexLayer)
+    return NewColours.of(layer.surface().colours)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
@@ -18,7 +19,6 @@ from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer, SharedImages
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
-from beltrami_cli.layers.painted_layer import PaintedLayer
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.layers.texture_groups import TextureGroup, separate_groups
@@ -26,6 +26,9 @@ from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
+
+if TYPE_CHECKING:
+    from beltrami_cli.layers.vertex_layer import PaintedLayer
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ class TextureLayer(layer.Layer):
         noise = guides = None
         if guided is not None:
             noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
-            noise = None if noise is None else noise.reshape(-1, noise.shape[2])[atlas.owned_texels]
+            noise = None if noise is None else noise[atlas.owned_texels]
             if settings.embedding.guides:
                 guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
         return cls(

@@ -11,21 +11,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_texture
-from beltrami_cli.jobs.smoothing import recolour_layer, smooth_layer
+from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.guides import vertex_guides
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.layers.painted_layer import PaintedLayer, only_rows
+from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import EmbeddingSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
-from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
+from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
 from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 
@@ -134,7 +136,7 @@ class Previewer:
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
         place = top, left
         layer = _cut(self._pixels, place, kernel)
-        pixels, _ = layer.painted(recolour_layer(layer, progress).colours)
+        pixels, _ = layer.painted(_smooth(layer, progress))
         shown = displayed_pixels(dataclasses.replace(layer.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
@@ -189,7 +191,7 @@ class Previewer:
         part = _used(surface, order)
         read = _part_of(self._document, self._own, part, self._faces[order])
         layer = TextureLayer.read(part, self._slot, settings, guided=(read, self._access))
-        new, painter = recolour_layer(layer, progress).colours, painter_of(layer, gutter=None)
+        new, painter = _smooth(layer, progress), painter_of(layer, gutter=None)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
         for index, picture in enumerate(layer.pictures):
@@ -213,6 +215,11 @@ class Previewer:
         return self._order[1]
 
 
+def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
+    new: NewColours = smooth(layer.plan(), progress).manifold.new_colours()
+    return new
+
+
 def _smoothed(layer: PaintedLayer, rows: Int64s, own: Int64s, progress: Progress | None) -> Patch:
     """Smooth vertices; `rows`: their numbers in the document, `own`: in the layer."""
     made, painted = smooth_layer(layer, progress).repainted, layer.painted
@@ -224,10 +231,12 @@ def _smoothed(layer: PaintedLayer, rows: Int64s, own: Int64s, progress: Progress
 
 def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters) -> ImageLayer:
     """Return a part of an image, which begins with a block of JPEG, with other parameters."""
-    surface, guides = layer.surface, list[Guide]()
-    for guide in layer.guides:
-        values = guide.values.reshape(*layer.valid.shape, -1)[place]
-        guides.append(dataclasses.replace(guide, values=values.reshape(-1, values.shape[2])))
+    surface = layer.surface
+
+    def rows(values: Float32s) -> Float32s:
+        part = values.reshape(*layer.valid.shape, -1)[place]
+        return part.reshape(-1, part.shape[2])
+
     return dataclasses.replace(
         layer,
         settings=dataclasses.replace(layer.settings, kernel=kernel),
@@ -238,8 +247,8 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
             positions=None if surface.positions is None else surface.positions[place],
             valid=layer.valid[place],
         ),
-        noise=None if layer.noise is None else layer.noise[place],
-        guides=guides,
+        noise=None if layer.noise is None else rows(layer.noise),
+        guides=[dataclasses.replace(guide, values=rows(guide.values)) for guide in layer.guides],
     )
 
 
