@@ -178,9 +178,12 @@ def _noise_in_words(values: dict[str, float]) -> str:
 
 
 def _choice_in_short(choice: dict[str, Any]) -> str:
-    if choice["psnr"] is None or "iterations" not in choice["chosen"]:
+    if choice["psnr"] is None and choice["candidates"]:
         return choice_in_words(choice)
-    words = counted(choice["chosen"]["iterations"], "iteration")
+    iterations = choice["chosen"].get("iterations")
+    words = "the given parameters" if iterations is None else counted(iterations, "iteration")
+    if not choice["candidates"]:
+        return f"{words}, by the fixed rule of --fast"
     least, most = choice["interval"]
     interval = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
     now = choice["psnr"] - choice["gain"]

@@ -88,7 +88,7 @@ class PaintedLayer(Layer):
                 "samples_per_kernel": round(result.samples_per_kernel, 2),
                 "truncated_kernels": result.truncated,
             },
-            spacing=plan.manifold.spacing,
+            spacing=plan.manifold.geometry.spacing,
             **self._used(plan, result),
         )
 

@@ -189,7 +189,7 @@ def test_unwrap_gives_every_place_of_a_mirrored_texture_texels_of_its_own(tmp_pa
     assert np.abs(colours[nearest] - new_colours).mean() < 0.03
 
 
-_PIPED = "beltrami: <stdout>: there is no folder for the files that belong beside it; "
+_PIPED = "beltrami: <stdout>: there is no folder for its sidecar files; "
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path):
     ("arguments", "code", "words"),
     [
         (["missing.ply", "out.ply"], 3, "missing.ply"),
-        ([".", "out.ply"], 3, "directory"),
+        ([".", "out.ply"], 3, "it is a folder"),
         ([str(NOISY), "out.abc"], 2, ".abc"),
         ([str(NOISY), "out.ply", "-t", "0"], 2, "--time-step is 0"),
         ([str(NOISY), "out.ply", "--beta", "-1"], 2, "beta"),

@@ -42,7 +42,9 @@ def test_the_noise_of_both_halves_is_found(channels, contrast):
     """Within 20 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
     positions, faces, clean, sigma = scene(channels, contrast)
     found = manifold(positions, faces, noisy(clean, sigma))
-    local = found.in_order(np.sqrt(found.noise.relative))[:, 0] * np.sqrt(np.mean(found.noise.of_input**2))
+    local = found.geometry.in_order(np.sqrt(found.noise.relative))[:, 0] * np.sqrt(
+        np.mean(found.noise.of_input**2)
+    )
     assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.2)
     quiet = np.median(local[positions[:, 0] < -0.2])
     assert QUIET * 0.8 < quiet < QUIET * (1.3 if channels == 3 else 2)
