@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from beltrami_cli.formats.image.picture import Picture
 
 NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
+PlannedImages = Mapping[tuple[records.Slot, str], records.PlannedImage]
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: NewImages = {}
@@ -71,6 +72,10 @@ class Written:
     notices: tuple[str, ...] = ()
     # New paths relative to the main file of unchanged files beside the source, by which they are named there.
     copies: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def names_beside(self) -> list[str]:
+        return [*self.sidecars, *self.copies]
 
 
 def not_converted(mesh: records.MeshContents | records.TexturedMesh, others: Iterable[str] = ()) -> list[str]:
@@ -243,6 +248,13 @@ class Document(ABC):
 
     @abstractmethod
     def _patched(self, new: Changes, naming: Naming) -> Written: ...
+
+    def names_beside(
+        self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
+    ) -> list[str]:  # fmt: skip
+        """Return which sidecar files `patch` can write for these images, and if all colours or positions change."""
+        del images, naming, colours, places, form  # for formats whose documents are one file
+        return []
 
     def references(self) -> Sequence[str]:
         """Return relative paths of existing unchanged files that the model needs beside it ("/" separates)."""

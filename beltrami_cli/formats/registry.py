@@ -18,7 +18,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.surface.records import MeshContents, TexturedMesh
+    from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh
 
     Recogniser = Callable[[bytes, str], bool]
 
@@ -65,12 +65,19 @@ class Format:
     sidecars: str = ""  # suffixes of the files that the writers put beside the main one
     textured_sidecars: str = ""  # as well; ".*" is that of the texture
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
+    slots: tuple[Slot, ...] = ()  # of whose maps a new file can be written; empty: any
     aliases: tuple[str, ...] = ()  # further suffixes, without the dot
     kind: Kind = "model"  # what a file holds; meshes and clouds of points are models
 
     @property
     def suffixes(self) -> tuple[str, ...]:
         return tuple(f".{name}" for name in (self.name, *self.aliases))
+
+    def fitted(self, mesh: TexturedMesh) -> TexturedMesh:
+        """Leave out the maps that a new file cannot have."""
+        from beltrami_cli.formats.textured_mesh import with_slots
+
+        return with_slots(mesh, self.slots) if self.slots else mesh
 
     def load(self, name: str) -> Any:
         return _loaded(f"{self.module}.{name}")
@@ -111,8 +118,13 @@ _is_image = _asks("image.picture.is_image")
 FORMATS = (
     Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
     Format("volume", _asks("volume.arrays.is_volume", *_VOLUMES), "volume.arrays", "read_volume", kind="volume"),
-    _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*"),
-    _textured("obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*"),
+    _textured(
+        "ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)
+    ),
+    _textured(
+        "obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*",
+        slots=("baseColor", "emissive", "normal", "metallicRoughness"),
+    ),
     _textured("glb", _starts(rb"glTF"), "gltf.GltfDocument", images=_COMMON),
     _textured(
         "gltf", _starts(_JSON), "gltf.GltfDocument", sidecars=".bin", textured_sidecars=".bin .*", images=_COMMON
@@ -209,6 +221,7 @@ def write_contents(contents: MeshContents, name: str, stem: str) -> Written:
 def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
     """Write a mesh with textures as a new file of a format; UsageError if the format has none, or not such ones."""
     line = _with_textures(name)
+    mesh = line.fitted(mesh)
     for image in mesh.images:
         if line.images and image.file.suffix not in line.images:
             cause = f"a .{name} file takes PNG and JPEG textures, not {image.file.suffix}"
@@ -218,12 +231,12 @@ def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
 
 
 def textured_sidecars(mesh: TexturedMesh, name: str, stem: str) -> list[str]:
-    """Return the files that `write_textured` puts beside the main one; as if all images had a suffix that is held."""
+    """Return the files that `write_textured` puts beside the main one, of images as `with_suffixes` has them."""
     from beltrami_cli.formats.textured_mesh import image_names
 
     line = _with_textures(name)
     suffixes = line.textured_sidecars.split()
-    images = image_names(mesh, stem) if ".*" in suffixes else []
+    images = image_names(line.fitted(mesh), stem, line.images) if ".*" in suffixes else []
     return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
 
 

@@ -189,13 +189,13 @@ def common_suffix(suffixes: Iterable[str]) -> str | None:
     return distinct.pop() if len(distinct) == 1 else None
 
 
-def image_names(mesh: TexturedMesh, stem: str) -> list[str]:
-    """Return names for the files of the images, after the model, all different."""
+def image_names(mesh: TexturedMesh, stem: str, held: Collection[str] = ()) -> list[str]:
+    """Return names for the files of the images, after the model, all different, as `with_suffixes` has them."""
     names, found = NewFiles(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
         # A reference in MTL and PLY is the rest of a line, of which programs cut the blanks at the ends.
         plain = plain_name(PurePosixPath(image.name).stem)
-        suffix = image.file.suffix
+        suffix = image.file.suffix if not held or image.file.suffix in held else _FIT
         found.append(names.image(plain + suffix) if plain else names.new(suffix))
     return found
 
@@ -272,15 +272,6 @@ def with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> tuple[Textur
         held = ", ".join(suffix[1:] for suffix in suffixes)
         notices.append(f"Textures written as PNG, since the format holds {held} only: {changed}.")
     return dataclasses.replace(mesh, images=tuple(images)), notices
-
-
-def as_if_with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> TexturedMesh:
-    """Return a mesh whose images have the suffixes that `with_suffixes` gives them, and their old bytes."""
-    images = list(mesh.images)
-    for number, image in enumerate(images):
-        if suffixes and image.file.suffix not in suffixes:
-            images[number] = dataclasses.replace(image, file=dataclasses.replace(image.file, suffix=_FIT))
-    return dataclasses.replace(mesh, images=tuple(images))
 
 
 def _without_unused(mesh: TexturedMesh) -> TexturedMesh:

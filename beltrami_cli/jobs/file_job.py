@@ -52,8 +52,9 @@ class FileJob:
         if self.job.check is not None:
             self.job.check(self.document)
         naming = _naming_of(self)
+        names = sidecars(naming)
         if self.output is not None:
-            self.output.check_sidecars(sidecars(naming))
+            self.output.check_sidecars(names)
         return naming
 
     def reserve_new(self, image_suffix: str | None) -> str:

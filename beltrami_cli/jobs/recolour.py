@@ -7,20 +7,20 @@ are. The files of the result have the format that the output asks for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.textured_mesh import as_if_with_suffixes, with_images, with_suffixes
+from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.repainted_document import with_new_colours
@@ -31,7 +31,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import ImageFile, MovedVertices, Slot
+from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage, Slot
 
 
 class Painted(Protocol):
@@ -85,10 +85,10 @@ def recolour(
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
         selection = select(document, settings)
-        if not painter.changes and (kind.is_own or kind.suffix is None):
+        if not painter.changes and kind.suffix is None:
             selection = NOTHING
         painter = painter.prepared(document, selection, kind)
-        naming = file.reserve(lambda naming: _names(naming, document, selection, settings, kind))
+        naming = file.reserve(lambda naming: _names_beside(naming, document, selection, settings, kind))
     place = None if file.output is None else target
     with _checked_memory(document, selection, settings, painter, file.job.access, place):
         with watch.stage("smooth"):
@@ -114,7 +114,7 @@ def recolour_in_memory(
 ) -> tuple[Document, list[AnyPainted]]:
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
-    painter = painter.prepared(document, selection, OutputFormat(document.format, is_own=True))
+    painter = painter.prepared(document, selection, OutputFormat(document.format, is_patched=True))
     with _checked_memory(document, selection, settings, painter, job.access):
         painted = paint(document, selection, settings, painter, job, in_groups=painter.works_in_groups)
     return with_new_colours(document, [each.repainted for each in painted]), painted
@@ -163,17 +163,34 @@ def paint(
 def _files(
     document: Document, painted: Sequence[Repainted], kind: OutputFormat, naming: Naming, *, in_place: bool
 ) -> Written:
-    colours = places = None
-    images: dict[tuple[Slot, str], ImageFile] = {}
-    for each in painted:
-        images |= each.images
-        if each.colours is not None:
-            colours = each.colours
-        if each.positions is not None:
-            places = moved_vertices(document, each.positions)
+    """Return the files of a document with new colours, images and positions, in the format of the output."""
+    colours = next((each.colours for each in painted if each.colours is not None), None)
+    places = next((each.positions for each in painted if each.positions is not None), None)
+    moved = None if places is None else moved_vertices(document, places)
+    images = {key: image for each in painted for key, image in each.images.items()}
     if in_place:
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
-    return make_files(document, colours, images, kind, naming, places)
+    if kind.is_patched:
+        return document.patch(colours, naming, images=images, places=moved, form=kind.name)
+    if _has_textures(document, kind):
+        if moved is not None:
+            raise UsageError(
+                f"{document.name}: positions that --smooth-geometry moves cannot be converted together with textures; "
+                f"give the output the extension .{document.format}"
+            )
+        mesh = with_images(document.textured_mesh(colours), images)
+        mesh, notices = with_suffixes(mesh, registry.held_images(kind.name) or ())
+        stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, kind.name, stem))
+        written = registry.write_textured(mesh, kind.name, stem)
+        return replace(written, notices=(*notices, *written.notices))
+    contents = document.recoloured_contents(colours)
+    if moved is not None:
+        normals = contents.normals
+        if normals is not None and moved.normals is not None:
+            normals = np.where(np.isnan(moved.normals), normals, moved.normals)
+        contents = replace(contents, positions=moved.positions, normals=normals)
+    stem = naming.free_stem(lambda stem: registry.sidecar_names(kind.name, stem, None))
+    return registry.write_contents(contents, kind.name, stem)
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
@@ -183,44 +200,8 @@ def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
     return all(image.data != each.data for each in document.textured(slot).textures if each.key == key)
 
 
-def make_files(
-    document: Document, colours: Float32s | None, images: Mapping[tuple[Slot, str], ImageFile], kind: OutputFormat,
-    naming: Naming, places: MovedVertices | None = None,
-) -> Written:  # fmt: skip
-    """Return the files of a document with other colours and positions; UsageError if textures cannot be converted."""
-    target_format = kind.name
-    if kind.is_own or kind.suffix is not None:
-        return document.patch(colours, naming, images=images, places=places)
-    if target_format in document.forms:
-        return document.patch(colours, naming, images=images, places=places, form=target_format)
-    if is_converted_with_textures(document, kind):
-        if places is not None:
-            raise UsageError(
-                f"{document.name}: positions that --smooth-geometry moves cannot be converted together with textures; "
-                f"give the output the extension .{document.format}"
-            )
-        mesh = with_images(document.textured_mesh(colours), images)
-        mesh, notices = with_suffixes(mesh, registry.held_images(target_format) or ())
-        stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, target_format, stem))
-        written = registry.write_textured(mesh, target_format, stem)
-        return replace(written, notices=(*notices, *written.notices))
-    if images or (document.slots() and not document.has_vertex_colours()):
-        remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
-        raise UsageError(f"a .{target_format} file has no textures; {remedy}")
-    contents = document.recoloured_contents(colours)
-    if places is not None:
-        normals = contents.normals
-        if normals is not None and places.normals is not None:
-            normals = np.where(np.isnan(places.normals), normals, places.normals)
-        contents = replace(contents, positions=places.positions, normals=normals)
-    stem = naming.free_stem(lambda stem: registry.sidecar_names(target_format, stem, None))
-    return registry.write_contents(contents, target_format, stem)
-
-
-def is_converted_with_textures(document: Document, kind: OutputFormat) -> bool:
-    """Whether a document is written anew, as another format that can hold its textures."""
-    if kind.is_own or kind.suffix is not None or kind.name in document.forms:
-        return False
+def _has_textures(document: Document, kind: OutputFormat) -> bool:
+    """Whether textures are converted along with a document."""
     return registry.held_images(kind.name) is not None and bool(document.readable(document.slots()))
 
 
@@ -242,24 +223,26 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     return MovedVertices(positions, normals)
 
 
-def _names(
+def _names_beside(
     naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
 ) -> list[str]:
-    """Find the files that would be written beside the output, by writing the old images anew."""
-    suffix = settings.textures.image_suffix
-    images = {
-        (slot, texture.key): ImageFile(
-            # Other bytes, since what is equal is not written anew; each its own.
-            f"new {texture.key}".encode(),
-            suffix or suffix_for(texture.data, texture.name) or ".png",
-        )
-        for slot in selection.slots
-        for texture in choose_textures(document.textured(slot), settings.textures).textures
-    }
-    if is_converted_with_textures(document, kind):
-        held = registry.held_images(kind.name) or ()
-        mesh = as_if_with_suffixes(with_images(document.textured_mesh(), images), held)
+    """Return the names of the files beside the output if all that is selected changes, before anything does."""
+    chosen = settings.textures.image_suffix
+    images: dict[tuple[Slot, str], PlannedImage] = {}
+    for slot in selection.slots:
+        for texture in choose_textures(document.textured(slot), settings.textures).textures:
+            suffix = chosen or suffix_for(texture.data, texture.name) or ".png"
+            images[slot, texture.key] = PlannedImage(suffix, is_chosen=chosen is not None, slot=slot)
+    if kind.is_patched:
+        moves = selection.vertices and settings.embedding.smooth_geometry
+        changes = {"colours": selection.vertices, "places": moves}
+        return document.names_beside(images, naming, form=kind.name, **changes)
+    if _has_textures(document, kind):
+        mesh = with_images(document.textured_mesh(), images)
         stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, kind.name, stem))
         return registry.textured_sidecars(mesh, kind.name, stem)
-    written = make_files(document, None, images, kind, naming)
-    return [*written.sidecars, *written.copies]
+    if images or (document.slots() and not document.has_vertex_colours()):
+        remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
+        raise UsageError(f"a .{kind.name} file has no textures; {remedy}")
+    stem = naming.free_stem(lambda stem: registry.sidecar_names(kind.name, stem, None))
+    return registry.sidecar_names(kind.name, stem, None)

@@ -46,11 +46,13 @@ NOTHING = Selection()
 
 @dataclass(frozen=True)
 class OutputFormat:
-    """A format to write: the document's own, or another; `suffix` is that of another image format, with its dot."""
+    """A format to write."""
 
     name: str
-    is_own: bool
-    suffix: str | None = None
+    is_patched: (
+        bool  # the output keeps all that the document holds besides colours; otherwise it is converted
+    )
+    suffix: str | None = None  # of another image format, with its dot
 
 
 def select(document: Document, settings: SmoothSettings) -> Selection:
@@ -160,7 +162,7 @@ def require_geometry(
         )
     if document.grid() is not None or not len(document.painted().faces):
         raise InputError(document.name, "it has no triangles, so there is no geometry to smooth")
-    if target.is_own:
+    if target.is_patched:
         document.require_movable()
 
 
@@ -244,7 +246,7 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
             why = ": the STL format has no colours" if wanted == "stl" else ""
             cause = f".{wanted} files are read, but not written{why}"
         raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
-    return OutputFormat(name, name == document.format)
+    return OutputFormat(name, is_patched=name in (document.format, *document.forms))
 
 
 def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
@@ -257,5 +259,5 @@ def _image_format(document: Document, target: str, chosen: str | None) -> Output
     own = format_of(document.data, document.name)
     if not suffix or known == own:
         own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"
-        return OutputFormat(own_suffix.lower()[1:], is_own=True)
-    return OutputFormat(suffix.lower()[1:], is_own=False, suffix=suffix)
+        return OutputFormat(own_suffix.lower()[1:], is_patched=True)
+    return OutputFormat(suffix.lower()[1:], is_patched=True, suffix=suffix)

@@ -138,6 +138,14 @@ class ImageFile:
         return bytes(self.content)
 
 
+@dataclass(frozen=True)
+class PlannedImage(ImageFile):
+    """An image that is not made yet, to name its file; it may come out otherwise in each slot."""
+
+    content: bytes = field(default=b"", init=False, hash=False)
+    slot: Slot = "baseColor"
+
+
 AlphaMode = Literal["opaque", "mask", "blend"]
 
 

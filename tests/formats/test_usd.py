@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
+from beltrami_cli.layers.settings import EmbeddingSettings
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -369,3 +372,12 @@ def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
     smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN, slots=("baseColor", "emissive"))
     assert (tmp_path / "b.usda").read_text().count("@./b.png@") == 1
     assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
+
+
+@pytest.mark.parametrize("form", ["usda", "usdc", "usd"])
+def test_positions_are_not_smoothed_in_vain(form, tmp_path):
+    write(tmp_path, {"a.usda": scene(mesh_text(coloured(COLOURS)))})
+    settings = dataclasses.replace(GIVEN, embedding=EmbeddingSettings(smooth_geometry=True))
+    with pytest.raises(InputError, match="positions of a usda file cannot be replaced"):
+        smooth_file(tmp_path / "a.usda", tmp_path / f"b.{form}", settings)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.usda"]

@@ -19,7 +19,6 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
-from beltrami_cli.formats.textured_mesh import as_if_with_suffixes
 from beltrami_cli.formats.usd.layers import Package
 from beltrami_cli.formats.volume.arrays import is_volume, read_volume
 from beltrami_cli.surface.records import ImageFile
@@ -84,11 +83,11 @@ def _convert(document: Document) -> None:
     if document.slots():
         mesh = document.textured_mesh()
         for form in ("glb", "obj", "ply"):
-            held = held_images(form)
+            held, names = held_images(form), textured_sidecars(mesh, form, "out")
             assert held is not None
-            fit = as_if_with_suffixes(mesh, held)
-            assert len({*textured_sidecars(fit, form, "out")}) == len(textured_sidecars(fit, form, "out"))
-            write_textured(fit, form, "out")
+            assert len({*names}) == len(names)
+            if not held or all(image.file.suffix in held for image in mesh.images):
+                assert {*write_textured(mesh, form, "out").sidecars} == {*names}
 
 
 def _compare(before: Document, written: Written, folder: Path) -> None:

@@ -19,9 +19,9 @@ from cli.commands import SAMPLES, beltrami, refused
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("-n", "1", "--fast")
 NEVER = (
-    "scheduler", "pieces", "report_path", "preview_path", "map_to", "junit_to", "out_dir", "suffix", "resume", "overwrite",
-    "allow_outside", "guides", "height", "positions", "mask", "colours", "reference", "parameters", "max_memory",
-    "max_voxels", "max_unwrap_faces", "at_once",
+    "scheduler", "pieces", "report_path", "preview_path", "map_to", "junit_to", "out_dir", "suffix", "resume",
+    "overwrite", "allow_outside", "guides", "height", "positions", "mask", "colours", "reference", "parameters",
+    "max_memory", "max_voxels", "max_unwrap_faces", "at_once",
 )  # fmt: skip
 
 

@@ -53,11 +53,24 @@ def exchange(edit: Edit, columns: Sequence[Column], numbers: Sequence[tuple[Stor
             _overwrite(edit, column, after)
         else:
             members = _own_accessors(edit, column.attribute, column.members, shared).values()
-            view = edit.append_attribute(_buffer_for(edit, column), after)
+            view = edit.append_attribute(_buffer_for(edit, column.accessor, column.position), after)
             for index in members:
                 _point_at(edit.tree["accessors"][index], view)
         for index in members:
             _update_bounds(edit.tree["accessors"][index], before, after)
+
+
+def changing_buffers(edit: Edit, index: int, position: int) -> set[int]:
+    """Return the buffers of the file that may change when all numbers of an accessor are new."""
+    accessor, buffers = edit.accessors[index], edit.accessors.buffers
+    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None]
+    read = {layout.buffer for layout in layouts if layout}
+    stored = {index for index in read if buffers.source(index) != "decoded"}
+    for view in edit.accessors.views:
+        if view.buffer in read and view.packed is not None and view.fallback is not None:
+            stored |= {view.packed.buffer, view.fallback[0]}
+    found = {buffers.canonical(index) for index in stored if buffers.source(index) != "nowhere"}
+    return found or {_buffer_for(edit, index, position)}
 
 
 def _overwrite(edit: Edit, column: Column, after: Stored) -> None:
@@ -70,7 +83,7 @@ def _overwrite(edit: Edit, column: Column, after: Stored) -> None:
     if accessor.layout is not None:
         _elements(edit, accessor.layout)[own] = octets[own]
     elif octets[own].any():  # no more zeros
-        view = edit.append_attribute(_buffer_for(edit, column), after)
+        view = edit.append_attribute(_buffer_for(edit, column.accessor, column.position), after)
         _point_at(edit.tree["accessors"][column.accessor], view, keep_sparse=True)
 
 
@@ -78,10 +91,10 @@ def _elements(edit: Edit, layout: Layout) -> Uint8s:
     return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
 
 
-def _buffer_for(edit: Edit, column: Column) -> int:
+def _buffer_for(edit: Edit, index: int, position: int) -> int:
     """Return the buffer that takes new numbers: that of the old ones, of the positions, or any with bytes."""
-    accessor, position = edit.accessors[column.accessor], edit.accessors[column.position]
-    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None, position.layout]
+    accessor, sparse = edit.accessors[index], edit.accessors[index].sparse
+    layouts = [accessor.layout, sparse.values if sparse else None, edit.accessors[position].layout]
     return edit.growing_buffer(layout.buffer for layout in layouts if layout)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
-from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, PlannedImages, Written
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import Buffers, files_beside
 from beltrami_cli.formats.gltf.container import read_container
@@ -20,7 +20,7 @@ from beltrami_cli.formats.gltf.geometry import placements
 from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of, require_structure
 from beltrami_cli.formats.gltf.painted import Surface
 from beltrami_cli.formats.gltf.repainting import repaint
-from beltrami_cli.formats.gltf.saving import written
+from beltrami_cli.formats.gltf.saving import placed, written
 from beltrami_cli.formats.gltf.textured import gather_textured, read_textured_mesh
 from beltrami_cli.formats.gltf.textures import Images, present_slots
 from beltrami_cli.formats.model_folder import ModelFolder
@@ -91,8 +91,19 @@ class GltfDocument(Document):
         if new.places is not None:
             self.surface.move(edit, self.painted().positions, new.places)
         compress_again(edit)
-        repaint(edit, self.images, new.images)
+        repaint(edit, self.images, new.images).finish()
         return written(edit, naming, new.form or self.format, self._folder)
+
+    def names_beside(
+        self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
+    ) -> list[str]:  # fmt: skip
+        form = form or self.format
+        if form == "glb" != self.format:
+            return []
+        edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
+        changed = self.surface.buffers(edit, places=places) if colours else []
+        edit.buffers |= dict.fromkeys([*changed, *repaint(edit, self.images, images).buffers], bytearray())
+        return placed(edit, naming, form, self._folder).written().names_beside
 
     def references(self) -> Sequence[str]:
         return self._references

@@ -170,6 +170,11 @@ class ImageStorage:
         else:
             self._edit.images |= dict.fromkeys(group, file)
 
+    @property
+    def buffers(self) -> Iterable[int]:
+        """The buffers that `finish` changes."""
+        return self._blobs.keys()
+
     def finish(self) -> None:
         for buffer, blobs in self._blobs.items():
             _store(self._edit, buffer, blobs)

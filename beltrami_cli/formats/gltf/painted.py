@@ -17,7 +17,7 @@ from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf import geometry
 from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
-from beltrami_cli.formats.gltf.columns import Column, exchange
+from beltrami_cli.formats.gltf.columns import Column, changing_buffers, exchange
 from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.json_tree import Entry
 from beltrami_cli.surface.geometry import unit_vectors
@@ -212,6 +212,14 @@ class Surface:
             columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
             numbers.append((before, after))
         exchange(edit, columns, numbers)
+
+    def buffers(self, edit: Edit, *, places: bool) -> set[int]:
+        """Return the buffers that change with all colours, or with all positions and normals, too."""
+        found = set[int]()
+        for block in self.blocks:
+            for index in (block.colour, *((block.position, block.normal) if places else ())):
+                found |= set() if index is None else changing_buffers(edit, index, block.position)
+        return found
 
     def require_movable(self) -> None:
         """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from beltrami_cli.errors import BeltramiError, OutputError
@@ -29,8 +29,9 @@ from beltrami_cli.formats.gltf.textures import (
     texture_infos,
 )
 from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.surface.records import ImageFile, Slot
+from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot
 
 _WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 
@@ -44,16 +45,15 @@ class _Change:
     file: ImageFile
 
 
-def repaint(edit: Edit, images: Images, new: NewImages) -> None:
-    """Replace images by new ones, as for `Document.patch`; ValueError if there is no such image in the slot."""
-    wanted = _wanted(edit, images, new)
+def repaint(edit: Edit, images: Images, new: NewImages) -> ImageStorage:
+    """Show new images, as for `Document.patch`, and return what stores them; ValueError if a slot lacks an image."""
+    storage, wanted = ImageStorage(edit, images), _wanted(edit, images, new)
     if not wanted:
-        return
+        return storage
     before = _extensions(edit.tree)
     changes: dict[int, list[_Change]] = defaultdict(list)
     for change in _changes(edit.tree, images, wanted):
         changes[change.image].append(change)
-    storage = ImageStorage(edit, images)
     known: dict[tuple[int, ImageFile], int | None] = {}
     for image, members in changes.items():
         files = list(dict.fromkeys(change.file for change in members))
@@ -65,8 +65,8 @@ def repaint(edit: Edit, images: Images, new: NewImages) -> None:
             together = {each.texture for each in members if each.file == change.file}
             others = _renew(storage, edit, images, change, together, known)
             _point(edit, images, change, targets[change.file], others)
-    storage.finish()
     _declare(edit.tree, before)
+    return storage
 
 
 def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int], ImageFile]:
@@ -186,6 +186,8 @@ def _renew(
 def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | None:
     """Return an image of a texture in its own type with the colours of the new one; None if that cannot be."""
     name = images.name(image)
+    if isinstance(shown, PlannedImage):
+        return replace(shown, suffix=suffix_for(images.data(image), name) or shown.suffix)
     try:
         old, new = read_image(images.data(image), name), read_image(shown.data, name)
         alike = old.pixels.dtype == new.pixels.dtype and old.pixels.shape[:2] == new.pixels.shape[:2]

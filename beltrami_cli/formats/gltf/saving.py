@@ -25,14 +25,7 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
     container, keeps_form = edit.container, form == edit.container.kind
     if form == "glb" and not keeps_form:
         return _as_glb(edit, folder)
-    used = named_files(container.root)
-    missing = [name for name in used if folder.find(name) is None]
-    names = NewFiles(naming, container.name, used, missing)
-    if not keeps_form:
-        _place_chunk(edit, names)
-    _place_buffers(edit, names)
-    _place_images(edit, names)
-    _place_copies(edit, names, folder)
+    names = placed(edit, naming, form, folder)
     if not keeps_form:
         main: list[Bytes] = [revised(container.text, edit.tree).encode()]
         lost = [chunk for chunk in container.chunks if chunk.kind != BIN_CHUNK]
@@ -43,6 +36,18 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
     else:
         main = container.rebuilt(edit.tree, edit.buffers.get(0) if _source(edit, 0) == "chunk" else None)
     return names.written(main, edit.notices)
+
+
+def placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFiles:
+    """Name the files beside an edited glTF, and put their names into the tree."""
+    used = named_files(edit.container.root)
+    names = NewFiles(naming, edit.container.name, used, [name for name in used if folder.find(name) is None])
+    if form != edit.container.kind:
+        _place_chunk(edit, names)
+    _place_buffers(edit, names)
+    _place_images(edit, names)
+    _place_copies(edit, names, folder)
+    return names
 
 
 def _place_chunk(edit: Edit, names: NewFiles) -> None:

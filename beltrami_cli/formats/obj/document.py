@@ -21,6 +21,7 @@ from beltrami_cli.formats.document import (
     Fingerprint,
     Naming,
     NewImages,
+    PlannedImages,
     Written,
 )
 from beltrami_cli.formats.model_folder import (
@@ -105,10 +106,7 @@ class ObjDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places
-        beside = Written([])
-        spans: Spans = {}
-        if new.images or naming.copies:
-            beside, spans = _repainted(self._materials, new.images, self.name, naming)
+        beside, spans = _repainted(self._materials, new.images, self.name, naming)
         data = exchange_spans(self.data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -126,6 +124,9 @@ class ObjDocument(Document):
         notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
         main = renumbered(data, parts) if parts else [data]
         return dataclasses.replace(beside, main=main, notices=(*beside.notices, *notices))
+
+    def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
+        return _repainted(self._materials, images, self.name, naming)[0].names_beside
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""

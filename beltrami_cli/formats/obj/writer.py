@@ -18,7 +18,6 @@ from beltrami_cli.formats.textured_mesh import (
     image_names,
     material_names,
     plain_name,
-    with_slots,
 )
 from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.geometry import shortest_type
@@ -29,7 +28,6 @@ from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedM
 _BLOCK = 1 << 16  # lines made at a time, which bounds the memory that their tokens take
 _MATERIAL = "painted"
 _COLOURED, _NORMAL = "v %s %s %s %.6f %.6f %.6f\n", "vn %s %s %s\n"
-_SLOTS: tuple[Slot, ...] = ("baseColor", "emissive", "normal", "metallicRoughness")
 # By whether corners have texture coordinates and normals.
 _FACES = {
     (False, False): "f {} {} {}\n",
@@ -64,7 +62,6 @@ def _polygon_lines(corners: Int32s, offsets: Int64s, style: str) -> Iterator[byt
 
 def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh with its materials, with a library and images beside it that are named after `stem`."""
-    mesh = with_slots(mesh, _SLOTS)
     names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
     positions, notices = shortest_type(mesh.positions), list[str]()
     vertices = number_lines("v %s %s %s\n", positions)

@@ -14,13 +14,13 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written
+from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, PlannedImages, Written
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, patching, texturing
 from beltrami_cli.formats.ply.header import Header, read_header
 from beltrami_cli.formats.ply.tables import Table, read_tables, with_channels
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
-from beltrami_cli.formats.tokens import Spans, exchange_spans
+from beltrami_cli.formats.tokens import exchange_spans
 from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
@@ -81,10 +81,7 @@ class PlyDocument(Document):
         return surface
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        beside = Written([])
-        spans: Spans = {}
-        if new.images or naming.copies:
-            beside, spans = patching.renamed_images(self._images, new.images, self.name, naming)
+        beside, spans = patching.renamed_images(self._images, new.images, self.name, naming)
         header = exchange_spans(self.data[: self._header.end], spans)
         changes = [] if new.colours is None else self._recoloured(new.colours)
         if new.places is not None:
@@ -94,6 +91,9 @@ class PlyDocument(Document):
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(beside, main=pieces)
+
+    def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
+        return patching.renamed_images(self._images, images, self.name, naming)[0].names_beside
 
     def _recoloured(self, colours: Float32s) -> list[patching.Change]:
         columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)

@@ -18,14 +18,13 @@ from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.ply.header import TYPES
 from beltrami_cli.formats.ply.tables import values_in_bytes
-from beltrami_cli.formats.textured_mesh import image_names, with_slots
+from beltrami_cli.formats.textured_mesh import image_names
 from beltrami_cli.surface.geometry import shortest_type
-from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import MeshContents, TexturedMesh, VertexColours
 
 _NAMES = {code: name for name, code in reversed(TYPES.items())}
 _INTEGERS = {"uint8": "u1", "uint16": "u2"}  # the stored types that remain as they are
 _PLACES = (("x", "y", "z"), ("nx", "ny", "nz"))
-_SLOTS: tuple[Slot, ...] = ("baseColor",)
 _CHANNELS = ("red", "green", "blue", "alpha")
 _MANY = 255  # corners that a list whose count is a uchar can have
 
@@ -54,7 +53,6 @@ def _stored_colours(contents: MeshContents | VertexColours) -> tuple[Array, list
 
 def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:
     """Write a mesh and its textures as MeshLab and photogrammetry programs do; images are named after `stem`."""
-    mesh = with_slots(mesh, _SLOTS)
     normals, lost = _normals_by_vertex(mesh)
     colours, notices = (None, []) if mesh.colours is None else _stored_colours(mesh.colours)
     columns = [*_PLACES, () if colours is None else _CHANNELS[: colours.shape[1]]]

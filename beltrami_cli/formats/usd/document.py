@@ -14,12 +14,12 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.formats.document import (
-    Bytes,
     Changes,
     Document,
     Fingerprint,
     Naming,
     NewImages,
+    PlannedImages,
     Written,
 )
 from beltrami_cli.formats.image.picture import format_of, format_of_suffix
@@ -47,7 +47,6 @@ class UsdDocument(Document):
 
     def _open(self, folder: Path | None) -> None:
         self._compared = False  # whether the scene is read for that
-        self._made: dict[tuple[str, tuple[tuple[str, str], ...]], bytes] = {}
         self._layers = Layers.of(self.data, self.name, folder, self.access)
         is_package = self._layers.package is not None
         self.format = "usdz" if is_package else Path(self._layers.root).suffix[1:]
@@ -117,30 +116,23 @@ class UsdDocument(Document):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, form, package = new.colours, new.form or self.format, self._layers.package
         beside, renamed = self._new_images(new.images, naming)
-        files = dict(beside.sidecars)
         if colours is not None and np.array_equal(colours, self._painted.colours):
             colours = None
-        root: Bytes | None = None
+        root = {}
         if colours is not None or renamed or form != self.format:
-            root = self._edited(colours, renamed, form)
+            same = form == self.format
+            suffix = Path(self._layers.root).suffix if same else f".{form}"
+            blocks, arrays = ([], {}) if colours is None else (self._words["blocks"], {"colours": colours})
+            order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
+            root = {self._layers.root: self._layers.ask(order, arrays)[1]["layer"].tobytes()}
         if package is None:
-            return dataclasses.replace(beside, main=[self.data if root is None else root])
-        if root is not None:
-            files = {self._layers.root: root, **files}
+            return dataclasses.replace(beside, main=[*root.values()] or [self.data])
+        files = {**root, **beside.sidecars}
         return Written(package.packed(files) if files else [self.data])
 
-    def _edited(self, colours: Float32s | None, renamed: Mapping[str, str], form: str) -> bytes:
-        key = form, tuple(renamed.items())
-        if colours is None and key in self._made:  # as when files were planned
-            return self._made[key]
-        same = form == self.format
-        suffix = Path(self._layers.root).suffix if same else f".{form}"
-        blocks, arrays = ([], {}) if colours is None else (self._words["blocks"], {"colours": colours})
-        order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
-        made = self._layers.ask(order, arrays)[1]["layer"].tobytes()
-        if colours is None:
-            self._made[key] = made
-        return made
+    def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
+        written = self._new_images(images, naming)[0]
+        return written.names_beside if self._layers.package is None else []
 
     def _new_images(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
         """Return the files beside the root layer, or in its package, and the attributes that name others with these."""
