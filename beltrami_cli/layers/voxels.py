@@ -38,7 +38,7 @@ def _find_colours(
     if path == "-":
         raise InputError(path, "colours are not read from a pipe", "name a file")
     data, folder = read_source(path, access), Path(path).parent
-    colours = read_colours(data, path, folder, max_size)
+    colours = read_colours(data, path, folder, max_size, access)
     if colours is None:
         painted = open_bytes(data, path, folder, access).painted()
         colours = level_set.NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
@@ -105,7 +105,7 @@ class LevelSetDocument(Document):
         max_voxels = settings.max_voxels
         if access.memory is not None:
             max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
-        volume = read_volume(data, name, folder, max_voxels)
+        volume = read_volume(data, name, folder, max_voxels, access)
         level = settings.iso if settings.iso is not None else volume.level or 0.0
         known = np.isfinite(volume.values)
         if volume.known is not None:

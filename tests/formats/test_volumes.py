@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.volume.arrays import is_volume, read_colours, read_volume
 from beltrami_cli.surface.level_set import GridColours, NearColours
 from formats.volume_files import header_only, lattice_fields, npz, npz_of_members, nrrd_file
@@ -267,3 +268,14 @@ def test_lists_that_are_no_colours_and_colours_that_are_no_values_are_refused():
 
 def test_openvdb_is_refused_with_a_way_out():
     assert "npz" in refused(b" BDV\0\0\0\0" + bytes(50))
+
+
+def test_the_data_beside_a_detached_header_are_noted_as_read(tmp_path):
+    head, data = nrrd_file(VALUES, "gzip", **lattice_fields(AXES, ORIGIN)).split(b"\n\n", 1)
+    (tmp_path / "values.raw.gz").write_bytes(data)
+    seen, notice = {}, Access(note=lambda path, content: seen.update({path.name: content}))
+    read_volume(head + b"\ndata file: values.raw.gz\n\n", "file", tmp_path, 1000, notice)
+    assert seen == {"values.raw.gz": data}
+    few = Access(memory=len(data) - 1)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_volume(head + b"\ndata file: values.raw.gz\n\n", "file", tmp_path, 1000, few)

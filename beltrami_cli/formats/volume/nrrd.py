@@ -24,6 +24,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.level_set import GridColours, Lattice, Volume
 
@@ -44,9 +45,11 @@ _FLAT = 1e-6  # directions closer to one plane than that are a mistake
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
 
 
-def read_nrrd(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
+def read_nrrd(
+    data: bytes, name: str, folder: Path | None, most: int, access: Access = EVERYTHING_INSIDE
+) -> Volume:
     """Read a level set, and its colours if they are in the same file; as `read_volume`."""
-    samples, lattice, kind = _read(data, name, folder, most)
+    samples, lattice, kind = _read(data, name, folder, most, access)
     if kind is None:
         return Volume(lattice, samples)
     if samples.shape[3] not in _VALUE_AND_COLOURS or kind.endswith("color"):
@@ -56,9 +59,11 @@ def read_nrrd(data: bytes, name: str, folder: Path | None, most: int) -> Volume:
     return Volume(lattice, samples[..., 0], colours=GridColours(lattice, samples[..., 1:]))
 
 
-def read_nrrd_colours(data: bytes, name: str, folder: Path | None, most: int) -> GridColours:
+def read_nrrd_colours(
+    data: bytes, name: str, folder: Path | None, most: int, access: Access = EVERYTHING_INSIDE
+) -> GridColours:
     """Read colours on a grid; as `read_colours`."""
-    samples, lattice, kind = _read(data, name, folder, most)
+    samples, lattice, kind = _read(data, name, folder, most, access)
     if kind is None:
         samples = samples[..., None]
     if samples.shape[3] > _CHANNELS:
@@ -67,7 +72,9 @@ def read_nrrd_colours(data: bytes, name: str, folder: Path | None, most: int) ->
     return GridColours(lattice, samples)
 
 
-def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[Array, Lattice, str | None]:
+def _read(
+    data: bytes, name: str, folder: Path | None, most: int, access: Access
+) -> tuple[Array, Lattice, str | None]:
     """Return samples, indexed [x, y, z] and in the list, where they stand, and the list's kind; None for one number."""
     nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
     header, rest = _header(nrrd, data, name)
@@ -84,7 +91,7 @@ def _read(data: bytes, name: str, folder: Path | None, most: int) -> tuple[Array
         cause = f"each sample is a list of {sizes[listed]} numbers"
         raise InputError(name, cause, f"give up to {_LONGEST_LIST}")
     lattice = _spatial_lattice(header, spatial, name)
-    samples = _samples(nrrd, header, _data(header, rest, name, folder), name)
+    samples = _samples(nrrd, header, _data(header, rest, name, ModelFolder(folder, access)), name)
     if listed is None:
         return samples, lattice, None
     return np.moveaxis(samples, listed, -1), lattice, str(header.get("kinds", ["list"] * 4)[listed]).lower()
@@ -103,18 +110,17 @@ def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
     return header, data[file.tell() :]
 
 
-def _data(header: dict[str, Any], rest: bytes, name: str, folder: Path | None) -> bytes:
+def _data(header: dict[str, Any], rest: bytes, name: str, folder: ModelFolder) -> bytes:
     """Return the data behind the header, or those of the file beside it that it names."""
     named = header.pop("data file", None) or header.pop("datafile", None)
     if named is None:
         return rest
-    model_folder = ModelFolder(folder)
-    found = model_folder.find(str(named))
+    found = folder.find(str(named))
     if found is None:
         cause = f"its data are in {named}, which is no file in its folder"
         raise InputError(name, cause, "put both in one folder")
     try:
-        return model_folder.read(found)
+        return folder.read(found)
     except OSError as error:
         cause = f"its data in {named} cannot be read ({error.strerror})"
         raise InputError(name, cause, "check them") from error
