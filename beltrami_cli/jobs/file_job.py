@@ -113,19 +113,27 @@ def begin(
 
 def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
     """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
-    return document_from(read_source(source, access), source, settings, access)
+    document = open_any(source, settings, access)
+    require_level_set(settings, document)
+    return document
 
 
-def document_from(data: bytes, source: str, settings: SmoothSettings, access: Access) -> Document:
-    """Open a source whose bytes have been read already; see `open_input`."""
+def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
+    """Raise UsageError if options of level sets are given, and none of the documents is one."""
+    wrong = given_options(settings.level_set)
+    if wrong and all(document.kind != "volume" for document in documents):
+        raise UsageError(f"{', '.join(wrong)}: for level sets, and {documents[0].name} is none")
+
+
+def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Open a file as `open_input`, whether or not options of level sets mean anything for it."""
+    data = read_source(source, access)
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     line = registry.recognised(data, name)
     if line is not None and line.kind == "volume":
         from beltrami_cli.layers.voxels import LevelSetDocument
 
         return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
-    if wrong := given_options(settings.level_set):
-        raise UsageError(f"{', '.join(wrong)}: for level sets, and {name} is none")
     return registry.open_as(line, data, name, folder, access)
 
 

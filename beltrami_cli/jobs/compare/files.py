@@ -17,21 +17,19 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Uint8s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.parameters import Weights
-from beltrami_cli.formats.access import read_source
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.formats.registry import recognised
 from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
-from beltrami_cli.jobs.file_job import document_from
+from beltrami_cli.jobs.file_job import open_any, require_level_set
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, LevelSetSettings, SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 from beltrami_cli.surface.records import Slot
 
@@ -190,15 +188,8 @@ def compare_documents(
 
 def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tuple[Document, Document]:
     """Open both; one may be a level set, and the other the mesh that was made of it."""
-    data = [read_source(name, job.access) for name in names]
-    formats = [recognised(each, name) for each, name in zip(data, names, strict=True)]
-    volumes = [line is not None and line.kind == "volume" for line in formats]
-    plain = dataclasses.replace(settings, level_set=LevelSetSettings()) if any(volumes) else settings
-    sources = [*zip(data, names, volumes, strict=True)]
-    one, other = (
-        document_from(each, name, settings if volume else plain, job.access)
-        for each, name, volume in tracked(sources, "reading", job.progress)
-    )
+    one, other = (open_any(name, settings, job.access) for name in tracked(names, "reading", job.progress))
+    require_level_set(settings, one, other)
     return one, other
 
 
