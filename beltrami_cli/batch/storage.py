@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import os
 import re
-import tempfile
 import uuid
 from collections.abc import Iterator
 from glob import has_magic
@@ -20,6 +19,7 @@ from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.access import Access, is_there, open_regular
+from beltrami_cli.surface.worker_process import temporary_folder
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _HERE = re.compile(r"(?:file|local)://", re.IGNORECASE)
@@ -189,10 +189,10 @@ class Stage:
 def staged(source: str, target: str) -> Iterator[Stage]:
     """Download the source, if it is a URL, and remove all copies in the end."""
     with contextlib.ExitStack() as stack:
-        folder = os.devnull
+        folder = Path(os.devnull)
         if is_url(source) or is_url(target):
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="beltrami-"))
-        stage = Stage(source, target, Path(folder).resolve())
+            folder = stack.enter_context(temporary_folder())
+        stage = Stage(source, target, folder.resolve())
         if is_url(source):
             stage.bring(Path(stage.source))
         yield stage

@@ -14,6 +14,7 @@ from beltrami_cli.layers.settings import TextureSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.large_arrays import kept_on_disk
 from beltrami_cli.surface.records import Slot, Texture
+from beltrami_cli.surface.worker_process import temporary_folder
 
 _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
 
@@ -91,9 +92,9 @@ def checked_memory(
     if not is_too_much:
         yield
         return
-    import tempfile
-
-    with kept_on_disk(Path(target).absolute().parent if target else Path(tempfile.gettempdir()), memory):
+    with contextlib.ExitStack() as stack:
+        folder = Path(target).absolute().parent if target else stack.enter_context(temporary_folder())
+        stack.enter_context(kept_on_disk(folder, memory))
         yield
 
 

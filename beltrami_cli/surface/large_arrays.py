@@ -22,6 +22,7 @@ from numpy.typing import DTypeLike
 
 from beltrami_cli.arrays import Array, Int8s, Int64s
 from beltrami_cli.errors import ProcessingError
+from beltrami_cli.surface.worker_process import writing_temporary_files
 
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
@@ -138,7 +139,8 @@ def free_space() -> int:
     import tempfile
 
     disk = _DISK.get()
-    return shutil.disk_usage(tempfile.gettempdir() if disk is None else disk.folder).free
+    with writing_temporary_files():
+        return shutil.disk_usage(tempfile.gettempdir() if disk is None else disk.folder).free
 
 
 def kept(data: bytes) -> bytes | memoryview:

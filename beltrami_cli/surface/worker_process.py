@@ -13,7 +13,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from tempfile import TemporaryFile
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO, Any
 
 import numpy as np
@@ -35,6 +36,15 @@ def writing_temporary_files() -> Iterator[None]:
         yield
     except OSError as error:
         raise _unwritable(error.strerror or str(error)) from error
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Make a folder for temporary files, and remove it in the end; ProcessingError if it cannot be made."""
+    with ExitStack() as stack:
+        with writing_temporary_files():
+            folder = stack.enter_context(TemporaryDirectory(prefix="beltrami-"))
+        yield Path(folder)
 
 
 def _unwritable(cause: str) -> ProcessingError:

@@ -9,13 +9,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from beltrami_cli.errors import OutputError
 from beltrami_cli.jobs.output import Output
-from cli.commands import COMMAND, SAMPLES
+from cli.commands import COMMAND, SAMPLES, refused
+from formats.image_files import encode
 from hostile.folders import snapshot
 from hostile.test_interruptions import folder_with_model
+from small_models import COLOURED, ply
 
 # In a name space of one's own anybody may mount, where the system lets them have one.
 OWN_SPACE = ["unshare", "--user", "--map-root-user", "--mount"]
@@ -123,3 +126,29 @@ def test_a_folder_that_must_not_be_written_to(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot be written to"):
         Output(str(tmp_path / "out.obj"), overwrite=False)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "smooth -n 1 -t 1 --beta 9 photo.png out.jp2",
+        "smooth -n 1 -t 1 --beta 9 --dry-run --max-memory 2M photo.png out.png",
+        "smooth -n 1 -t 1 --beta 9 model.ply out.usdc",
+        "bake --to texture model.ply out.glb",
+        "render --turntable 2 --size 32 model.ply out.gif",
+    ],
+)
+def test_without_a_folder_for_temporary_files(words, tmp_path, monkeypatch):
+    (tmp_path / "model.ply").write_bytes(
+        ply(COLOURED, [[0, 0, 0, 9, 9, 9], [1, 0, 0, 9, 8, 7], [0, 1, 0, 1, 2, 3]], [[0, 1, 2]])
+    )
+    (tmp_path / "photo.png").write_bytes(
+        encode(np.random.default_rng(1).integers(0, 256, (300, 300, 3), np.uint8), "png")
+    )
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
+    refused(
+        tmp_path,
+        *words.split(),
+        code=1,
+        said="temporary files cannot be written (No such file or directory); ",
+    )

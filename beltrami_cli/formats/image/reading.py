@@ -19,6 +19,7 @@ from beltrami_cli.formats.image.metadata import first_jpeg, has_palette, is_anim
 from beltrami_cli.formats.image.picture import READABLE, STORED, Picture, described, format_of, label_of
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 from beltrami_cli.surface.records import Texture
+from beltrami_cli.surface.worker_process import temporary_folder
 
 _LARGEST = 1 << 28  # pixels: 16384 x 16384, the largest texture that graphics cards take
 _MOST_CHANNELS = 64
@@ -288,10 +289,8 @@ def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> I
         finally:
             os.close(descriptor)
     else:
-        import tempfile
-
-        with tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
-            path = Path(folder) / f"image{suffix}"
+        with temporary_folder() as folder:
+            path = folder / f"image{suffix}"
             _fill(path, data, name)
             yield path
 

@@ -13,7 +13,6 @@ import os
 import posixpath
 import re
 import struct
-import tempfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -35,7 +34,7 @@ from beltrami_cli.formats.model_folder import (
     has_token,
     is_outside,
 )
-from beltrami_cli.surface.worker_process import Message, writing_temporary_files
+from beltrami_cli.surface.worker_process import Message, temporary_folder, writing_temporary_files
 
 LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
@@ -202,21 +201,21 @@ class Layers:
 
     def ask(self, order: dict[str, Any], arrays: dict[str, Array]) -> Message:
         """Let usd-core carry out an order on the layers."""
-        with writing_temporary_files(), tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
+        with writing_temporary_files(), temporary_folder() as folder:
             for name, data in self.contents.items():
-                path = Path(folder, name)
+                path = folder / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(data)
             known = {"root": self.root, "layers": list(self.contents), "refused": self.refused}
-            question = known | order | {"folder": folder}, arrays
+            question = known | order | {"folder": str(folder)}, arrays
             size = sum(map(len, self.contents.values()))
             return _USD_CORE.ask(question, self.name, size, self.access.memory)
 
 
 def layer_from(text: bytes, suffix: str, name: str) -> bytes:
     """Return the text of a layer in the form that a suffix says."""
-    with writing_temporary_files(), tempfile.TemporaryDirectory(prefix="beltrami-") as folder:
-        order = {"task": "convert", "suffix": suffix, "folder": folder}
+    with temporary_folder() as folder:
+        order = {"task": "convert", "suffix": suffix, "folder": str(folder)}
         question = order, {"text": np.frombuffer(text, np.uint8)}
         return _USD_CORE.ask(question, name, len(text), None)[1]["layer"].tobytes()
 
