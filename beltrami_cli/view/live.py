@@ -314,7 +314,7 @@ class Live:
             "used": rendered("parameters.html", used=used_parameters(described)),
             "chosen": chosen,
             "notices": notices,
-            "noise": None if settings.kernel.noise or not levels else f"{100 * np.mean(levels):.2g}%",
+            "noise": None if settings.kernel.noise or not levels else f"{255 * np.mean(levels):.1f}/255",
         }
 
 

@@ -89,7 +89,7 @@ class RenderSettings:
         flags=("--lit/--unlit",), is_daily=True,
     )  # fmt: skip
     background: str = parameter(
-        "auto", "white, grey, black, #rrggbb, or transparent; auto: white, or grey behind what is white.",
+        "auto", "white, grey, black, #rrggbb, or transparent; auto: white, or grey behind pale models.",
         allowed=_BACKGROUND, metavar="COLOUR",
     )  # fmt: skip
     slot: str = parameter(

@@ -18,8 +18,8 @@ from beltrami_cli.view.camera import Window, pixels_of
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
 _FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167], [213, 94, 0]]) / 255
 _DARK, _LIGHT = 0.1, 0.95  # greys of letters
-# Linear light above which a channel looks white, and the share of an outline that may be so white.
-_NEARLY_WHITE, _LOST = 0.85, 0.25
+_GREY = 128 / 255  # the background where white hides the outline
+_LOST = 0.25  # share of an outline that may be closer to white than to grey
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains
 
@@ -63,15 +63,16 @@ def _shared(rows: Sequence[Sequence[str]]) -> int:
 
 
 def is_lost_on_white(views: Sequence[Float32s]) -> bool:
-    """Whether more than a quarter of the outlines of what is drawn could not be seen on white."""
+    """Whether more than a quarter of the outlines is closer to white than to grey."""
     outline, white = 0, 0
     for view in views:
         shown = view[..., 3] > 0.5
         around = np.pad(shown, 1, constant_values=True)
         inner = around[2:, 1:-1] & around[:-2, 1:-1] & around[1:-1, 2:] & around[1:-1, :-2]
         drawn = view[shown & ~inner]
+        colours = linear_to_srgb(np.clip(drawn[:, :3] / drawn[:, 3:], 0, 1))
         outline += len(drawn)
-        white += int(np.count_nonzero((drawn[:, :3] >= _NEARLY_WHITE * drawn[:, 3:]).all(axis=1)))
+        white += int(np.count_nonzero((1 - colours).max(axis=1) < np.abs(colours - _GREY).max(axis=1)))
     return white > _LOST * outline
 
 

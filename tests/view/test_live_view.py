@@ -205,7 +205,8 @@ def test_noise_is_given_or_shown_as_estimated_and_refused_in_the_words_of_the_pr
 ):
     viewer = Live(browser, served(NOISY).address)
     first, noise = viewer.wait_for("whole"), viewer.page.get_by_label("noise", exact=True)
-    assert re.fullmatch(r"estimated: [\d.]+%", noise.get_attribute("placeholder"))
+    estimated = re.fullmatch(r"estimated: ([\d.]+/255)", noise.get_attribute("placeholder"))[1]
+    assert re.search(r"noise\s+.*[\d.]+/255", viewer.page.locator("#used").inner_text())
     command = viewer.page.locator("#command").inner_text()
     assert "--noise" not in command
     noise.fill("a lot")
@@ -216,11 +217,11 @@ def test_noise_is_given_or_shown_as_estimated_and_refused_in_the_words_of_the_pr
     said = refused.rpartition("must be")[2]
     viewer.page.locator("#state", has_text=said).wait_for(timeout=30_000)
     assert viewer.page.locator("#command").inner_text() == command
-    noise.fill("1")
+    noise.fill(estimated)
     noise.press("Enter")
     viewer.wait_for("whole", first)
-    assert viewer.page.locator("#command").inner_text().endswith("--noise 1")
-    assert "given as 1" in viewer.page.locator("#used").inner_text()
+    assert viewer.page.locator("#command").inner_text().endswith(f"--noise {estimated}")
+    assert f"given as {estimated}" in viewer.page.locator("#used").inner_text()
     target = tmp_path / "saved.ply"
     viewer.page.locator("#target").fill(str(target))
     viewer.page.get_by_role("button", name="Save", exact=True).click()
@@ -290,3 +291,39 @@ def test_a_page_says_why_there_is_no_preview(browser, served):
     assert viewer.page.locator("#state").inner_text() == "Done."
     assert viewer.data("previews") is None
     assert viewer.errors == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("screen", "has_keys"),
+    [({"width": 1280, "height": 700}, True),
+     ({"width": 390, "height": 800, "has_touch": True, "is_mobile": True}, False)],
+    ids=["desktop", "phone"],
+)  # fmt: skip
+def test_save_is_in_sight_and_keys_are_explained_where_there_are_some(
+    browser, served, tmp_path, screen, has_keys
+):
+    viewer = Live(browser, served(NOISY).address, **screen)
+    viewer.wait_for("whole")
+    assert viewer.page.locator(".keys").is_visible() == has_keys
+    viewer.page.locator("#target").evaluate(
+        "(input, path) => { input.value = path; }", str(tmp_path / "o.ply")
+    )
+    box = viewer.page.get_by_role("button", name="Save", exact=True).bounding_box()
+    assert 0 <= box["x"] <= box["x"] + box["width"] <= screen["width"]
+    assert 0 <= box["y"] <= box["y"] + box["height"] <= screen["height"]
+    viewer.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    viewer.page.wait_for_selector("#saved:has-text('Written')", timeout=60_000)
+    assert viewer.page.evaluate("window.scrollY") == 0
+
+
+@pytest.mark.slow
+def test_the_strength_is_a_slider(browser, served):
+    viewer = Live(browser, served(NOISY, "--strength", "gentle").address)
+    first = viewer.wait_for("whole")
+    assert viewer.page.locator("#strength").input_value() == "0.7"
+    assert "--strength gentle" in viewer.page.locator("#command").inner_text()
+    viewer.slide("strength", 1.25)
+    viewer.wait_for("whole", first)
+    assert "--strength 1.25" in viewer.page.locator("#command").inner_text()
+    assert viewer.page.locator("#strength-value").inner_text() == "1.25"

@@ -49,6 +49,18 @@ def test_the_line_parts_both_models_and_one_camera_turns_them(browser, squares):
     assert viewer.fetched() == [squares]
 
 
+@pytest.mark.parametrize(
+    ("grey", "scheme", "stage"),
+    [(0.9, "light", (128,) * 3), (0.4, "light", WHITE), (0.05, "dark", (128,) * 3), (0.4, "dark", (36, 39, 43))],
+)  # fmt: skip
+def test_models_stand_out_from_the_stage(browser, tmp_path, grey, scheme, stage):
+    square = painted_square(tmp_path / "a.ply", (grey,) * 3)
+    viewer = Viewer(browser, reported(square, square, tmp_path / "page.html"), color_scheme=scheme)
+    assert viewer.pixel(0.2, 0.1) == pytest.approx((255 * grey,) * 3, abs=1)
+    viewer.turn(90)
+    assert viewer.pixel(0.2, 0.1) == stage
+
+
 def test_keys_move_the_line_turn_the_model_and_switch_the_sides(browser, squares):
     viewer = Viewer(browser, squares)
     keyboard = viewer.page.keyboard

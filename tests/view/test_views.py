@@ -261,8 +261,8 @@ def test_what_would_be_lost_on_white_is_shown_on_grey():
     def behind(view, **looks):
         return draw_views([view], [""], dataclasses.replace(settings, **looks))[0, 0].tolist()
 
-    bright, dim = sphere()[0], sphere(0.8)[0]
-    assert behind(bright) == grey
+    bright, pale, dim = sphere()[0], sphere(0.8)[0], sphere(0.5)[0]
+    assert behind(bright) == behind(pale) == grey
     assert behind(dim) == white
     assert behind(bright, background="white") == white
     # A picture that fills its view has no outline that could be lost, however white it is.

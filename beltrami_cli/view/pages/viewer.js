@@ -160,10 +160,28 @@ const Viewer = (() => {
         this.camera.updateProjectionMatrix();
         const scene = this.isFlat ? this.layer.flat : this.layer.solid, { clientWidth: width } = this.place;
         const at = (width * this.at) / 100;
+        if (!this.place.dataset.stage) this.chooseStage(scene, width);
         if (this.show !== "swipe") return this.pass(scene, this.show, 0, width);
         this.pass(scene, "before", 0, at);
         this.pass(scene, "after", at, width - at);
       });
+    }
+
+    // Grey where more than a quarter of the model is closer to the colour of the plain stage than to grey.
+    chooseStage(scene, width) {
+      this.pass(scene, "before", 0, width);
+      const small = Object.assign(document.createElement("canvas"), { width: 64, height: 64 }).getContext("2d");
+      small.drawImage(this.canvas, 0, 0, 64, 64);
+      const stage = getComputedStyle(this.place).backgroundColor.match(/[\d.]+/g).slice(0, 3).map(Number);
+      const { data } = small.getImageData(0, 0, 64, 64);
+      let seen = 0, lost = 0;
+      for (let at = 0; at < data.length; at += 4) {
+        const far = (colour) => Math.max(...colour.map((value, channel) => Math.abs(data[at + channel] - value)));
+        if (data[at + 3] < 128) continue;
+        seen += 1;
+        if (far(stage) < far([128, 128, 128])) lost += 1;
+      }
+      this.place.dataset.stage = lost > 0.25 * seen ? "grey" : "plain";
     }
 
     pass(scene, side, left, width) {
