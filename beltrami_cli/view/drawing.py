@@ -14,7 +14,7 @@ from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sheet import LUMINANCE, Background, Panel, arranged, detail_size, is_lost_on_white
-from beltrami_cli.view.views import Drawable, ImageView
+from beltrami_cli.view.views import Drawable, ImageView, framed
 
 Draw = Callable[..., Float32s]  # of a size and a window
 
@@ -54,9 +54,13 @@ def draw_panels(
     """Draw all views with their details: of every model one after the other all its turns."""
     turns = max(1, settings.turntable)
     drawers: list[Draw] = []
+    nowhere = np.zeros((0, 3))
+    frames = [
+        nowhere if isinstance(view, ImageView) else framed(view.positions, view.faces) for view in views
+    ]
     for turn in range(turns):
         azimuth = settings.azimuth + 360 * turn / turns
-        drawers += _drawers(views, dataclasses.replace(settings, azimuth=azimuth))
+        drawers += _drawers(views, frames, dataclasses.replace(settings, azimuth=azimuth))
     half = 0.5 / settings.zoom
     whole = 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
     drawn = []
@@ -128,19 +132,19 @@ def _sums(values: Float64s, square: int) -> Float64s:
     return np.asarray(table[far, far] - table[near, far] - table[far, near] + table[near, near])
 
 
-def _drawers(views: Sequence[Drawable], settings: RenderSettings) -> list[Draw]:
+def _drawers(views: Sequence[Drawable], frames: Sequence[Float64s], settings: RenderSettings) -> list[Draw]:
     """Return what draws each view; models that lie in one place are seen by one camera."""
     rotation = orientation(settings.azimuth, settings.elevation, settings.up)
     aspect = settings.size[0] / settings.size[1]
     shared: tuple[Camera, Float64s] | None = None
     drawers: list[Draw] = []
-    for view in views:
+    for view, shown in zip(views, frames, strict=True):
         if isinstance(view, ImageView):
             drawers.append(view.draw)
             continue
-        box = np.stack([view.positions.min(axis=0), view.positions.max(axis=0)])
+        box = np.stack([shown.min(axis=0), shown.max(axis=0)])
         if shared is None or np.abs(box - shared[1]).max() > _ALIKE * np.ptp(shared[1], axis=0).max():
-            camera = fitted(view.positions, rotation, settings.fov, aspect)
+            camera = fitted(shown, rotation, settings.fov, aspect)
             shared = shared or (camera, box)
         else:
             camera = shared[0]

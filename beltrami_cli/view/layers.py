@@ -61,7 +61,7 @@ class Layers:
         if layer not in self._boxes:
             slot = self.slots[layer]
             kept = self.document.painted() if slot is None else self.document.textured(slot)
-            self._boxes[layer] = Box(kept.positions)
+            self._boxes[layer] = Box(kept)
         return self._boxes[layer]
 
     def patched(self, shown: Shown, layer: int, patch: Patch) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.pages import png_of
-from beltrami_cli.view.views import disc_radii, light_of, sheet_of, texture_sheet
+from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of, texture_sheet
 
 Pair = tuple[Document, Document]
 Image = tuple[str, bytes]  # MIME type and content
@@ -76,7 +76,7 @@ class ModelWriter:
             [self._texture(each, partial(image_of, each, slot)) for each in both]
             for both in zip(surface.textures, other.textures, strict=True)
         ]
-        box = Box(surface.positions)
+        box = Box(surface)
         chart_of, seams = charts_of(surface)
         nodes = []
         for number in np.unique(surface.texture_of).tolist():
@@ -157,7 +157,7 @@ class ModelWriter:
 
     def _add_painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
         finite = np.asarray(np.isfinite(np.hstack([one.positions, other.positions])).all(axis=1))
-        box, size = Box(one.positions[finite]), 0.0
+        box, size = Box(one), 0.0
         if len(one.faces):
             rows, index = _sorted(one.faces, len(finite))
         else:
@@ -231,16 +231,16 @@ class ModelWriter:
 
 
 class Box:
-    """The box around a model, whose longest side becomes 1."""
+    """The box around a model but for its outliers, whose longest side becomes 1."""
 
-    def __init__(self, positions: Float64s) -> None:
-        positions = positions[np.isfinite(positions).all(axis=1)]
+    def __init__(self, model: PaintedVertices | TexturedSurface) -> None:
+        positions = framed(model.positions, model.faces)
         self.low, high = positions.min(axis=0), positions.max(axis=0)
         self.size = max(float((high - self.low).max()), np.finfo(float).tiny)
         self.middle = ((high - self.low) / self.size / 2).tolist()
 
     def shares(self, positions: Float64s) -> Float64s:
-        """Return positions in the box, 0 where they are not finite."""
+        """Return positions in units of the box, 0 where they are not finite."""
         return _finite((positions - self.low) / self.size)
 
 

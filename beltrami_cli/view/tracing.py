@@ -105,8 +105,9 @@ class SurfaceView:
         used = np.zeros(len(positions), bool)
         used[faces] = True
         self.positions = positions[used]
+        self.faces = (np.cumsum(used, dtype=np.int32) - 1)[faces]
         self._all, self._faces, self._paint = positions, faces, paint
-        self._tracer = Tracer(self.positions, (np.cumsum(used, dtype=np.int32) - 1)[faces])
+        self._tracer = Tracer(self.positions, self.faces)
 
     def painted(self, positions: Float64s, faces: Int32s, paint: Paint) -> SurfaceView | None:
         """Return the same surface painted otherwise; None if it is another."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
@@ -18,7 +18,8 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.surface.geometry import triangle_areas
+from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
+from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
 from beltrami_cli.view.camera import Camera, Window
 from beltrami_cli.view.paint import Pyramid, Sheet, TexturePaint, VertexPaint
@@ -26,6 +27,8 @@ from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.tracing import SAMPLES, SurfaceView, surface_view
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
+_MAX_OUTLIER_SHARE = 0.01  # of the surface or the points, so that parts of some size are always framed
+_MIN_OUTLIER_GAP = 0.5  # sizes of the rest; it still fills half of a view that frames what is nearer
 _RGB = ("red", "green", "blue")
 _NEIGHBOURS = 4  # on a square grid, all at one distance
 _SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
@@ -40,7 +43,7 @@ class CloudView:
     """Points in linear light, as small discs that face the eye, to be looked at from anywhere."""
 
     def __init__(self, positions: Float64s, colours: Float64s) -> None:
-        self.positions = positions
+        self.positions, self.faces = positions, np.zeros((0, 3), np.int32)
         self._colours = colours.astype(np.float32)
         self._radii = disc_radii(positions)
 
@@ -212,6 +215,42 @@ def within_reach(positions: Float64s) -> Float64s:
     if abs(exponent) < _FAR:
         return positions
     return np.asarray(np.ldexp(positions, -_FAR * round(exponent / _FAR)), np.float64)
+
+
+def framed(positions: Float64s, faces: Int32s) -> Float64s:
+    """Return the finite positions by which views are framed: all but outliers, in parts that lie far from the rest."""
+    places = within_reach(positions)
+    is_finite = np.isfinite(places).all(axis=1)
+    weights = vertex_areas(places, faces).astype(np.float64) if len(faces) else np.ones(len(places))
+    weights[~(is_finite & np.isfinite(weights))] = 0
+    if not weights.any():
+        return np.asarray(positions[is_finite])
+    low, high = np.transpose([_quantiles(axis, weights) for axis in places.T])
+    reach = _MIN_OUTLIER_GAP * (high - low).max()
+    is_near = is_finite & ((places >= low - reach) & (places <= high + reach)).all(axis=1)
+    if len(faces) and not is_near.all():  # what is connected to the rest is no outlier
+        part_of = _parts(places, faces)
+        is_near = is_finite & np.isin(part_of, part_of[is_near & (weights > 0)])
+    return np.asarray(positions[is_near])
+
+
+def _quantiles(values: Float64s, weights: Float64s) -> Float64s:
+    """Return the values between which all but the share of outliers lies, half of it on either side."""
+    order, tail = np.argsort(values), _MAX_OUTLIER_SHARE / 2
+    sums = np.cumsum(weights[order])
+    return np.asarray(values[order[np.searchsorted(sums, [tail * sums[-1], (1 - tail) * sums[-1]])]])
+
+
+def _parts(positions: Float64s, faces: Int32s) -> Int32s:
+    """Return the connected part of the surface of each vertex; vertices in one place are connected."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    place_of, _ = group_equal_rows(*np.nan_to_num(positions).T)
+    corners = place_of[faces]
+    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
+    graph = coo_array((np.ones(links.shape[1], np.int8), (links[0], links[1])), (len(positions),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1][place_of])
 
 
 def disc_radii(positions: Float64s) -> Float64s:

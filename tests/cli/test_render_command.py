@@ -32,6 +32,14 @@ def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
         assert (image[10:40, left + 10 : left + 40] == [200, 100, 30]).all()
 
 
+def test_outliers_do_not_shrink_the_model(tmp_path):
+    row = [(x / 10, y / 10, 0) for x in range(11) for y in range(11)]
+    for name, places in (("alone", row), ("outlier", [*row, (500, 0, 0)])):
+        (tmp_path / f"{name}.xyz").write_text("".join(f"{x} {y} {z} 200 30 30\n" for x, y, z in places))
+        rendered(tmp_path / f"{name}.xyz", tmp_path / f"{name}.png", "--size", 60)
+    assert np.array_equal(pixels(tmp_path / "alone.png"), pixels(tmp_path / "outlier.png"))
+
+
 def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     files = [SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean")]
     both, one = tmp_path / "both.png", tmp_path / "one.png"

@@ -17,7 +17,7 @@ from beltrami_cli.view.paint import TexturePaint, VertexPaint
 from beltrami_cli.view.settings import Crop, RenderSettings
 from beltrami_cli.view.sheet import Background, Panel, arranged, displayed, distinct_labels, is_lost_on_white
 from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView
-from beltrami_cli.view.views import CloudView, ImageView, _discs, within_reach
+from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
 from oracles import surfaces
 
 pytest.importorskip("embreex")
@@ -157,6 +157,39 @@ def test_a_fitted_camera_sees_all_points_and_they_fill_its_view(field, aspect):
         starts, directions = camera.rays(places[:, 0], places[:, 1])
         along = np.einsum("kx,kx->k", points - starts, directions)
         assert starts + along[:, None] * directions == pytest.approx(points, abs=1e-7)
+
+
+def with_outlier(positions, faces, gap, is_connected=False):
+    """Add a triangle of a hundredth of the width of a model, beyond its right border by a share of its width."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    width = high[0] - low[0]
+    right = high + [gap * width, 0, 0] - [0, width / 2, width / 2]
+    corners = right + np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]) * width
+    faces = np.concatenate([faces, len(positions) + np.array([[0, 1, 2]])])
+    if is_connected:
+        faces = np.concatenate([faces, [[0, len(positions), len(positions) + 1]]])
+    return np.concatenate([positions, corners]), faces
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e198])
+@pytest.mark.parametrize(
+    ("gap", "is_connected", "is_framed"),
+    [(100.0, False, False), (0.6, False, False), (0.3, False, True), (3.0, True, True)],
+)
+def test_views_frame_the_surface_and_not_its_outliers(scale, gap, is_connected, is_framed):
+    positions, faces = surfaces.icosphere(3)
+    farther, more = with_outlier(positions, faces, gap, is_connected)
+    shown = framed(farther * scale, more.astype(np.int32)) / scale
+    assert np.allclose(shown, farther if is_framed else positions)
+
+
+def test_points_that_nothing_is_near_are_outliers_unless_they_are_many():
+    cloud = np.random.default_rng(3).uniform(0, 1, (1000, 3))
+    no_faces = np.zeros((0, 3), np.int32)
+    for count in (4, 20):
+        shown = framed(np.concatenate([cloud, np.full((count, 3), 9.0), [[np.nan, 0, 0]]]), no_faces)
+        assert len(shown) == 1000 + count * (count == 20)
+    assert len(framed(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))) == 3
 
 
 def test_presets_look_where_they_say():
