@@ -27,8 +27,8 @@ Examples:
   beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
 
 \b
-Every value is tried with every other. All other options are as in `beltrami smooth`. Results are drawn and thrown
-away: smooth with the parameters that you like best.
+Every value is tried with every other, and the default without these values. All else is as in `beltrami
+smooth`. Results are drawn and thrown away: smooth with the parameters that you like best.
 """
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
@@ -82,7 +82,8 @@ def command(
 ) -> None:
     """Smooth INPUT with every combination of parameters, and show all results in one picture or page, or their figures.
 
-    The first views are the reference, if there is one, and INPUT as it is; the others show their parameters.
+    The first views are the reference, if there is one, INPUT as it is, and the default; the others show their
+    parameters.
     """
     trials, columns = _trials(given)
     plain = trials[0][1]
@@ -102,15 +103,16 @@ def command(
 
 
 def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothSettings]], int]:
-    """Return the trials, and how many belong in a row: the values of the last list that has several."""
+    """Return the default and all combinations, and how many belong in a row: the values of the last list of several."""
     swept = {
         each.name: options.parsed(each, given[each.name]) for each in _LISTS if given[each.name] is not None
     }
     swept = {name: swept[name] for name in _SWEPT if name in swept}
-    trials = []
-    for combination in itertools.product(*swept.values()):
+    plain = {**given, **dict.fromkeys(_SWEPT)}
+    trials: list[tuple[dict[str, float], SmoothSettings]] = [({}, options.settings_from(plain))]
+    for combination in itertools.product(*swept.values()) if swept else ():
         chosen = dict(zip(swept, combination, strict=True))
-        settings = options.settings_from({**given, **dict.fromkeys(_SWEPT), **chosen})
+        settings = options.settings_from({**plain, **chosen})
         trials.append(({_SHOWN.get(name, name): value for name, value in chosen.items()}, settings))
     rows = [len(values) for values in swept.values() if len(values) > 1]
     return trials, max(2, rows[-1] if rows else 2)

@@ -19,7 +19,7 @@ from beltrami_cli.view.camera import Window, pixels_of
 _FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167], [213, 94, 0]]) / 255
 _DARK, _LIGHT = 0.1, 0.95  # greys of letters
 _GREY = 128 / 255  # the background where white hides the outline
-_LOST = 0.25  # share of an outline that may be closer to white than to grey
+_LOST = 0.25  # share of an outline that may be twice as close to white as to grey, beyond a lightness L* of 85
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains
 
@@ -63,7 +63,7 @@ def _shared(rows: Sequence[Sequence[str]]) -> int:
 
 
 def is_lost_on_white(views: Sequence[Float32s]) -> bool:
-    """Whether more than a quarter of the outlines is closer to white than to grey."""
+    """Whether more than a quarter of the outlines is much closer to white than to grey."""
     outline, white = 0, 0
     for view in views:
         shown = view[..., 3] > 0.5
@@ -72,7 +72,7 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
         drawn = view[shown & ~inner]
         colours = linear_to_srgb(np.clip(drawn[:, :3] / drawn[:, 3:], 0, 1))
         outline += len(drawn)
-        white += int(np.count_nonzero((1 - colours).max(axis=1) < np.abs(colours - _GREY).max(axis=1)))
+        white += int(np.count_nonzero(2 * (1 - colours).max(axis=1) < np.abs(colours - _GREY).max(axis=1)))
     return white > _LOST * outline
 
 

@@ -119,8 +119,8 @@ def _opened(source: str, reference: str | None, settings: SmoothSettings, job: J
 
 
 def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> Uint8s:
-    """Arrange panels in a picture, in which the trials, which are the last, begin in a row of their own."""
-    first = len(panels) - trials
+    """Arrange panels in a picture, in which the trials after the default begin in a row of their own."""
+    first = len(panels) - trials + 1
     placed = [*panels[:first], *[None] * (-first % columns), *panels[first:]]
     return arranged(placed, columns, background_of(looks, panels))
 
@@ -185,7 +185,7 @@ class Trial:
 
     @property
     def label(self) -> str:
-        words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["smoothed"]
+        words = [f"{name} {value:g}" for name, value in self.parameters.items()] or ["default"]
         return ", ".join(words) + (f": {self.figures['psnr']:.2f} dB" if "psnr" in self.figures else "")
 
 
@@ -278,6 +278,6 @@ def _rows(trials: Sequence[Trial]) -> list[list[str]]:
     parameters, found = columns_of(trials)
     rows = [[*parameters, *(FIGURES[key] for key in found)]]
     for trial in trials:
-        cells = [f"{trial.parameters[key]:g}" for key in parameters]
+        cells = [f"{trial.parameters[key]:g}" if key in trial.parameters else "default" for key in parameters]
         rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in found])
     return rows

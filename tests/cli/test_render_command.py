@@ -33,7 +33,7 @@ def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
 
 
 def test_outliers_do_not_shrink_the_model(tmp_path):
-    row = [(x / 10, y / 10, 0) for x in range(11) for y in range(11)]
+    row = [(x / 10, y / 10, 0) for x in range(21) for y in range(21)]
     for name, places in (("alone", row), ("outlier", [*row, (500, 0, 0)])):
         (tmp_path / f"{name}.xyz").write_text("".join(f"{x} {y} {z} 200 30 30\n" for x, y, z in places))
         rendered(tmp_path / f"{name}.xyz", tmp_path / f"{name}.png", "--size", 60)

@@ -25,16 +25,21 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     run = beltrami("sweep", NOISY, page, *lists, "--reference", CLEAN, "--size", 60)
     text = page.read_text()
     trials = json.loads(re.search(r'id="trials">(.*?)</script>', text, re.DOTALL)[1])
-    swept = [tuple(trial["parameters"][name] for name in ("beta", "n", "metric steps")) for trial in trials]
-    assert sorted(swept) == [(4, 1, 1), (4, 3, 1), (12, 1, 1), (12, 3, 1)]
-    assert text.count("data:image/png;base64,") == 6  # with the reference and the input
+    assert trials[0]["parameters"] == {}
+    swept = [
+        tuple(trial["parameters"].get(name) for name in ("beta", "n", "metric steps")) for trial in trials
+    ]
+    assert sorted(swept[1:]) == [(4, 1, 1), (4, 3, 1), (12, 1, 1), (12, 3, 1)]
+    assert text.count("data:image/png;base64,") == 7  # with the reference, the input and the default
     assert not re.search(r'(src|href)="(?!data:)', text)  # nothing is fetched
     by_hand = tmp_path / "by-hand.ply"
-    beltrami("smooth", NOISY, by_hand, "--beta", 12, "-n", 3, "--metric-steps", 1)
-    compared = json.loads(beltrami("compare", CLEAN, by_hand, "--json").stdout)
-    assert trials[swept.index((12, 3, 1))]["figures"]["psnr"] == pytest.approx(compared["overall"]["psnr"])
-    best = max(trials, key=lambda trial: trial["figures"]["psnr"])
-    assert f"best beta {best['parameters']['beta']:g}, n {best['parameters']['n']:g}".encode() in run.stderr
+    for number, words in ((0, ()), (swept.index((12, 3, 1)), ("--beta", 12, "-n", 3, "--metric-steps", 1))):
+        beltrami("smooth", NOISY, by_hand, *words, "--overwrite")
+        compared = json.loads(beltrami("compare", CLEAN, by_hand, "--json").stdout)
+        assert trials[number]["figures"]["psnr"] == pytest.approx(compared["overall"]["psnr"])
+    best = max(trials, key=lambda trial: trial["figures"]["psnr"])["parameters"]
+    named = f"beta {best['beta']:g}, n {best['n']:g}" if best else "default"
+    assert f"best {named}".encode() in run.stderr
 
 
 @pytest.mark.slow
@@ -46,18 +51,18 @@ def test_figures_alone_are_those_of_compare_without_files_in_between(name, tmp_p
         "sweep", source, table, "--format", "csv", "-n", "1,2", "-t", 1, "--beta", 5, "--reference", reference
     )
     rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert [row["n"] for row in rows] == ["1", "2"]
+    assert [row["n"] for row in rows] == ["", "1", "2"]
     smooth = tmp_path / name
     beltrami("smooth", source, smooth, "-n", 2, "-t", 1, "--beta", 5)
     overall = json.loads(beltrami("compare", reference, smooth, "--json").stdout)["overall"]
-    assert float(rows[1]["psnr"]) == pytest.approx(overall["psnr"])
-    assert float(rows[1]["delta_e"]) == pytest.approx(overall["delta_e"]["mean"])
+    assert float(rows[2]["psnr"]) == pytest.approx(overall["psnr"])
+    assert float(rows[2]["delta_e"]) == pytest.approx(overall["delta_e"]["mean"])
 
 
 def test_without_a_reference_the_gain_is_estimated_and_goes_to_a_pipe():
     run = beltrami("sweep", NOISY, "-", "--format", "json", "-n", "1,3")
     trials = json.loads(run.stdout)
-    assert [trial["parameters"] for trial in trials] == [{"n": 1}, {"n": 3}]
+    assert [trial["parameters"] for trial in trials] == [{}, {"n": 1}, {"n": 3}]
     assert all(trial["figures"]["estimated_gain"] > 0 for trial in trials)
 
 
@@ -71,20 +76,22 @@ def test_the_input_is_decoded_once_and_one_tracer_serves_all(tmp_path, monkeypat
     options = ("--beta", "3,6,9", "-n", 1, "-t", 1, "--size", 40)
     beltrami("sweep", SAMPLES / "mirrored-noisy.obj", tmp_path / "page.html", *options)
     assert len(tracers) == 1
-    assert len(decoded) == 1 + 3  # the input, and each result to be drawn
+    assert len(decoded) == 1 + 4  # the input, and each result to be drawn
 
 
 @pytest.mark.slow
 def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
-    sheet, one = tmp_path / "sheet.png", tmp_path / "one.png"
+    sheet, default, one = (tmp_path / f"{name}.png" for name in ("sheet", "default", "one"))
     smooth = tmp_path / "smooth.ply"
     beltrami("sweep", NOISY, sheet, "-t", "1,2,4", "--size", 64)
-    beltrami("smooth", NOISY, smooth, "-t", 1)
-    beltrami("render", smooth, one, "--size", 64)
+    for words, picture in (((), default), (("-t", 1), one)):
+        beltrami("smooth", NOISY, smooth, *words, "--overwrite")
+        beltrami("render", smooth, picture, "--size", 64)
     image = pixels(sheet)
     strip, gap = 20, 2
     assert image.shape == (2 * (strip + 64) + gap, 3 * 64 + 2 * gap, 3)
-    assert (image[: strip + 64, 66:] == 255).all()
+    assert (image[: strip + 64, 2 * 66 :] == 255).all()
+    assert (image[strip : strip + 64, 66 : 66 + 64] == pixels(default)).all()
     assert (image[-64:, :64] == pixels(one)).all()
 
 

@@ -163,7 +163,7 @@ def with_outlier(positions, faces, gap, is_connected=False):
     """Add a triangle of a hundredth of the width of a model, beyond its right border by a share of its width."""
     low, high = positions.min(axis=0), positions.max(axis=0)
     width = high[0] - low[0]
-    right = high + [gap * width, 0, 0] - [0, width / 2, width / 2]
+    right = high + np.array([gap, -0.5, -0.5]) * width
     corners = right + np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]) * width
     faces = np.concatenate([faces, len(positions) + np.array([[0, 1, 2]])])
     if is_connected:

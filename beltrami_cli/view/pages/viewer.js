@@ -167,7 +167,7 @@ const Viewer = (() => {
       });
     }
 
-    // Grey where more than a quarter of the model is closer to the colour of the plain stage than to grey.
+    // Grey where more than a quarter of the model is twice as close to the colour of the plain stage as to grey.
     chooseStage(scene, width) {
       this.pass(scene, "before", 0, width);
       const small = Object.assign(document.createElement("canvas"), { width: 64, height: 64 }).getContext("2d");
@@ -179,7 +179,7 @@ const Viewer = (() => {
         const far = (colour) => Math.max(...colour.map((value, channel) => Math.abs(data[at + channel] - value)));
         if (data[at + 3] < 128) continue;
         seen += 1;
-        if (far(stage) < far([128, 128, 128])) lost += 1;
+        if (2 * far(stage) < far([128, 128, 128])) lost += 1;
       }
       this.place.dataset.stage = lost > 0.25 * seen ? "grey" : "plain";
     }
