@@ -48,6 +48,7 @@ VERTICES = "vertex colours"
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _TRIANGLES, _POINTS, _LINES = 4, 0, 1  # modes of glTF primitives
 _FULL = 65535
+_FARTHEST = 1e9  # sizes of a model or texture; nothing so far away is visible
 _BYTE = 257  # 16-bit value of one 8-bit step
 _LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
 _FILLED = 0.99  # of the room for pictures, since PNG adds 1 % at most to bytes that it cannot compress
@@ -245,7 +246,9 @@ class Box:
 
 
 def _finite(values: Array) -> Float64s:
-    return np.nan_to_num(values.astype(np.float64), nan=0, posinf=0, neginf=0)
+    """Return values with 0 for what is not finite, within a range that single precision holds."""
+    finite = np.nan_to_num(values.astype(np.float64), nan=0, posinf=0, neginf=0)
+    return np.clip(finite, -_FARTHEST, _FARTHEST)
 
 
 def _quantised(values: Float64s) -> Array:

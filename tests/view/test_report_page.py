@@ -136,6 +136,23 @@ def test_textures_lie_the_right_way_up_in_their_own_colours(browser, tmp_path):
     assert viewer.errors == []
 
 
+def test_without_webgl_the_pictures_are_shown(browser, tmp_path):
+    files = [plain_image(tmp_path / f"{name}.png", colour) for name, colour in (("a", RED), ("b", BLUE))]
+    page = browser.new_context().new_page()
+    page.add_init_script(
+        "const context = HTMLCanvasElement.prototype.getContext;"
+        "HTMLCanvasElement.prototype.getContext = function (kind, ...more) {"
+        " return kind.startsWith('webgl') ? null : context.call(this, kind, ...more); };"
+    )
+    page.goto(reported(*files, tmp_path / "page.html"))
+    page.wait_for_selector(".place[data-ready=no]", timeout=60_000)
+    colours = page.evaluate(
+        "() => [...document.querySelectorAll('.place canvas')]"
+        ".map((canvas) => [...canvas.getContext('2d').getImageData(9, 9, 1, 1).data])"
+    )
+    assert colours == [[*RED, 255], [*BLUE, 255]]
+
+
 def test_images_and_points_are_drawn(browser, tmp_path):
     images = plain_image(tmp_path / "a.png", RED), plain_image(tmp_path / "b.png", BLUE)
     viewer = Viewer(browser, reported(*images, tmp_path / "image.html"))

@@ -112,13 +112,15 @@ const Shapes = (() => {
 
     // Textures as they are stored, side by side, under the triangles in their coordinates.
     addSheets(layer, lines) {
-      const pairs = [...new Map((layer.pairs || []).map((pair) => [pair[0], pair])).values()];
+      const { pairs: all = [], meshes, flatOnly } = layer, isOf = ([old]) => ({ userData }) => userData.textures?.[0] === old;
+      const used = all.filter((pair) => flatOnly || meshes.some(isOf(pair)));
+      const pairs = [...new Map(used.map((pair) => [pair[0], pair])).values()];
       const sizes = pairs.map(([old]) => this.maps[old].image).map((image) => image.width / image.height);
       const total = sizes.reduce((sum, size) => sum + size, 0) + 0.05 * (pairs.length - 1);
       let left = -total / 2;
       pairs.forEach((pair, number) => {
         const sheet = new THREE.Group(), plane = new THREE.PlaneGeometry(1, 1), material = this.material({ textures: pair });
-        sheet.userData.number = layer.pairs.findIndex(([old]) => old === pair[0]);
+        sheet.userData.number = all.findIndex(([old]) => old === pair[0]);
         plane.attributes.uv.array.set([0, 0, 1, 0, 0, 1, 1, 1]);
         material.uniforms.charts = { value: 0 };
         layer.materials.push(material);
@@ -126,9 +128,8 @@ const Shapes = (() => {
         sheet.add(new THREE.Mesh(plane, material));
         sheet.scale.set(sizes[number], 1, 1);
         sheet.position.x = left + sizes[number] / 2;
-        const isOn = ({ userData }) => userData.textures?.[0] === pair[0];
-        for (const mesh of layer.meshes.filter(isOn)) this.addFlat(layer, mesh, sheet);
-        for (const { geometry } of lines.filter(isOn))
+        for (const mesh of meshes.filter(isOf(pair))) this.addFlat(layer, mesh, sheet);
+        for (const { geometry } of lines.filter(isOf(pair)))
           layer.seams.push(this.lines(geometry.attributes.position, 0xd55e00, sheet));
         layer.flat.add(sheet);
         left += sizes[number] + 0.05;
