@@ -1,6 +1,6 @@
 """Draw files in one picture, or in a moving one: any files, or what a smoothing reads and writes.
 
-Turntables are GIF by OpenImageIO, WebP by Pillow, or MP4 by PyAV.
+Turntables are GIF or WebP by Pillow, or MP4 by PyAV.
 """
 
 from __future__ import annotations
@@ -11,18 +11,19 @@ import os
 import struct
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from PIL import Image
 
 from beltrami_cli.arrays import Uint8s
-from beltrami_cli.errors import ProcessingError, UsageError
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import Access, read_regular
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import format_of_suffix, write_image
 from beltrami_cli.formats.image.picture import is_image, new_picture
-from beltrami_cli.formats.image.reading import error_of, scratch_file
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
@@ -39,7 +40,6 @@ _SIZE = (1288, 1013)
 _PNG = struct.pack(">8sI4sIIBBBBB", b"\x89PNG\r\n\x1a\n", 13, b"IHDR", *_SIZE, 8, 2, 0, 0, 0)
 _KIND = slice(37, 41)  # of the second block of a PNG file
 _HEAD = 1 << 16  # bytes that distinguish images from other files
-_PACKAGES = {".webp": ("PIL.Image", "Pillow"), ".mp4": ("av", "PyAV")}  # modules that write animations
 _WEBP_QUALITY = 90
 _MP4_QUALITY = "16"  # constant rate factor of H.264: what cannot be distinguished from the original
 
@@ -76,8 +76,8 @@ def _suffix_of(target: str, settings: RenderSettings) -> str:
     if suffix not in ANIMATIONS:
         return picture_suffix(target)
     if settings.turntable > 1:
-        if suffix in _PACKAGES:
-            _imported(suffix)
+        if suffix == ".mp4":
+            _av()
         if suffix == ".mp4" and settings.background == "transparent":
             raise UsageError("an .mp4 file has no transparent background; choose .webp or .gif, or a colour")
     elif suffix != ".webp":
@@ -148,41 +148,20 @@ def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
     return list(labels) or [""] * len(names)
 
 
-def _imported(suffix: str) -> Any:
-    return imported(*_PACKAGES[suffix], "animation", f"to write turntables as {suffix}")
-
-
-def _gif(frames: Frames, rate: int) -> bytes:
-    import OpenImageIO
-
-    height, width, channels = frames[0].shape
-    spec = OpenImageIO.ImageSpec(width, height, channels, "uint8")
-    spec.attribute("FramesPerSecond", OpenImageIO.TypeRational, (rate, 1))
-    with scratch_file(suffix=".gif") as path:
-        file = OpenImageIO.ImageOutput.create(str(path))
-        if file is None or not file.open(str(path), (spec,) * len(frames)):
-            raise ProcessingError(f"the GIF file cannot be written ({error_of(OpenImageIO)})")
-        for number, frame in enumerate(frames):
-            if number:
-                file.open(str(path), spec, "AppendSubimage")
-            file.write_image(np.ascontiguousarray(frame))
-        file.close()
-        return path.read_bytes()
-
-
-def _webp(frames: Frames, rate: int) -> bytes:
-    image = _imported(".webp")
-    first, *others = [image.fromarray(frame) for frame in frames]
+def _by_pillow(frames: Frames, rate: int, kind: str, **options: Any) -> bytes:
+    first, *others = [Image.fromarray(frame) for frame in frames]
     data = io.BytesIO()
-    first.save(
-        data, "WEBP", save_all=True, append_images=others, duration=round(1000 / rate), loop=0,
-        quality=_WEBP_QUALITY,
-    )  # fmt: skip
+    duration = round(1000 / rate)
+    first.save(data, kind, save_all=True, append_images=others, duration=duration, loop=0, **options)
     return data.getvalue()
 
 
+def _av() -> Any:
+    return imported("av", "PyAV", "animation", "to write turntables as .mp4")
+
+
 def _mp4(frames: Frames, rate: int) -> bytes:
-    av = _imported(".mp4")
+    av = _av()
     height, width = frames[0].shape[:2]
     data = io.BytesIO()
     with av.open(data, "w", format="mp4") as container:
@@ -196,6 +175,10 @@ def _mp4(frames: Frames, rate: int) -> bytes:
     return data.getvalue()
 
 
-_ENCODERS: dict[str, Callable[[Frames, int], bytes]] = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}
+_ENCODERS: dict[str, Callable[[Frames, int], bytes]] = {
+    ".gif": partial(_by_pillow, kind="GIF", disposal=2),
+    ".webp": partial(_by_pillow, kind="WEBP", quality=_WEBP_QUALITY),
+    ".mp4": _mp4,
+}
 ANIMATIONS = tuple(_ENCODERS)
 """Suffixes of turntables that move."""

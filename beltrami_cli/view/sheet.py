@@ -19,7 +19,9 @@ from beltrami_cli.view.camera import Window, pixels_of
 _FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167], [213, 94, 0]]) / 255
 _DARK, _LIGHT = 0.1, 0.95  # greys of letters
 _GREY = 128 / 255  # the background where white hides the outline
-_LOST = 0.25  # share of an outline that may be twice as close to white as to grey, beyond a lightness L* of 85
+_LOST = (
+    0.25  # share of an outline that may be twice as close to white as to grey, beyond a lightness L* of 85
+)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains
 
