@@ -20,20 +20,20 @@ from beltrami_cli.view.settings import RenderSettings
 EPILOG = """\b
 Examples:
   beltrami sweep scan.ply sheet.png --beta 4,8,16 -n 2,5,10            nine trials, three by three
-  beltrami sweep scan.glb sheet.html -t 1,2.4,4                        a page; click on a view to compare it with INPUT
+  beltrami sweep scan.glb sheet.html -t 1,2.4,4                        a page; click on a view to see it next to INPUT
   beltrami sweep noisy.glb sheet.html --reference clean.glb --beta 5,10,20 -n 3,5   with PSNR and the like
   beltrami sweep photo.jpg sheet.png --metric-steps 1,2,4 --crop auto,0.1 --size 400
   beltrami sweep scan.ply figures.csv --format csv --beta 4,8,16       estimated PSNR and gain, and no pictures
   beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
 
 \b
-Every value is tried with every other, and the default without these values. All else is as in `beltrami
+Every value is tried with every other, and the default without these values. Other parameters are as in `beltrami
 smooth`. Results are drawn and thrown away: smooth with the parameters that you like best.
 """
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
 _SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
-# Options of a single picture, or derived from the options of smoothing.
+# Options of a single picture, or that follow from the options of smoothing.
 _NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "fps", "labels")
 
 

@@ -15,7 +15,7 @@ _SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in
 _NARROWEST = 1e-3  # degrees, below which rays are parallel
 _MARGIN = 0.92  # of the shorter side of a view that a model fills
 
-# Rows: what is to the right, up and towards the eye in a view from the front, by the axis that points up.
+# Rows: the directions to the right, up and towards the eye in a view from the front, by the axis that points up.
 _FRONT = {
     "x": [[0, 1, 0], [1, 0, 0], [0, 0, -1]],
     "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

@@ -100,7 +100,7 @@ def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings
 
 
 def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Background:
-    """Return what is behind models."""
+    """Choose the background of the panels."""
     if settings.background == "auto":
         lost = is_lost_on_white([panel.view for panel in panels])
         settings = dataclasses.replace(settings, background="grey" if lost else "white")

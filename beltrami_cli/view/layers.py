@@ -21,14 +21,14 @@ from beltrami_cli.view.models import (
 )
 from beltrami_cli.view.preview import Focus, Patch
 
-# Pixels as a page shows them, by layer and texture; those that are absent are the document's own.
+# Pixels as a page shows them, by layer and texture, where they differ from the document.
 Shown = dict[tuple[int, int], Uint8s]
 
 _QUICK = 1  # of zlib
 
 
 class Layers:
-    """What is coloured in a document: `slots` of its textures, and None for vertex colours or an image."""
+    """The coloured parts of a document: `slots` of its textures, and None for vertex colours or an image."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -37,32 +37,22 @@ class Layers:
         self.slots = [*slots, None] if self._is_image or document.has_vertex_colours() else slots
         self._row_of: Int64s | None = None
         self._has_moved = False  # vertices, on the page
-        self._boxes: dict[int, Box] = {}
+        self._boxes: list[Box] = []
 
     def glb(self, reach: float) -> bytes:
         """Return the document for the viewer, with the same before and after."""
-        writer, both = ModelWriter(is_live=True), (self.document, self.document)
+        writer = ModelWriter(is_live=True)
         for slot in self.slots:
-            if self._is_image:
-                writer.add_image(both)
-            else:
-                writer.add(both, slot)
-        self._row_of = writer.row_of
+            writer.add((self.document, self.document), slot)
+        self._row_of, self._boxes = writer.row_of, writer.boxes
         return writer.glb(reach)
 
     def in_space(self, focus: Focus, layer: int) -> Focus:
         """Return a focus in the space of the document, where its page has it in the box of the model."""
         if focus.direction is None:
             return focus
-        box = self._box(layer)
+        box = self._boxes[layer]
         return Focus(box.low + box.size * focus.origin, focus.direction)
-
-    def _box(self, layer: int) -> Box:
-        if layer not in self._boxes:
-            slot = self.slots[layer]
-            kept = self.document.painted() if slot is None else self.document.textured(slot)
-            self._boxes[layer] = Box(kept)
-        return self._boxes[layer]
 
     def patched(self, shown: Shown, layer: int, patch: Patch) -> dict[str, Any]:
         """Return a patch for the viewer, and keep what a texture looks like with it."""
@@ -72,7 +62,7 @@ class Layers:
             drawn = rows >= 0  # points that are nowhere are not
             kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
             if patch.places is not None:
-                kept["places"] = self._box(layer).shares(patch.places).astype(np.float32)
+                kept["places"] = self._boxes[layer].shares(patch.places).astype(np.float32)
             return {"layer": layer, **{name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}}
         pixels = self._pixels(shown, layer, patch.texture)
         pixels[patch.rows, patch.columns] = patch.colours

@@ -1,7 +1,7 @@
 """A page on which a document is smoothed while its parameters are changed: a part at once, and then the whole.
 
-Two threads work: one smooths the part that somebody looks at, the other the whole as `smooth` does. Of each page only
-the latest request counts; older work ends at its next report of progress.
+Two threads work: one smooths the part in view, the other the whole as `smooth` does. Only the latest request of each
+page counts; older work ends at its next report of progress.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Part = TypeVar("Part")
 _SCRIPTS = (LIBRARY, *VIEWER_SCRIPTS, "live.js")
 _WITH_PATCHES = " with patches"  # a stage of previews, after that of the kernel alone
 _WAIT = 0.5  # seconds after a preview in which the whole is not begun, since another change may follow
-_WANTED = 0.1  # seconds that a preview may take, beside sending and drawing it
+_WANTED = 0.1  # seconds of smoothing in a preview
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
 _LEAST, _MOST = 2_000, 400_000  # samples of a preview
 _PAUSE = 0.1  # seconds between two messages on progress
@@ -60,7 +60,7 @@ _REACH = 32  # 255ths that are shown brightest first
 
 
 class SupersededError(Exception):
-    """Somebody wants something else by now."""
+    """A later request replaces the one that is worked on."""
 
 
 @dataclass(eq=False)
@@ -186,7 +186,7 @@ class Live:
                     self._preview(page, request)
                 except SupersededError:
                     pass
-                except Exception as error:  # the whole, which follows, says what is wrong
+                except Exception as error:  # the error of the whole, which follows, is reported
                     is_known = isinstance(error, NoPreviewError)
                     reason = str(error) if is_known else "the part in view cannot be smoothed alone"
                     page.events.put({"kind": "none", "number": request.number, "reason": reason})
@@ -231,13 +231,13 @@ class Live:
             raise SupersededError
 
     def _preview(self, page: _Page, request: _Page) -> None:
-        """Smooth the part that somebody looks at: by the kernel at once, then with patches if the whole has these."""
+        """Smooth the part in view: by the kernel at once, then with patches if the whole has these."""
         settings = request.settings
         if settings is None or request.focus is None:
             return
         slot, selection = self._layers.slots[request.layer], select(self._document, settings)
         if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
-            raise NoPreviewError("what is shown is not what is smoothed")
+            raise NoPreviewError("the colours in view are not smoothed")
         if not settings.kernel.iterations:
             raise NoPreviewError("no iteration is wanted, so nothing changes")
         if request.layer not in self._previewers:
@@ -264,7 +264,7 @@ class Live:
         page.events.put({"kind": "preview", "number": request.number, **shown})
 
     def _at_once(self, settings: SmoothSettings, page: _Page) -> SmoothSettings:
-        """Return settings in which nothing is tried: what is free is as it was chosen last, or by the rule."""
+        """Return settings without a search: free parameters are as they were chosen last, or by the rule."""
         kernel = settings.kernel
         known = {name: page.chosen[name] for name in kernel.free if name in page.chosen}
         if page.chosen_by == _choosing(settings) and len(known) == len(kernel.free):
@@ -343,7 +343,7 @@ def _vector(focus: dict[str, Any], name: str) -> Float64s:
 
 
 def _choosing(settings: SmoothSettings) -> tuple[float, str | None]:
-    """Return what parameters are chosen by, besides those that are given."""
+    """Return the settings that the choice of parameters depends on."""
     return settings.kernel.strength, settings.kernel.noise
 
 

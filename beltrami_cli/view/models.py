@@ -3,8 +3,8 @@
 Each layer is a scene, with its triangles, points or lines in a box of size 1. Vertex colours are display values in the
 attributes _BEFORE and _AFTER. Materials have the textures before; `extras` name both textures of a part.
 
-Vertices are sorted so that those of a triangle are near in the order [1]_, and pages keep differences of neighbouring
-elements, which compress well.
+Vertices are sorted so that the corners of a triangle are close in the file [1]_. Pages keep differences of
+neighbouring elements, which compress well.
 
 References
 ----------
@@ -66,9 +66,13 @@ class ModelWriter:
         self._textures: dict[Any, int] = {}
         self._images: list[Callable[[], Image]] = []
         self.row_of: Int64s | None = None  # rows of vertices in the file; -1: a vertex that is left out
+        self.boxes: list[Box] = []  # of the layers of models
 
     def add(self, documents: Pair, slot: Slot | None) -> None:
-        """Add the textures of a slot, or the vertex colours, of two documents that differ in colours."""
+        """Add the textures of a slot, the vertex colours, or the image of two documents that differ in colours."""
+        if documents[0].kind == "image":
+            self._add_image(documents)
+            return
         if slot is None:
             self._add_painted(*(document.painted() for document in documents))
             return
@@ -77,7 +81,7 @@ class ModelWriter:
             [self._texture(each, partial(image_of, each, slot)) for each in both]
             for both in zip(surface.textures, other.textures, strict=True)
         ]
-        box = Box(surface)
+        self.boxes.append(box := Box(surface))
         chart_of, seams = charts_of(surface)
         nodes = []
         for number in np.unique(surface.texture_of).tolist():
@@ -93,7 +97,7 @@ class ModelWriter:
             nodes.append(self._node({"POSITION": ends}, _LINES, {}))
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
 
-    def add_image(self, documents: Pair) -> None:
+    def _add_image(self, documents: Pair) -> None:
         pair = []
         for each in documents:
             texture = Texture("", each.name, each.data)
@@ -158,7 +162,8 @@ class ModelWriter:
 
     def _add_painted(self, one: PaintedVertices, other: PaintedVertices) -> None:
         finite = np.asarray(np.isfinite(np.hstack([one.positions, other.positions])).all(axis=1))
-        box, size = Box(one), 0.0
+        self.boxes.append(box := Box(one))
+        size = 0.0
         if len(one.faces):
             rows, index = _sorted(one.faces, len(finite))
         else:
@@ -246,7 +251,7 @@ class Box:
 
 
 def _finite(values: Array) -> Float64s:
-    """Return values with 0 for what is not finite, within a range that single precision holds."""
+    """Replace numbers that are not finite by 0, and limit the others to a range that single precision holds."""
     finite = np.nan_to_num(values.astype(np.float64), nan=0, posinf=0, neginf=0)
     return np.clip(finite, -_FARTHEST, _FARTHEST)
 
@@ -286,7 +291,7 @@ def _png(sheet: Float32s) -> bytes:
 
 
 def _resized(sheet: Float32s, share: float) -> Float32s:
-    """Return an image whose sides are a share of those of another one, with averaged texels."""
+    """Return a smaller image, whose sides are a share of the given one's, with averaged texels."""
     import OpenImageIO
 
     height, width = (max(1, int(share * side)) for side in sheet.shape[:2])
@@ -336,8 +341,8 @@ def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     uv[turned] = uv[turned, ::-1]
     low, high = np.minimum(starts, ends).reshape(-1), np.maximum(starts, ends).reshape(-1)
     order = np.lexsort((high, low))
-    alike = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
-    here, there = order[:-1][alike], order[1:][alike]
+    equal = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
+    here, there = order[:-1][equal], order[1:][equal]
     same = surface.texture_of[here // 3] == surface.texture_of[there // 3]
     same &= (uv[here] == uv[there]).all(axis=(1, 2))
     joined = coo_array((np.ones(int(same.sum())), (here[same] // 3, there[same] // 3)), (count, count))

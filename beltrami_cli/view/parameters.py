@@ -19,7 +19,7 @@ _SLIDERS: dict[str, tuple[float, ...]] = {
 }  # fmt: skip
 _NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")
 
-# Shown of the kernel even where nobody gave or chose them.
+# Kernel parameters that are shown even with their defaults.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
 _COLUMNS = ("value", "how it came about")
 _NEVER = ("free", "fast", "on", "threads", "noise")
@@ -38,7 +38,7 @@ def plain_settings(settings: SmoothSettings) -> SmoothSettings:
 
 
 def given_values(settings: SmoothSettings) -> dict[str, Any]:
-    """Return what the controls show at first: what is given."""
+    """Return the first values of the controls: the parameters that are given."""
     kernel, values = settings.kernel, dict[str, Any]()
     for name in _NAMES:
         value = getattr(kernel, name)
@@ -104,7 +104,7 @@ def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[str]]:
     """Give the parameters of the kernel as they were used on a part."""
     defaults, choice = describe_settings(DEFAULTS), done["choice"] or {"chosen": {}, "candidates": 0}
-    # What nobody gave if it has its default: what can be chosen is free then.
+    # Parameters that are not given if they have their defaults: tunable ones are free then.
     may_be_default = (requested.keys() - set(DEFAULTS.kernel.free)) | set(requested["free"])
     used = {**requested, **choice["chosen"], "beta": done["beta"], "iterations": done["iterations"]}
     for name, value in requested.items():
@@ -128,9 +128,9 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     yield ["noise", noise, "measured" if given is None else f"given as {given}"]
     model = dict(done["noise_model"])
     grain = model.pop("grain", 1.0)
-    alike = f"shared over {grain:.1f} samples" if grain > 1 else "of each sample by itself"
+    grains = f"shared over {grain:.1f} samples" if grain > 1 else "of each sample by itself"
     levels = [f"{name} {255 * sigma:.1f}/255" for name, sigma in model.items()]
-    yield ["noise model", ", ".join([*levels, alike]), "measured" if given is None else f"given as {given}"]
+    yield ["noise model", ", ".join([*levels, grains]), "measured" if given is None else f"given as {given}"]
     if done["change"]:
         yield ["mean change", f"{255 * done['change']['mean']:.1f}/255", "measured"]
     choice = done["choice"]
@@ -140,7 +140,7 @@ def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
 
 
 def _given(requested: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Give the parameters of the job, besides those of the kernel, that are not the defaults."""
+    """Give the parameters of the job outside the kernel that are not the defaults."""
     defaults: dict[str, Any] = describe_settings(DEFAULTS)
     if requested["on"] != defaults["on"]:
         yield _WORDS["on"], requested["on"]

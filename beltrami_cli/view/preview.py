@@ -1,4 +1,4 @@
-"""The part of a document that somebody looks at, small enough to be smoothed at once."""
+"""The part of a document in view, small enough to be smoothed at once."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PIECE = 320  # texels of a triangle at most, so that enough of them fit
 _MOST_PIECES = 100_000  # in a whole texture, even if they are larger then
 _MOST_SPLITS = 8
 _NO_FACES = np.zeros((0, 3), np.int32)
-_BESIDE = 0.05  # of the model's size: triangles so near to the line of sight are looked at
+_NEAR = 0.05  # of the model's size: triangles so near to the line of sight are looked at
 
 
 class NoPreviewError(Exception):
@@ -46,7 +46,7 @@ class NoPreviewError(Exception):
 
 @dataclass(frozen=True)
 class Focus:
-    """Where somebody looks: along a ray through the model, or at a place of a texture or image."""
+    """The centre of a view: a ray through the model, or a place of a texture or image."""
 
     origin: Float64s  # (3,), or of a flat texture u, v and its number
     direction: Float64s | None = None  # (3,), of length 1; None: the texture is seen flat
@@ -70,10 +70,10 @@ def _part_of(document: Document, own: TexturedSurface, part: TexturedSurface, fa
         guiding = document.textured(slot)
         if len(guiding.faces) != len(own.faces):
             return guiding  # which is refused as for the whole
-        alike = (guiding.uv[faces] == own.uv[faces]).all(axis=(1, 2))
+        matches = (guiding.uv[faces] == own.uv[faces]).all(axis=(1, 2))
         return dataclasses.replace(
             part, textures=guiding.textures, texture_of=guiding.texture_of[faces],
-            uv=np.where(alike[:, None, None], part.uv, np.nan),
+            uv=np.where(matches[:, None, None], part.uv, np.nan),
         )  # fmt: skip
 
     made = copy(document)
@@ -90,7 +90,7 @@ class Previewer:
         self._surface: TexturedSurface | None = None
         self._pixels: ImageLayer | None = None
         self._guides: tuple[EmbeddingSettings, list[Guide]] | None = None
-        self._order: tuple[bytes, Int64s] | None = None  # where somebody looked last, and what is near
+        self._order: tuple[bytes, Int64s] | None = None  # of triangles or points, by the last focus
         if document.kind == "image":
             return
         if slot is None:
@@ -114,7 +114,7 @@ class Previewer:
     def smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
-        """Smooth about as many samples as `budget` says, around where somebody looks."""
+        """Smooth about `budget` samples around the focus."""
         if settings.level_seams:
             raise NoPreviewError("exposure steps are levelled over the whole model")
         if self._document.kind == "image":
@@ -265,9 +265,9 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
     if focus.direction is not None:
         offsets = centres - focus.origin
         along = offsets @ focus.direction
-        beside = np.sqrt(np.maximum(np.einsum("ij,ij->i", offsets, offsets) - along**2, 0))
-        near = beside < max(_BESIDE * float(along.max() - along.min()), 1.001 * float(beside.min()))
-        middle = centres[near][np.argmin(along[near] + beside[near])]
+        offset = np.sqrt(np.maximum(np.einsum("ij,ij->i", offsets, offsets) - along**2, 0))
+        near = offset < max(_NEAR * float(along.max() - along.min()), 1.001 * float(offset.min()))
+        middle = centres[near][np.argmin(along[near] + offset[near])]
     return np.asarray(np.argsort(np.einsum("ij,ij->i", centres - middle, centres - middle)), np.int64)
 
 
@@ -286,7 +286,7 @@ def _used(surface: TexturedSurface, chosen: Int64s) -> TexturedSurface:
 
 
 def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[TexturedSurface, Int64s]:
-    """Cut triangles with many texels at the middles of their sides; return also of which each is a part."""
+    """Cut triangles with many texels at the middles of their sides; return also the original triangle of each."""
     faces = np.arange(len(surface.faces))
     for _ in range(_MOST_SPLITS):
         large = _areas(surface, texels) > most

@@ -121,7 +121,7 @@ class Preview:
 
 
 def is_preview(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of a PNG, as previews have."""
+    """Whether a file begins as previews do."""
     return head.startswith(_PNG) and head[_KIND] == b"IDAT"
 
 

@@ -70,33 +70,37 @@ def report_file(
     used = None if parameters is None else _parameters(parameters, access)
     documents = open_both((before, after), settings, job)
     compared = compare_documents(documents, settings, "uniform", job)
-    parts = tracked(compared.parts, "drawing seams", job.progress)
-    seams = [drawn for part in parts if (drawn := seam_map(part))]
-    writer = _writer(compared, documents, job.progress)
-    short = distinct_labels(names)
+    page, notices = _page(names, compared, documents, used, full_size=full_size, progress=job.progress)
+    output.write(Written(main=[page]))
+    return {**figures(compared.measured()), "notices": notices}
+
+
+def _page(
+    names: Sequence[str], compared: Compared, documents: tuple[Document, Document], used: dict[str, Any] | None, *,
+    full_size: bool, progress: Progress | None,
+) -> tuple[bytes, list[str]]:  # fmt: skip
+    """Return the page and its notices."""
+    parts, short = tracked(compared.parts, "drawing seams", progress), distinct_labels(names)
     values: dict[str, Any] = {
         "library": pages.LIBRARY, "licence": pages.asset("three.LICENSE"),
         "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared),
-        "change": histogram(compared.measured()), "seams": seams, "used": used,
+        "change": histogram(compared.measured()), "used": used,
+        "seams": [drawn for part in parts if (drawn := seam_map(part))],
     }  # fmt: skip
-    scripts, notices = [*pages.VIEWER_SCRIPTS, "report.js"], compared.all_notices()
-    data: dict[str, Any] = {"three": pages.packed_text(pages.LIBRARY)}
-    bare = pages.page_from("report.html", scripts, data, **values, notices=[*notices, _SCALED])
-    limit = np.inf if full_size else _LARGEST - len(bare)
-    data["models"], share = writer.packed(_reach(compared), limit)
+    writer, notices = _writer(compared, documents, progress), compared.all_notices()
+    scripts, data = [*pages.VIEWER_SCRIPTS, "report.js"], {"three": pages.packed_text(pages.LIBRARY)}
+    without_models = pages.page_from("report.html", scripts, data, **values, notices=[*notices, _SCALED])
+    limit = np.inf if full_size else _LARGEST - len(without_models)
+    models, share = writer.packed(_reach(compared), limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
-    page = pages.page_from("report.html", scripts, data, **values, notices=notices)
-    output.write(Written(main=[page]))
-    return {**figures(compared.measured()), "notices": notices}
+    page = pages.page_from("report.html", scripts, {**data, "models": models}, **values, notices=notices)
+    return page, notices
 
 
 def _writer(
     compared: Compared, documents: tuple[Document, Document], progress: Progress | None
 ) -> ModelWriter:
     writer = ModelWriter()
-    if documents[0].kind == "image":
-        writer.add_image(documents)
-        return writer
     slots: list[Slot | None] = [*compared.slots]
     if not slots or any(part.kind == "vertices" for part in compared.parts):
         slots.append(None)
@@ -136,8 +140,8 @@ def _rows(compared: Compared) -> list[list[str]]:
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
             ]
         )  # fmt: skip
-    alike = [pair.name for pair in compared.parts if pair.is_identical]
-    return rows + [[name, "", "identical", *[""] * (len(_COLUMNS) - 3)] for name in alike]
+    identical = [pair.name for pair in compared.parts if pair.is_identical]
+    return rows + [[name, "", "identical", *[""] * (len(_COLUMNS) - 3)] for name in identical]
 
 
 def _number(value: float | None, digits: int) -> str:

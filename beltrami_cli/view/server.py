@@ -46,7 +46,7 @@ class RefusedError(Exception):
 
 
 class Application(Protocol):
-    """What is served."""
+    """The application behind the pages."""
 
     files: Mapping[str, tuple[str, bytes]]  # types and contents by name; "" is the page
 
@@ -155,7 +155,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(status, "application/json", json.dumps(answer).encode())
 
     def _request(self) -> dict[str, Any]:
-        """Return what is sent with a request; MalformedError if it is not whole, or no JSON object."""
+        """Return the body of a request; MalformedError if it is truncated, or no JSON object."""
         try:
             length = int(self.headers.get("Content-Length", ""))
             if not 0 < length <= _LONGEST_REQUEST:
@@ -171,7 +171,7 @@ class _Handler(BaseHTTPRequestHandler):
         return request
 
     def _name(self) -> str | None:
-        """Return what is asked for; None to those who may not ask, who learn nothing."""
+        """Return the name that is requested; None if the request is not from a page of this server."""
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
         if self.headers.get("Host") != self.server.host or origin not in (None, f"http://{self.server.host}"):
             return None

@@ -94,7 +94,7 @@ class RenderSettings:
     )  # fmt: skip
     slot: str = parameter(
         "baseColor",
-        "Textures of which material slot. All but baseColor and emissive are shown as their plain numbers.",
+        "The material slot of the textures. All but baseColor and emissive are shown as their plain numbers.",
         choices=SLOTS,
     )  # fmt: skip
     on: Literal["auto", "vertices", "texture"] = parameter(
@@ -110,7 +110,7 @@ class RenderSettings:
     fps: int = parameter(12, "Of a --turntable that moves: views a second.", low=1, high=60, metavar="N")
     crops: tuple[Crop, ...] = parameter(
         (),
-        "Show a square detail enlarged below each view, drawn anew: its middle in fractions of the view from "
+        "Show a square detail enlarged below each view, drawn again: its middle in fractions of the view from "
         "the upper left, and its side in fractions of the shorter side (0.2); auto: where the last file has "
         "most to see. Up to 5 times.",
         kind=Crop, flags=("--crop", "crops"), metavar="X,Y[,SIDE]|auto[,SIDE]", repeatable=True,

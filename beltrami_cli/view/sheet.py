@@ -28,7 +28,7 @@ _FONT = "DroidSans"  # which OpenImageIO contains
 
 @dataclass(frozen=True)
 class Background:
-    """What is behind models: display values from 0 to 1; an opacity of 0 makes a picture with an alpha channel."""
+    """Display values from 0 to 1 behind models; an opacity of 0 makes a picture with an alpha channel."""
 
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     opacity: float = 1.0
@@ -49,9 +49,9 @@ def distinct_labels(paths: Sequence[str]) -> list[str]:
     parts = [PurePath(path).parts for path in paths]
     labels = []
     for own in parts:
-        alike = [other[:-1] for other in parts if other[-1:] == own[-1:]]
-        first = _shared(alike)
-        last = _shared([folders[first:][::-1] for folders in alike])
+        folders_of = [other[:-1] for other in parts if other[-1:] == own[-1:]]
+        first = _shared(folders_of)
+        last = _shared([folders[first:][::-1] for folders in folders_of])
         differing = own[first : len(own) - 1 - last]
         between = ("...",) if last and differing else ()
         labels.append(str(PurePosixPath(*differing, *between, *own[-1:])))

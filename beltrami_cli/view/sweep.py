@@ -127,7 +127,7 @@ def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSett
 
 def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
     if name == "-":
-        raise UsageError("INPUT is shown beside each trial, so it must be a file and not a pipe")
+        raise UsageError("INPUT is shown with each trial, so it must be a file and not a pipe")
     pixels = 0 if looks is None else looks.size[0] * looks.size[1] * (trials + 2)
     if trials > MOST_TRIALS or pixels > MOST_PIXELS:
         cause = f"{trials} trials are too many for one sheet of {MOST_TRIALS} views"
@@ -231,7 +231,7 @@ class SweepPage:
             self._next = time.monotonic() + _REST * (time.monotonic() - began)
 
     def _write(self, others: str) -> None:
-        """Write the page; `others` says what is with the trials that have no result."""
+        """Write the page; `others` is the state of trials without a result."""
         trials, best = self._trials, best_of(self._trials)
         first, background = len(self._panels) - len(trials), background_of(self._looks, self._panels)
         views = []

@@ -34,9 +34,9 @@ _CORNERS, _MIDDLE = (0, 2, 6, 8), 4
 
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
 _BLOCK = 1 << 14  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
-_ALL = 0.999  # of the light: what is behind cannot be seen any more
+_ALL = 0.999  # of the light: surfaces behind are invisible
 _LAYERS = 16  # transparent surfaces behind each other
-_SLACK = 1e-3  # of the view around what is covered: more than single precision loses
+_SLACK = 1e-3  # of the view around the model: more than single precision loses
 _FACE_BYTES = 100  # that Embree takes, besides its threads
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
 
@@ -150,7 +150,7 @@ class SurfaceView:
         return image
 
     def _covered(self, camera: Camera, size: tuple[int, int], window: Window) -> tuple[slice, slice]:
-        """Return the rows and columns of pixels outside of which nothing can be seen."""
+        """Return the rows and columns of pixels that the model may cover."""
         with np.errstate(over="ignore"):
             places, depths = camera.project(self.positions)
         if depths.min() <= 0:  # the eye is within the model
@@ -168,13 +168,13 @@ class SurfaceView:
         for row, hits in zip(face_of, found.values(), strict=True):
             row[hits.rays] = hits.faces
         # Where these hit one triangle, the rays between two corners see the mean of what the corners see.
-        alike = (face_of[0] >= 0) & (face_of[1:] == face_of[0]).all(axis=0)
+        is_one = (face_of[0] >= 0) & (face_of[1:] == face_of[0]).all(axis=0)
         for number, hits in found.items():
             colours = self._colours(camera, hits, rays[number][1], pixel, lit=False)
             if number != _MIDDLE:
-                colours[alike[hits.rays]] *= 2
+                colours[is_one[hits.rays]] *= 2
             light[hits.rays] += colours
-        others = np.flatnonzero(~alike)
+        others = np.flatnonzero(~is_one)
         for number in range(1, SAMPLES**2, 2):
             starts, directions = (each[others] for each in rays[number])
             hits = self._tracer.cast(starts, directions)

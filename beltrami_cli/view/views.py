@@ -1,4 +1,4 @@
-"""What is seen of a file: a painted surface, points drawn as discs, or an image."""
+"""Views of a file: a painted surface, points drawn as discs, or an image."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from beltrami_cli.view.tracing import SAMPLES, SurfaceView, surface_view
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
 _MAX_OUTLIER_SHARE = 0.01  # of the surface or the points, so that parts of some size are always framed
-_MIN_OUTLIER_GAP = 0.5  # sizes of the rest; it still fills half of a view that frames what is nearer
+_MIN_OUTLIER_GAP = 0.5  # sizes of the rest; with smaller gaps, the rest fills at least half of the view
 _RGB = ("red", "green", "blue")
 _NEIGHBOURS = 4  # on a square grid, all at one distance
 _SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
@@ -62,7 +62,7 @@ class CloudView:
         near = (depths > 0) & (at > -radii[:, None]).all(axis=1)
         near &= (at < np.array([width, height]) + radii[:, None]).all(axis=1)
         chosen = np.flatnonzero(near)
-        # The farthest first: of what is written to one place, the last stays.
+        # The farthest first: the nearest, which is written last, stays.
         chosen = chosen[np.lexsort((chosen, -depths[chosen]))]
         image = _discs(at[chosen], radii[chosen], self._colours[chosen], (width, height))
         return np.asarray(image.reshape(size[1], SAMPLES, size[0], SAMPLES, 4).mean(axis=(1, 3)), np.float32)
@@ -110,7 +110,7 @@ def open_views(
     reading: SmoothSettings = DEFAULTS,
     progress: Progress | None = None,
 ) -> list[Drawable]:
-    """Read files, or "-" for standard input, as what is seen of them; `reading` says how level sets are read."""
+    """Read files, or "-" for standard input, as views; `reading` says how level sets are read."""
     documents = [open_input(source, reading, access) for source in sources]
     require_memory_to_draw(documents, settings, access)
     return [view_of(document, settings) for document in tracked(documents, "reading", progress)]
@@ -126,7 +126,7 @@ def require_memory_to_draw(
     for document in documents:
         for data, name in image_files(document, () if settings.on == "vertices" else (settings.slot,)):
             size = measure_image(data, name)
-            if size is not None:  # of others the decoder says what is wrong
+            if size is not None:  # else the decoder reports the fault
                 texels, largest = texels + size.texels, max(largest, size.decoded)
         if _SHEET_BYTES * texels + largest > access.memory:
             cause = f"{texels / 1e6:.3g} million texels do not fit into memory to be drawn"
@@ -134,7 +134,7 @@ def require_memory_to_draw(
 
 
 def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:
-    """Return what is seen of a document; `like`: a view of the same with other colours, whose tracer serves again."""
+    """Return the view of a document; `like`: a view of the same surface, whose tracer is used again."""
     if document.kind == "image":
         return ImageView(sheet_of(document.picture()))
     slot: Slot = settings.slot  # type: ignore[assignment]
@@ -158,7 +158,7 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
 
 
 def image_files(document: Document, slots: Collection[str] = SLOTS) -> list[tuple[bytes, str]]:
-    """Return the image files of a document, with their names; of a model those of some slots."""
+    """Return the image files of a document, with their names; of a model, the textures of some slots."""
     if document.kind == "image":
         return [(document.data, document.name)]
     readable = document.readable(slot for slot in document.slots() if slot in slots)
@@ -171,7 +171,7 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> Float32s:
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
     if picture.pixels.dtype.kind == "u" and not is_associated(picture):
         return _sheet_of_levels(picture, channels)
-    # Floats are clipped to the visible range, and what is not finite is transparent.
+    # Floats are clipped to the visible range, and transparent if not finite.
     values = to_float(picture) if is_data else without_alpha(picture, to_float(picture))
     colours = values[..., channels]
     seen = np.isfinite(colours).all(axis=2, keepdims=True)
@@ -228,7 +228,7 @@ def framed(positions: Float64s, faces: Int32s) -> Float64s:
     low, high = np.transpose([_quantiles(axis, weights) for axis in places.T])
     reach = _MIN_OUTLIER_GAP * (high - low).max()
     is_near = is_finite & ((places >= low - reach) & (places <= high + reach)).all(axis=1)
-    if len(faces) and not is_near.all():  # what is connected to the rest is no outlier
+    if len(faces) and not is_near.all():  # parts that are connected to the rest are framed
         part_of = _parts(places, faces)
         is_near = is_finite & np.isin(part_of, part_of[is_near & (weights > 0)])
     return np.asarray(positions[is_near])
@@ -262,7 +262,7 @@ def disc_radii(positions: Float64s) -> Float64s:
         return np.zeros(len(positions))
     found: Float64s = np.asarray(cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, len(places)))[0])
     radii = _SHARE * found[:, -1]
-    # Points far from all others would hide what is around them.
+    # Points far from all others would hide the points around them.
     limited = np.minimum(radii, _LARGEST * np.median(radii))
     return np.asarray(limited[which.reshape(-1)], np.float64)
 

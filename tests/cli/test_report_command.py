@@ -1,4 +1,4 @@
-"""`beltrami report`: what is on the page; how it looks in a browser is tested in tests/view."""
+"""`beltrami report`: the contents of the page; its looks in a browser are tested in tests/view."""
 
 from __future__ import annotations
 

@@ -78,6 +78,6 @@ class Viewer(Page):
         self.drag((at, 0.95), (share, 0.95))
 
     def turn(self, degrees):
-        """Drag beside the line: a whole turn is as long as the view is high."""
+        """Drag the model: a whole turn is as long as the view is high."""
         share = self.box["height"] * degrees / 360 / self.box["width"]
         self.drag((0.1, 0.9), (0.1 + share, 0.9))

@@ -29,7 +29,7 @@ class Served:
     """A running `beltrami view`, with the address of its page."""
 
     def __init__(self, source, folder, *arguments):
-        # What is chosen is not the point here.
+        # The choice of parameters is not the point here.
         command = [*COMMAND, "view", source, "--no-open", "--fast", *arguments]
         self.process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
         self.address = re.search(r"http://\S+", self.process.stderr.readline())[0]

@@ -26,11 +26,8 @@ def test_models_of_pages_are_valid_gltf(tmp_path):
         *(SAMPLES / each for each in ("knot-noisy.ply", "torus-two-noisy.gltf", "scan-clean.jpg")),
     ):
         document = open_input(str(source), DEFAULTS, EVERYTHING_INSIDE)
-        writer, both = ModelWriter(), (document, document)
-        if document.kind == "image":
-            writer.add_image(both)
-        else:
-            writer.add(both, next(iter(document.slots()), None))
+        writer, is_image = ModelWriter(), document.kind == "image"
+        writer.add((document, document), None if is_image else next(iter(document.slots()), None))
         files.append(tmp_path / f"{source.stem}.glb")
         files[-1].write_bytes(writer.glb(8))
     for path, found in zip(files, issues(*files), strict=True):

@@ -64,7 +64,7 @@ def test_controls_that_are_let_go_are_chosen_again():
 
 
 def middle(kind, document):
-    """Return where somebody looks who looks at the middle from the front, or at the middle of an image."""
+    """Return a focus on the middle from the front, or on the middle of an image."""
     if kind == "image":
         return Focus(np.array([0.5, 0.5, 0.0]))
     positions = document.painted().positions if kind is None else document.textured(kind).positions
@@ -73,7 +73,7 @@ def middle(kind, document):
 
 
 @pytest.fixture
-def beside(tmp_path):
+def inputs(tmp_path):
     """Files that change the surface or the metric: heights and a guide for an image, and for a texture; and others."""
     shown = read_image((SAMPLES / "scan-noisy.jpg").read_bytes(), "").pixels
     heights = np.add.outer(np.arange(shown.shape[0]), np.arange(shown.shape[1])) % 97 * 600
@@ -111,14 +111,14 @@ def beside(tmp_path):
         ("{}/grid.npz", None, 2000, {}),
     ],
 )
-def test_most_of_a_preview_is_what_the_whole_becomes(beside, name, slot, budget, more):
+def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget, more):
     texts = {
-        key: tuple(each.format(beside) for each in value) for key, value in more.items() if key == "guides"
+        key: tuple(each.format(inputs) for each in value) for key, value in more.items() if key == "guides"
     }
-    texts |= {key: value.format(beside) for key, value in more.items() if key == "height"}
+    texts |= {key: value.format(inputs) for key, value in more.items() if key == "height"}
     kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
-    document = open_input(str(SAMPLES / name.format(beside)), settings, EVERYTHING_INSIDE)
+    document = open_input(str(SAMPLES / name.format(inputs)), settings, EVERYTHING_INSIDE)
     previewer = Previewer(document, None if slot == "image" else slot)
     patches = previewer.smooth(settings, middle(slot, document), budget, None)
     assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
@@ -130,7 +130,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(beside, name, slot, budget,
             data = whole.data if slot == "image" else whole.textured(slot).textures[patch.texture].data
             expected, one = displayed_pixels(read_image(data, name))[patch.rows, patch.columns], 1
         off = np.abs(patch.colours.astype(int) - expected).max(axis=1) / one
-        # JPEG stores less than what is shown; the outermost samples lack what lies beyond. Where vertices move, the
+        # JPEG stores less than the page shows; the outermost samples lack what lies beyond. Where vertices move, the
         # noise of normals is estimated on the part.
         assert np.mean(off <= (4 if slot == "image" else 1)) > (
             0.5 if settings.embedding.smooth_geometry else 0.7

@@ -208,10 +208,10 @@ def scattered(side):
 
 def test_what_is_packed_is_restored_and_takes_little_space(browser, squares):
     painted, writer = scattered(81), ModelWriter()
-    document = SimpleNamespace(painted=lambda: painted)
+    document = SimpleNamespace(kind="mesh", painted=lambda: painted)
     writer.add((document, document), None)
     packed, _ = writer.packed(8)
-    # A report of 400,000 triangles shall take at most 2 MB, of which the scripts take 0.3.
+    # A report of 400,000 triangles shall take at most 2 MB, including 0.3 MB of scripts.
     assert len(packed["data"]) < 1.7e6 * len(painted.faces) / 400_000
     page = Viewer(browser, squares).page
     index, positions, colours = page.evaluate(RESTORED, packed)

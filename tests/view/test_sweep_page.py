@@ -1,4 +1,4 @@
-"""The page of `beltrami sweep` in a browser: sorting, and views beside the input."""
+"""The page of `beltrami sweep` in a browser: sorting, and views next to the input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn is where geometry puts it, as bright as the law of the lamp says, in the colours that it has."""
+"""Views have the geometry, the brightness by the law of the lamp, and the colours of the model."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@
     return found;
   }
 
-  // One request is on its way at a time; of those that wait, only the last is sent.
+  // One request is on its way at a time; only the last of the waiting ones is sent.
   async function send() {
     isStale = true;
     if (isSending) return;

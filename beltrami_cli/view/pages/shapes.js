@@ -1,4 +1,4 @@
-// Makes what is drawn of a model: meshes, points, flat textures, wireframes and seams, and the shaders that draw them.
+// Makes the drawn objects of a model: meshes, points, flat textures, wireframes and seams, and the shaders that draw them.
 "use strict";
 const Shapes = (() => {
   const VERTEX = `

@@ -1,4 +1,4 @@
-// Sorts the results of a sweep, opens each large beside the input, and loads more while there are more to come.
+// Sorts the results of a sweep, opens each large next to the input, and loads more while there are more to come.
 "use strict";
 {
   const part = (name) => document.getElementById(name);
@@ -8,7 +8,7 @@
   const drawn = [...kept, ...results];
   const rows = [...document.querySelectorAll("main tr")].slice(1), body = rows[0].parentElement;
   const input = kept.find((view) => view.dataset.kept === "before"), label = (view) => view.querySelector("p").textContent;
-  const smaller = new Set(["delta_e"]); // of which less is better
+  const smaller = new Set(["delta_e"]); // figures that are better if they are smaller
   let order = results.map((_, number) => number), shown = 0;
 
   function sort() {
@@ -40,7 +40,7 @@
   });
   part("sort").addEventListener("change", sort);
 
-  // A reload keeps what is set and where the focus is, in the entry of the history.
+  // A reload keeps the settings and the focus, in the entry of the history.
   const focusable = [part("sort"), part("follow"), ...drawn.map((view) => view.querySelector("button"))];
   const { key, follows, focus } = history.state ?? { key: "", follows: true, focus: -1 };
   part("follow").checked = follows;

@@ -6,7 +6,7 @@ const Viewer = (() => {
 
   const loaded = (source) => new Promise((resolve, reject) => new THREE.TextureLoader().load(source, resolve, undefined, reject));
 
-  // Parts of a page by their data-viewer; those that it lacks are left alone.
+  // Parts of a page by their data-viewer; missing ones are left alone.
   const found = (root, name) => root.querySelector(`[data-viewer=${name}]`);
 
   class Viewer {
@@ -113,7 +113,7 @@ const Viewer = (() => {
       map.needsUpdate = true;
     }
 
-    // Where somebody looks: a ray through the box of the model, or a place of a flat texture.
+    // The centre of the view: a ray through the box of the model, or a place of a flat texture.
     focus() {
       const target = this.controls.target, { flat, middle } = this.layer;
       if (!this.isFlat) {
@@ -121,8 +121,8 @@ const Viewer = (() => {
         return { origin: [from.x + middle[0], from.y + middle[1], from.z + middle[2]], direction: [way.x, way.y, way.z] };
       }
       const x = target.x / flat.scale.x, y = target.y / flat.scale.y;
-      const beside = flat.children.map((sheet) => Math.max(0, Math.abs(x - sheet.position.x) - sheet.scale.x / 2));
-      const number = beside.indexOf(Math.min(...beside)), sheet = flat.children[number];
+      const gaps = flat.children.map((sheet) => Math.max(0, Math.abs(x - sheet.position.x) - sheet.scale.x / 2));
+      const number = gaps.indexOf(Math.min(...gaps)), sheet = flat.children[number];
       return { origin: [(x - sheet.position.x) / sheet.scale.x + 0.5, 0.5 - y, sheet.userData.number], direction: null };
     }
 
