@@ -20,13 +20,13 @@ from beltrami_cli.batch.storage import find_at, fixed_part, is_url, joined, plac
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import is_file, is_there
 from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
-from beltrami_cli.formats.registry import OUTPUT_FORMATS
+from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 
 # What a folder stands for: models and points. Its images may be their textures, and its texts and tables anything: both
 # are named by themselves.
 _ANYTHING = (".txt", ".csv")
-_SUFFIXES = tuple(f".{name}" for name in OUTPUT_FORMATS)
+_SUFFIXES = tuple(f".{name}" for name in (*OUTPUT_FORMATS, *KEPT_FORMATS))
 MODEL_SUFFIXES = tuple(suffix for suffix in _SUFFIXES if suffix not in _ANYTHING)
 _WRITABLE = {*_SUFFIXES, *IMAGE_SUFFIXES, *(f".{name}" for name in IMAGE_FORMATS)}
 _WAY_OUT = "see beltrami batch --help for what a manifest looks like"

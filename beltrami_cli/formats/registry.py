@@ -27,7 +27,7 @@ Kind = Literal["image", "volume", "model"]
 _ZIP = b"PK"
 _VOLUMES = (b"NRRD", b" BDV", _ZIP)  # what their files start with
 
-# What archives, compressed files and point clouds that are not read start with, and at which offset.
+# What archives and compressed files start with, and at which offset.
 _ARCHIVES = {
     "ZIP": (b"PK\x03\x04", 0),
     "empty ZIP": (b"PK\x05\x06", 0),
@@ -39,12 +39,29 @@ _ARCHIVES = {
     "RAR": (b"Rar!\x1a\x07", 0),
     "tar": (b"ustar", 257),
 }
-_CLOUDS = {"LAS or LAZ": (b"LASF", 0), "PCD": (b"# .PCD", 0), "E57": (b"ASTM-E57", 0)}
+# Models that are not read: their extensions, what their files contain near the start, and what converts them.
+_BLENDER = "open it in Blender, and export it as glTF"
+_UNREAD = {
+    "FBX": ((".fbx",), (b"Kaydara FBX Binary", b"; FBX"), _BLENDER),
+    "Blender": ((".blend",), (b"BLENDER",), _BLENDER),
+    "VTK": (
+        (".vtk", ".vtp", ".vtu"),
+        (b"# vtk DataFile", b"<VTKFile"),
+        "convert it to PLY with ParaView, or with PyVista: pyvista.read(...).save('model.ply', texture='RGB')",
+    ),
+    "3D Tiles": (
+        (".b3dm", ".i3dm", ".pnts", ".cmpt"),
+        (b"b3dm", b"i3dm", b"pnts", b"cmpt"),
+        "extract the model with: npx 3d-tiles-tools b3dmToGlb -i tile.b3dm -o tile.glb",
+    ),
+}
+_HEAD = 256  # bytes in which a file says what it is
 _READABLE = (
-    "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .asc, .txt, .csv, .pts and .npz, and "
-    "the colours of OFF, STL, 3MF and DAE files"
+    "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .asc, .txt, .csv, .pts, .npz, .las, "
+    ".laz, .e57 and .pcd, and the colours of OFF, STL, 3MF and DAE files"
 )
 _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
+_PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON = (".png", ".jpg", ".jpeg")
 _TEXTS = ("xyzrgb", "asc", "txt")
 _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
@@ -67,6 +84,7 @@ class Format:
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
     slots: tuple[Slot, ...] = ()  # of whose maps a new file can be written; empty: any
     aliases: tuple[str, ...] = ()  # further suffixes, without the dot
+    keeps_form: bool = False  # documents are written with new colours, but no other format is converted to it
     kind: Kind = "model"  # what a file holds; meshes and clouds of points are models
 
     @property
@@ -137,6 +155,10 @@ FORMATS = (
     Format("xyz", _BY_NAME, "points.text_document", "TextPointsDocument", "write_xyz", aliases=_TEXTS),
     Format("pts", _BY_NAME, "points.text_document", "TextPointsDocument", "write_pts"),
     Format("csv", _BY_NAME, "points.text_document", "TextPointsDocument", "write_csv"),
+    *(
+        Format(name, _starts(mark), "points.survey", "SurveyDocument", keeps_form=True)
+        for name, mark in (("las", rb"LASF"), ("laz", rb"(?!)"), ("e57", rb"ASTM-E57"), ("pcd", _PCD))
+    ),
     Format("npz", _asks("archives.is_npz", _ZIP), "points.archive", "NpzPointsDocument", "write_npz"),
     Format("foreign", _asks("read_only.document.kind_of"), "read_only", "document.ReadOnlyDocument"),
 )  # fmt: skip
@@ -146,6 +168,8 @@ OUTPUT_FORMATS = {name: name for name in _WRITERS} | {
     alias: line.name for line in _WRITERS.values() for alias in line.aliases
 }
 """The formats that models can be written in, by the suffix of OUTPUT without its dot."""
+KEPT_FORMATS = tuple(line.name for line in FORMATS if line.keeps_form)
+"""The formats that only documents of the same format are written in."""
 
 
 def open_document(source: str, access: Access = EVERYTHING_INSIDE) -> Document:
@@ -177,19 +201,18 @@ def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format |
     """Return the format of a file by its bytes, or else by its name; None if it is unknown."""
     lines = [line for line in FORMATS if line.kind == "model" or not models_only]
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
-    if marked is not None or not data or _marked(_ARCHIVES | _CLOUDS, data) is not None:
+    if marked is not None or not data or _marked(_ARCHIVES, data) is not None or _unread(data, name):
         return marked
     named = (line for line in lines if line.mark is None and name.lower().endswith(line.suffixes))
     return next(named, None)
 
 
 def _refusal(data: bytes, name: str) -> InputError:
+    if known := _unread(data, name):
+        return InputError(name, f"it is a {known} file, which is not read", _UNREAD[known][2])
     if archive := _marked(_ARCHIVES, data):
         cause = f"it is a {archive} archive, which is not opened"
         return InputError(name, cause, "unpack it, and give the model")
-    if cloud := _marked(_CLOUDS, data):
-        cause = f"it is a point cloud in {cloud} format, which is not read"
-        return InputError(name, cause, "convert it to PLY, for example with PDAL or CloudCompare")
     if not data:
         return InputError(name, "the file is empty", _READABLE)
     if _is_image(data, name):
@@ -202,6 +225,16 @@ def _refusal(data: bytes, name: str) -> InputError:
 
 def _marked(marks: dict[str, tuple[bytes, int]], data: bytes) -> str | None:
     return next((kind for kind, (mark, at) in marks.items() if data.startswith(mark, at)), None)
+
+
+def _unread(data: bytes, name: str) -> str | None:
+    head = data[:_HEAD]
+    for kind, (suffixes, marks, _) in _UNREAD.items():
+        if name.lower().endswith(suffixes) or re.match(
+            rb"(?:<\?xml[^>]*>\s*)?(?:%s)" % b"|".join(marks), head
+        ):
+            return kind
+    return None
 
 
 def is_only_read(suffix: str) -> bool:

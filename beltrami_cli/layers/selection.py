@@ -14,7 +14,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
-from beltrami_cli.formats.registry import OUTPUT_FORMATS, is_only_read
+from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, is_only_read
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer, SharedImages
@@ -233,8 +233,10 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
     wanted = chosen or Path(target).suffix.lower().lstrip(".")
     if wanted in OUTPUT_FORMATS:
         name = OUTPUT_FORMATS[wanted]
+    elif wanted in document.forms:
+        name = wanted
     elif target == "-" or not wanted:
-        name = OUTPUT_FORMATS.get(document.format, "ply")
+        name = OUTPUT_FORMATS.get(document.format, document.format if document.forms else "ply")
     elif format_of_suffix(f".{wanted}") is not None:
         cause = f".{wanted} is an image format, but {document.name} is a model"
         drawn = f"beltrami render {document.name} {target} draws it"
@@ -245,6 +247,8 @@ def choose_format(document: Document, target: str, chosen: str | None) -> Output
         if is_only_read(wanted):
             why = ": the STL format has no colours" if wanted == "stl" else ""
             cause = f".{wanted} files are read, but not written{why}"
+        elif wanted in KEPT_FORMATS:
+            cause = f"a .{document.format} file is not converted to .{wanted}"
         raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
     return OutputFormat(name, is_patched=name in (document.format, *document.forms))
 

@@ -66,9 +66,9 @@ def test_images_and_volumes_are_no_models():
         (b"", "x.pts", "the file is empty"),
         (b"something", "<stdin>", "no mark of a known format"),
         (b"something", "x.dat", "of no known format"),
-        (b"LASF\0\0", "x.laz", "in LAS or LAZ format, which is not read; convert it to PLY"),
-        (b"# .PCD v0.7 - Point Cloud Data\n", "x.xyz", "in PCD format, which is not read; convert it to PLY"),
-        (b"ASTM-E57\1", "x.e57", "in E57 format"),
+        (b"LASF\0\0", "x.laz", "damaged|package laspy"),
+        (b"# .PCD v0.7 - Point Cloud Data\n", "x.xyz", "damaged|package laspy"),
+        (b"ASTM-E57\1", "x.e57", "damaged|package laspy"),
     ],
 )
 def test_other_files_are_refused_with_the_cause(data, name, cause):

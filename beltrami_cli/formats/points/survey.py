@@ -1,0 +1,325 @@
+"""Point clouds of scanners: LAS and LAZ by laspy, E57 by pye57, PCD by pypcd4, in a process of their own.
+
+The process returns the points as an archive of arrays: positions, colours or intensities, and whatever else the file
+holds. Written back are the colours or intensities alone.
+
+References
+----------
+.. [1] ASPRS, "LAS specification", version 1.4. The points of LAZ are the same, compressed.
+.. [2] ASTM E2807, "Standard specification for 3D imaging data exchange": pages of 1024 bytes end with a checksum of 4.
+.. [3] Point Cloud Library, "The PCD file format": `rgb` is a float or an integer of 4 bytes, blue in the lowest one.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.formats.archives import NpzArchive
+from beltrami_cli.formats.document import Changes, Naming, Written
+from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
+from beltrami_cli.formats.points.archive import NpzPointsDocument
+from beltrami_cli.formats.tokens import NewNumbers, find_tokens, renumbered
+
+_SECONDS_PER_MEBIBYTE = 5  # LAZ: a million points of 3 MiB take a second
+_REMEDY = "convert it to PLY, for example with PDAL or CloudCompare"
+_LIBRARY = ForeignLibrary("beltrami_cli.formats.points.survey", "scans", _SECONDS_PER_MEBIBYTE, _REMEDY)
+_PAGE, _CHECKSUM = 1024, 4  # bytes, see [2]_
+_AT_XML = 24  # bytes: where the place and the length of the description stand in the header of E57
+_AT_POINT_FORMAT = 104  # byte of the header of LAS
+_AT_RECORDS = 235  # bytes: where the place of the extended records stands in it
+_LAZ = b"\x80"  # the bit of it that LAZ sets
+_LITERALS = 32  # bytes that one run of LZF holds at most
+Columns = dict[str, Array]
+
+
+class SurveyDocument(NpzPointsDocument):
+    """A file that its library reads and writes; its colours are those of an archive of arrays."""
+
+    def _open(self, folder: Path | None) -> None:
+        self._archive = NpzArchive(self._ask(None, {}), self.name)
+
+    @property
+    def format(self) -> str:  # type: ignore[override]
+        if self.data.startswith(b"LASF"):
+            return "laz" if _is_laz(self.data) else "las"
+        return "e57" if self.data.startswith(b"ASTM") else "pcd"
+
+    @property
+    def forms(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("las", "laz") if self.data.startswith(b"LASF") else (self.format,)
+
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        (archive,) = super()._patched(new, naming).main
+        form, arrays = new.form or self.format, Columns()
+        if archive is not self.data:
+            stored = NpzArchive(bytes(archive), self.name).read(self._arrays.colours)
+            arrays["new"] = stored.reshape(self._arrays.count, -1)
+        elif form == self.format:
+            return Written([self.data])
+        return Written([self._ask(form, arrays)])
+
+    def _ask(self, form: str | None, arrays: Columns) -> bytes:
+        """Return the file in a form with new colours, or, for None, the archive of its arrays."""
+        question = form, {"data": np.frombuffer(self.data, np.uint8), **arrays}
+        return _LIBRARY.ask(question, self.name, len(self.data), self.access.memory)[1]["made"].tobytes()
+
+
+def _is_laz(data: bytes) -> bool:
+    return data[_AT_POINT_FORMAT : _AT_POINT_FORMAT + 1] >= _LAZ
+
+
+def _answer(form: str | None, arrays: Columns) -> tuple[None, Columns]:
+    data = arrays["data"].tobytes()
+    cloud: _Las | _Pcd | _E57 = next((each for mark, each in _READERS if data.startswith(mark)), _Pcd)(data)
+    if form is not None:
+        made = cloud.written(arrays.get("new"), form)
+    else:
+        buffer = io.BytesIO()
+        named: dict[str, Any] = {name.replace("/", " "): each for name, each in cloud.arrays().items()}
+        np.savez(buffer, **named)
+        made = buffer.getvalue()
+    return None, {"made": np.frombuffer(made, np.uint8)}
+
+
+def _with_colours(columns: Columns, rgb: tuple[str, ...]) -> Columns:
+    """Return columns with the colours as one array; there are none where all are black, as LAS files may have it."""
+    if not columns.keys() >= {*rgb} or not any(columns[name].any() for name in rgb):
+        return columns
+    colours = np.column_stack([columns[name] for name in rgb])
+    return {"colours": colours} | {name: each for name, each in columns.items() if name not in rgb}
+
+
+def _replaced(new: Array, rgb: tuple[str, ...]) -> Columns:
+    """Return the columns of new colours, shape (points, 3), or of intensities, by name."""
+    return dict(zip(rgb if new.shape[1] > 1 else ("intensity",), new.T, strict=True))
+
+
+class _Las:
+    """The points are records of the specification, so that nothing is lost."""
+
+    _RGB = ("red", "green", "blue")
+
+    def __init__(self, data: bytes) -> None:
+        import laspy
+
+        self._data, self._las = data, laspy.read(io.BytesIO(data))
+        self._points = self._las.points.array
+
+    def arrays(self) -> Columns:
+        header = bytearray(self._data[: self._las.header.offset_to_point_data])
+        if self._las.header.version.minor >= 4:
+            # They are behind the compressed points, which may differ in length.
+            header[_AT_RECORDS : _AT_RECORDS + 8] = bytes(8)
+        header += b"".join(each.record_data_bytes() for each in self._las.evlrs or ())
+        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._points.dtype.names}
+        places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(header, np.uint8)}
+        return places | _with_colours(columns, self._RGB)
+
+    def written(self, new: Array | None, form: str) -> bytes:
+        for name, column in ({} if new is None else _replaced(new, self._RGB)).items():
+            self._points[name] = column
+        if form == "las" and not _is_laz(self._data):
+            start: int = self._las.header.offset_to_point_data
+            points: bytes = self._points.tobytes()
+            return self._data[:start] + points + self._data[start + len(points) :]
+        buffer = io.BytesIO()
+        self._las.write(buffer, do_compress=form == "laz")
+        return buffer.getvalue()
+
+
+class _Pcd:
+    _RGB = ("r", "g", "b")
+    _PADDING = "#$%&~~"  # how pypcd4 starts the random names of fields that are called "_"
+
+    def __init__(self, data: bytes) -> None:
+        import pypcd4
+
+        self._data, cloud = data, pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
+        self._points, self._about = cloud.pc_data, cloud.metadata
+        self._packed = next((name for name in ("rgb", "rgba") if name in self._points.dtype.names), "")
+        self._body = data.index(b"\n", data.index(b"\nDATA") + 1) + 1
+
+    def arrays(self) -> Columns:
+        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._points.dtype.names}
+        for number, name in enumerate(self._points.dtype.names):
+            if name.startswith(self._PADDING):
+                columns[f"padding {number}"] = columns.pop(name)
+        columns = {"positions": np.column_stack([columns.pop(axis) for axis in "xyz"])} | columns
+        if self._packed:
+            octets = columns.pop(self._packed).view(np.uint8).reshape(-1, 4)
+            columns |= {"colours": octets[:, 2::-1], "opacity": octets[:, 3]}
+        columns = _with_colours(columns, self._RGB)
+        rows, width = self._about.height, self._about.width
+        if rows > 1 and rows * width == len(self._points):
+            columns = {name: each.reshape(rows, width, *each.shape[1:]) for name, each in columns.items()}
+        return columns | {"header": np.frombuffer(self._data[: self._body], np.uint8)}
+
+    def written(self, new: Array | None, form: str) -> bytes:
+        old, points = self._points, self._points.copy()
+        if new is not None and self._packed:
+            packed = np.ascontiguousarray(points[self._packed])
+            packed.view(np.uint8).reshape(-1, 4)[:, 2::-1] = new
+            points[self._packed] = packed
+        elif new is not None:
+            for name, column in _replaced(new, self._RGB).items():
+                points[name] = column
+        head, body = self._data[: self._body], self._data[self._body :]
+        if self._about.data == "binary":
+            records: bytes = points.tobytes()
+            return head + records + body[len(records) :]
+        if self._about.data == "ascii":
+            count = old.size * len(old.dtype)
+            starts, ends = (each[:count].reshape(old.size, -1) for each in find_tokens(body))
+            changes = [(n, points[name] != old[name], points[name]) for n, name in enumerate(old.dtype.names)]
+            numbers = [NewNumbers(starts[at, n], ends[at, n], values[at]) for n, at, values in changes]
+            return head + b"".join(renumbered(body, numbers))
+        return head + _compressed(b"".join(points[name].tobytes() for name in points.dtype.names))
+
+
+def _compressed(data: bytes) -> bytes:
+    import lzf
+
+    # What is no shorter when compressed becomes runs of literal bytes, each behind its length less 1.
+    runs = (data[at : at + _LITERALS] for at in range(0, len(data), _LITERALS))
+    packed = lzf.compress(data) or b"".join(bytes([len(run) - 1]) + run for run in runs)
+    return struct.pack("<II", len(packed), len(data)) + packed
+
+
+class _E57:
+    """All scans at the places where they were taken."""
+
+    _RGB = ("colorRed", "colorGreen", "colorBlue")
+    _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+    _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+
+    def __init__(self, data: bytes) -> None:
+        import pye57
+
+        self._data, self._folder = data, TemporaryDirectory()
+        path = Path(self._folder.name, "in.e57")
+        path.write_bytes(data)
+        self._file = pye57.E57(str(path))
+        self._scans = [self._file.get_header(number) for number in range(self._file.scan_count)]
+
+    def arrays(self) -> Columns:
+        known = [self._raw(scan.points) for scan in self._scans]
+        rest: Columns = {"xml": np.frombuffer(self._xml(), np.uint8)}
+        names = self._painted(known)
+        parts, positions = [], []
+        for number, (scan, columns) in enumerate(zip(self._scans, known, strict=True)):
+            rest |= {f"{number} {name}": each for name, each in columns.items() if name not in names}
+            if names:
+                parts.append(np.column_stack([columns[name] for name in names]))
+            positions.append(self._places(scan, columns))
+        colours = {} if not names else {"colours" if len(names) == 3 else "intensity": np.concatenate(parts)}
+        return {"positions": np.concatenate(positions), **colours, **rest}
+
+    def _painted(self, known: list[Columns]) -> tuple[str, ...]:
+        return next(
+            (names for names in (self._RGB, ("intensity",)) if all({*names} <= c.keys() for c in known)), ()
+        )
+
+    def _raw(self, node: Any) -> Columns:
+        """Read the numbers of points as they are stored, before they are scaled."""
+        buffers, columns = self._buffers(self._file.image_file, node)
+        reader = node.reader(buffers)
+        reader.read()
+        reader.close()
+        return columns
+
+    def _buffers(self, image: Any, node: Any, columns: Columns | None = None) -> tuple[Any, Columns]:
+        from pye57 import libe57
+
+        count, found, buffers = node.childCount(), Columns(), libe57.VectorSourceDestBuffer()
+        for child in self._children(node):
+            name, kind = child.elementName(), "q"  # the only integers of 64 bits that pye57 knows
+            if isinstance(child, libe57.FloatNode):
+                kind = "f" if child.precision() == libe57.E57_SINGLE else "d"
+            found[name] = np.zeros(count, kind)
+            if columns is not None:
+                found[name][:] = columns[name]
+            buffers.append(libe57.SourceDestBuffer(image, name, found[name], count, True, False))
+        return buffers, found
+
+    def _children(self, node: Any) -> list[Any]:
+        from pye57 import libe57
+        from pye57.utils import get_node
+
+        prototype = libe57.StructureNode(node.prototype())
+        return [get_node(prototype, number) for number in range(prototype.childCount())]
+
+    def _places(self, scan: Any, columns: Columns) -> Array:
+        from pye57.utils import convert_spherical_to_cartesian
+
+        columns = dict(columns)
+        for child in self._children(scan.points):
+            if hasattr(child, "scale"):
+                name = child.elementName()
+                columns[name] = columns[name] * child.scale() + child.offset()
+        is_cartesian = self._CARTESIAN[0] in columns
+        names = self._CARTESIAN if is_cartesian else self._SPHERICAL
+        places = np.column_stack([columns[name] for name in names]).astype(np.float64)
+        places = places if is_cartesian else convert_spherical_to_cartesian(places)
+        invalid = columns.get("cartesianInvalidState" if is_cartesian else "sphericalInvalidState")
+        if invalid is not None:
+            places[invalid != 0] = np.nan
+        return self._file.to_global(places, scan.rotation, scan.translation) if scan.has_pose() else places
+
+    def _xml(self) -> bytes:
+        """Return the description of everything, without the places of binary sections and the padding."""
+        offset, length = struct.unpack_from("<QQ", self._data, _AT_XML)
+        pages = np.frombuffer(self._data, np.uint8).reshape(-1, _PAGE)[:, :-_CHECKSUM]
+        at = offset // _PAGE * (_PAGE - _CHECKSUM) + offset % _PAGE
+        return re.sub(rb' fileOffset="\d+"', b"", pages.tobytes()[at : at + length]).rstrip()
+
+    def written(self, new: Array | None, form: str) -> bytes:
+        from pye57 import libe57
+        from pye57.utils import copy_node, get_node
+
+        path, image = Path(self._folder.name, "out.e57"), self._file.image_file
+        made = libe57.ImageFile(str(path), "w")
+        for number in range(image.extensionsCount()):
+            made.extensionsAdd(image.extensionsPrefix(number), image.extensionsUri(number))
+        vectors: list[Any] = []
+        blobs: list[Any] = []
+        for number in range(image.root().childCount()):
+            child = get_node(image.root(), number)
+            copy, own_vectors, own_blobs = copy_node(child, made)
+            made.root().set(child.elementName(), copy)
+            vectors, blobs = vectors + own_vectors, blobs + own_blobs
+        for pair in blobs:
+            content = np.empty(pair["in"].byteCount(), np.uint8)
+            pair["in"].read(content, 0, len(content))
+            pair["out"].write(content, 0, len(content))
+        fresh = self._fresh(new)
+        for pair in vectors:
+            columns = self._raw(pair["in"])
+            columns |= fresh.get(pair["in"].pathName(), {})
+            buffers, _kept = self._buffers(made, pair["in"], columns)  # which point into these arrays
+            writer = pair["out"].writer(buffers)
+            writer.write(pair["in"].childCount())
+            writer.close()
+        made.close()
+        return path.read_bytes()
+
+    def _fresh(self, new: Array | None) -> dict[str, Columns]:
+        """Return the new columns of each scan by the path of its points."""
+        if new is None:
+            return {}
+        bounds = np.cumsum([scan.point_count for scan in self._scans])[:-1]
+        parts = zip(self._scans, np.split(new, bounds), strict=True)
+        return {scan.points.pathName(): _replaced(part, self._RGB) for scan, part in parts}
+
+
+_READERS: list[tuple[bytes, type[_Las | _E57]]] = [(b"LASF", _Las), (b"ASTM", _E57)]
+
+if __name__ == "__main__":
+    serve_files(_answer, "LAS, LAZ, E57 and PCD", "laspy, lazrs, pye57 or pypcd4")
