@@ -39,6 +39,9 @@ def check_polygons(found: ColouredPolygons, name: str) -> None:
         raise InputError(name, f"a polygon names a vertex that is none of the {vertices}", "export it again")
     require_finite(found.positions, name, "the position of vertex")
     if not np.isfinite(found.colours).all(axis=1).any():
+        if "textures" in found.left_out:
+            cause = "its colours are textures, which are not read in files of this format"
+            raise UnpaintedError(name, cause, "convert it to glTF, for example with Blender")
         cause = "none of its polygons or vertices has a colour"
         raise UnpaintedError(name, cause, "give a file with vertex colours")
 

@@ -106,18 +106,30 @@ def test_buffers_outside_the_folder_are_never_read(tmp_path, uri):
         document.painted()
 
 
-def test_files_inside_the_folder_are_found_and_listed(tmp_path):
+SPELLINGS = [
+    "sub%20dir/%C3%BC.bin",
+    "sub dir\\ü.bin",
+    "sub%20dir/%C3%BC.bin?v=3#x",
+    "sub%2520dir/%25C3%25BC.bin",
+]
+
+
+@pytest.mark.parametrize("uri", SPELLINGS)
+def test_files_inside_the_folder_are_found_and_listed(tmp_path, uri):
     model = small()
     (tmp_path / "sub dir").mkdir()
     (tmp_path / "sub dir" / "ü.bin").write_bytes(bytes(model.binary))
     (tmp_path / "x.png").write_bytes(b"\x89PNG")
     model.tree["images"] = [{"uri": "x.png"}, {"uri": "y.png"}, {"uri": "data:image/png;base64,AA=="}]
-    document = GltfDocument(model.text("sub%20dir/%C3%BC.bin"), "model.gltf", tmp_path)
+    document = GltfDocument(model.text(uri), "model.gltf", tmp_path)
     assert len(document.painted().colours) == 3
     assert document.references() == ["sub dir/ü.bin", "x.png"]
     assert [notice for notice in document.notices if "'y.png' is missing" in notice]
     written = document.patch(1 - document.painted().colours, Naming("out", keeps=True))
     assert list(written.sidecars) == ["sub dir/ü.bin"]
+    moved = document.patch(1 - document.painted().colours, Naming("out"))
+    assert list(moved.sidecars) == ["sub dir/out.bin"]
+    assert b'"sub%20dir/out.bin"' in joined(moved)
 
 
 def test_two_buffers_over_one_file_stay_one_file(tmp_path):

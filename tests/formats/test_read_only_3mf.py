@@ -51,6 +51,12 @@ def test_3mf_materials_parts_transforms_and_other_files():
     np.testing.assert_allclose(mesh.to_mesh().vertices[mesh.to_mesh().faces], ours.positions[ours.faces])
 
 
+def test_3mf_textures_are_refused_by_that_name():
+    textured = f'<texture2dgroup id="9" texid="8"/>{OBJECT}'.replace('pid="', 'pid="9')
+    with pytest.raises(InputError, match="its colours are textures, which are not read in files"):
+        opened(threemf(model(textured)), "x.3mf").painted()
+
+
 def doubling(depth):
     parts = ""
     for number in range(2, depth):

@@ -81,6 +81,15 @@ def test_dae_colours_stay_beside_a_material_and_in_their_precision():
     assert "materials" in document.contents().left_out
 
 
+def test_dae_textures_are_refused_by_that_name():
+    image = '<library_images><image id="i"><init_from>a.png</init_from></image></library_images><library_geometries>'
+    text = DAE.replace("<library_geometries>", image).replace(
+        '<input semantic="COLOR" source="#c" offset="1"/>', ""
+    )
+    with pytest.raises(InputError, match="its colours are textures, which are not read in files"):
+        opened(text.replace("0 0 1 1 2 2 0 0 2 2 3 3", "0 1 2 0 2 3").encode(), "x.dae").painted()
+
+
 SKIN = "\n".join(
     [
         '<library_controllers><controller id="k"><skin source="#g">',

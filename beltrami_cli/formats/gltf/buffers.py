@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import binascii
+import re
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal
@@ -29,20 +31,27 @@ def data_uri(old: str, data: Bytes) -> str:
     return f"{head},{base64.b64encode(data).decode('ascii')}"
 
 
-def relative_name(uri: str, *, outside: bool = False) -> str:
-    """Return the path that a URI names, percent-decoded, with "/"; UnfitReferenceError if it must not be followed."""
-    return _checked(uri, lambda name: model_folder.checked_path(name, outside=outside))
+def relative_name(uri: str, folder: model_folder.ModelFolder, *, outside: bool = False) -> str:
+    """Return the path that a URI names, whether or not a file is there; UnfitReferenceError if it is not followed."""
+    with suppress(model_folder.UnfitReferenceError):
+        return located(uri, folder)
+    return _checked(uri, unquote(uri), lambda name: model_folder.checked_path(name, outside=outside))
 
 
 def located(uri: str, folder: model_folder.ModelFolder) -> str:
-    """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if there is none."""
-    return _checked(uri, folder.locate)
+    """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if there is none.
+
+    Exporters write queries, such as "?v=3" against caches, and encode twice, so that a blank is "%2520".
+    """
+    bare = re.split("[?#]", uri, maxsplit=1)[0]
+    names = dict.fromkeys((unquote(uri), unquote(bare), unquote(unquote(bare))))
+    found = next((path for name in names if (path := folder.find(name)) is not None), None)
+    return found if found is not None else _checked(uri, unquote(uri), folder.locate)
 
 
-def _checked(uri: str, check: Callable[[str], str]) -> str:
-    name = unquote(uri)
+def _checked(uri: str, name: str, check: Callable[[str], str]) -> str:
     try:
-        if "\\" in name or "\0" in name:
+        if "\0" in name:
             raise model_folder.UnfitReferenceError("is not a path as glTF spells it")
         return check(name)
     except model_folder.UnfitReferenceError as error:
@@ -90,12 +99,12 @@ def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[st
     return list(names), list(notices)
 
 
-def named_files(root: Entry) -> set[str]:
+def named_files(root: Entry, folder: model_folder.ModelFolder) -> set[str]:
     """Return the relative paths of all files that a glTF names, whether they exist or not."""
     names = set()
     for _, uri in _external(root):
         try:
-            names.add(relative_name(uri))
+            names.add(relative_name(uri, folder))
         except model_folder.UnfitReferenceError:
             continue  # not a name beside the file, so no output can overwrite it
     return names
@@ -105,7 +114,7 @@ def file_key(uri: str | None, index: int, folder: model_folder.ModelFolder) -> H
     """Return the same for all that one file is named for; what has bytes of its own is known by its index."""
     try:
         if uri is not None and not is_data(uri):
-            return relative_name(uri, outside=folder.access.outside)
+            return relative_name(uri, folder, outside=folder.access.outside)
     except model_folder.UnfitReferenceError:
         pass  # an error when its bytes are asked for
     return index

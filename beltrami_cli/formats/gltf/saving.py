@@ -40,12 +40,12 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
 
 def placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFiles:
     """Name the files beside an edited glTF, and put their names into the tree."""
-    used = named_files(edit.container.root)
+    used = named_files(edit.container.root, folder)
     names = NewFiles(naming, edit.container.name, used, [name for name in used if folder.find(name) is None])
     if form != edit.container.kind:
         _place_chunk(edit, names)
-    _place_buffers(edit, names)
-    _place_images(edit, names)
+    _place_buffers(edit, names, folder)
+    _place_images(edit, names, folder)
     _place_copies(edit, names, folder)
     return names
 
@@ -71,7 +71,7 @@ def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
     return Written(glb_pieces(chunks + ([Chunk(BIN_CHUNK, binary)] if binary else [])), notices=notices)
 
 
-def _place_buffers(edit: Edit, names: NewFiles) -> None:
+def _place_buffers(edit: Edit, names: NewFiles, folder: ModelFolder) -> None:
     """Put changed buffers into data URIs or sidecars; the BIN chunk is not among them."""
     entries, buffers = edit.tree.get("buffers", []), edit.accessors.buffers
     for index, data in edit.buffers.items():
@@ -79,7 +79,7 @@ def _place_buffers(edit: Edit, names: NewFiles) -> None:
         if source == "data":
             entries[index]["uri"] = data_uri(entries[index]["uri"], data)
         elif source == "file":
-            old = relative_name(buffers.uris[index] or "", outside=True)
+            old = relative_name(buffers.uris[index] or "", folder, outside=True)
             name = names.other(old, ".bin")
             names.sidecars[name] = data
             for other in range(len(buffers)):
@@ -94,12 +94,12 @@ def _source(edit: Edit, index: int) -> str:
     return buffers.source(index)
 
 
-def _place_images(edit: Edit, names: NewFiles) -> None:
+def _place_images(edit: Edit, names: NewFiles, folder: ModelFolder) -> None:
     """Name the new image files, and put their names into the tree."""
     chosen: dict[tuple[str, bool, ImageFile], str] = {}
     entries, known = edit.tree.get("images", []), len(edit.container.root.entries("images"))
     for index, file in edit.images.items():
-        old = relative_name(entries[index]["uri"], outside=True)
+        old = relative_name(entries[index]["uri"], folder, outside=True)
         key = old, index < known, file
         if key not in chosen:
             # A copy of an image never keeps the name of that.

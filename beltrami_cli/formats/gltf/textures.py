@@ -88,7 +88,7 @@ class Images:
         image, uri = self.entries[index], self.entries[index].text("uri")
         if uri is not None and not is_data(uri):
             try:
-                return PurePosixPath(relative_name(uri, outside=True)).name
+                return PurePosixPath(relative_name(uri, self._folder, outside=True)).name
             except UnfitReferenceError:
                 return uri
         return image.text("name") or f"image {index}"
