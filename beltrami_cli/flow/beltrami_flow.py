@@ -65,6 +65,10 @@ class Plan(Generic[AnyManifold]):
         """Beta of the first iteration, in units of length per unit of the input's colours."""
         return self.manifold.beta / self.manifold.noise.growth
 
+    @property
+    def guide_betas(self) -> dict[str, float]:
+        return {guide.name: guide.beta for guide in self.manifold.guides}
+
     def step(self, iteration: int) -> Step:
         """Return an iteration, counted from 0."""
         own = self.parameters

@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.flow.records import Mixing
+from beltrami_cli.flow.records import Mixing, NewColours
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Indices, refresh_halo
@@ -58,6 +58,21 @@ def colours_at(planes: Float32s, cells: Indices, threads: int) -> Float32s:
     for block in large_arrays.blocks(len(cells)):
         gather_colours(planes, cells[block], colours[block], threads)
     return colours
+
+
+def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
+    """Return the colours of the owned cells, read from the canvas when they are taken, and those of the gutter."""
+    refresh_halo(planes, atlas, threads, interpolated=True)
+    flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
+    beyond = np.zeros((len(gutter), len(flat)), np.float32)
+    for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
+        beyond[block] = flat[:, gutter[block]].T
+    return NewColours(
+        lambda block, inside: colours_at(planes, cells[block][inside], threads),
+        atlas.owned_texels,
+        atlas.gutter_texels,
+        beyond,
+    )
 
 
 def collaborate_on_canvas(

@@ -14,8 +14,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.canvas import (
+    canvas_colours,
     collaborate_on_canvas,
-    colours_at,
     end_at_seams,
     find_colour_jumps,
     halo_beyond,
@@ -26,7 +26,7 @@ from beltrami_cli.flow.cell_squares import Squares, squares_for
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_geometry import ROWS, GridGeometry, pick
-from beltrami_cli.flow.manifold import Manifold, Metric, SampleTrial, weigh_guides
+from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.estimate import NoiseByPlace, estimate_noise
@@ -136,7 +136,6 @@ def grid_manifold(
     unit = None if whole is None else whole.unit
     if unit is None:
         unit = grid.spacing if parameters.units == "world" else 1.0
-    stacks = [_guide_on_canvas(guide, atlas, grid.threads) for guide in guides]
     return GridManifold(
         geometry=grid,
         colours=planes,
@@ -144,15 +143,15 @@ def grid_manifold(
         parameters=parameters,
         unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
+        guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in guides),
         jumps=int(np.count_nonzero(different)),
-        **weigh_guides(guides, stacks, grid, unit),
     )
 
 
-def _guide_on_canvas(guide: Guide, atlas: Atlas, threads: int) -> Stack:
-    planes = painted(atlas, guide.values, threads)
+def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
+    planes = painted(grid.atlas, guide.values, grid.threads)
     if guide.in_chart_frame:
-        end_at_seams(planes, atlas, threads)
+        end_at_seams(planes, grid.atlas, grid.threads)
     return planes
 
 
@@ -319,7 +318,9 @@ class GridManifold(Manifold):
             geometry=self.geometry.cut(samples, inside),
             colours=self.colours[:0],
             noise=noise,
-            guides=tuple((pick(planes, samples), beta) for planes, beta in self.guides),
+            guides=tuple(
+                dataclasses.replace(guide, stack=pick(guide.stack, samples)) for guide in self.guides
+            ),
             is_in_one_block=True,
         )
 
@@ -360,21 +361,6 @@ def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
 def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
     """Add the work of earlier row blocks to the progress of one, of whose cells only a share is new."""
     return None if progress is None else lambda done: progress(before + int(done * share))
-
-
-def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
-    """Return the colours of the owned cells, read from the canvas when they are taken, and those of the gutter."""
-    refresh_halo(planes, atlas, threads, interpolated=True)
-    flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
-    beyond = np.zeros((len(gutter), len(flat)), np.float32)
-    for block in large_arrays.blocks(len(gutter), large_arrays.SCATTERED):
-        beyond[block] = flat[:, gutter[block]].T
-    return NewColours(
-        lambda block, inside: colours_at(planes, cells[block][inside], threads),
-        atlas.owned_texels,
-        atlas.gutter_texels,
-        beyond,
-    )
 
 
 def common_noise(noise: NoiseModel) -> FoundNoise:

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,23 @@ class Metric:
     gaussian: MeshGaussian | GridGaussian | None  # None: not regularised
 
 
+@dataclass(frozen=True)
+class GuideStack:
+    """A guide as a stack, with its beta."""
+
+    name: str
+    stack: Stack
+    beta: float
+
+    @classmethod
+    def of(cls, guide: Guide, stack: Stack, geometry: Geometry, unit: float) -> GuideStack:
+        """Choose a beta that is not given by the usual steps of the guide."""
+        beta = guide.beta
+        if beta is None:
+            beta = choose_guide_beta(guide.values, geometry.steps(stack)) * unit
+        return cls(guide.name, stack, beta)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Manifold(ABC):
     """Samples of an image manifold, or of a part of one, ready to be measured and averaged."""
@@ -54,8 +71,7 @@ class Manifold(ABC):
     parameters: KernelParameters
     unit: float  # of length, for t and beta, in sample spacings
     metric_channels: list[int] | slice
-    guides: tuple[tuple[Stack, float], ...] = ()  # with their beta
-    guide_betas: dict[str, float] = field(default_factory=dict)
+    guides: tuple[GuideStack, ...] = ()
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
 
     search_range: ClassVar[SearchRange]
@@ -137,8 +153,9 @@ class Manifold(ABC):
                 else (gaussian.smooth(stack), beta / gaussian.gain)
             )
 
-        smoothed = [regularised(*feature) for feature in features]  # guides are clean
-        return join_channels([regularised(colours, step.beta), *self.guides, *smoothed], axis)
+        guides = [(guide.stack, guide.beta) for guide in self.guides]  # which are clean
+        smoothed = [regularised(*feature) for feature in features]
+        return join_channels([regularised(colours, step.beta), *guides, *smoothed], axis)
 
 
 @dataclass(frozen=True)
@@ -168,18 +185,6 @@ class SampleTrial:
     def scored(self, state: Stack) -> Float32s:
         """Return the colours of the samples that count, shape (S, N)."""
         return state if self.scored_samples is None else self.part.geometry.take(state, self.scored_samples)
-
-
-def weigh_guides(
-    guides: Sequence[Guide], stacks: Sequence[Stack], geometry: Geometry, unit: float
-) -> dict[str, Any]:
-    """Return the values of `guides` and `guide_betas` of a manifold; a beta that is not given follows usual steps."""
-    betas = [
-        choose_guide_beta(guide.values, geometry.steps(stack)) * unit if guide.beta is None else guide.beta
-        for guide, stack in zip(guides, stacks, strict=True)
-    ]
-    named = dict(zip((guide.name for guide in guides), betas, strict=True))
-    return {"guides": tuple(zip(stacks, betas, strict=True)), "guide_betas": named}
 
 
 def relative_variance(manifold: Manifold) -> Stack:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.manifold import Manifold, Metric, SampleTrial, weigh_guides
+from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
 from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, placed, rank_in
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.by_place import relative_to_mean
@@ -83,7 +83,6 @@ def mesh_manifold(
         measured=None if deviations is None else relative_to_mean(deviations[mesh.order]),
     )
     unit = mesh.spacing if parameters.units == "world" else 1.0
-    guides = [dataclasses.replace(guide, values=guide.values[mesh.order]) for guide in guides]
     moving = None
     if geometry is not None:
         places = GeometryParameters(geometry.places[mesh.order], geometry.normal_beta)
@@ -103,8 +102,8 @@ def mesh_manifold(
         parameters=parameters,
         unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
+        guides=tuple(GuideStack.of(guide, guide.values[mesh.order], mesh, unit) for guide in guides),
         moving=moving,
-        **weigh_guides(guides, [guide.values for guide in guides], mesh, unit),
     )
 
 
@@ -198,7 +197,9 @@ class MeshManifold(Manifold):
             geometry=self.geometry.cut(samples, *at),
             colours=self.colours[:0],
             noise=noise,
-            guides=tuple((placed(values, samples, *at), beta) for values, beta in self.guides),
+            guides=tuple(
+                dataclasses.replace(guide, stack=placed(guide.stack, samples, *at)) for guide in self.guides
+            ),
             moving=None,
         )
 

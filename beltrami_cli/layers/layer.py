@@ -139,7 +139,7 @@ class Layer(ABC):
             "iterations": plan.parameters.iterations,
             "noise": named(self.names, plan.noise),
             "noise_model": plan.described_noise,
-            "guides": plan.manifold.guide_betas,
+            "guides": plan.guide_betas,
             "choice": describe_choice(result.choice),
             "patches": result.patches,
         }
@@ -154,7 +154,7 @@ class Layer(ABC):
             "patches": "on" if plan.takes_patches else "off",
             "threads": self.settings.kernel.thread_count,
             "space": self.settings.space,
-            **({"guide_betas": plan.manifold.guide_betas} if plan.manifold.guide_betas else {}),
+            **({"guide_betas": plan.guide_betas} if plan.guide_betas else {}),
             **({"choice": choice} if choice else {}),
         }
         noise = named(self.names, plan.noise)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import canvas_colours
+from beltrami_cli.flow.canvas import canvas_colours, painted
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB

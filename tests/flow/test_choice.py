@@ -79,7 +79,7 @@ def test_the_estimated_error_is_the_true_one(monkeypatch, epsilon, bias):
     differences = []
     for seed in range(40):
         trial = Blur(noisy(clean, seed=seed).astype(np.float64), seed + 1000)
-        estimate = RiskEstimate(trial, np.full(3, SIGMA))
+        estimate = RiskEstimate.on(trial, np.full(3, SIGMA))
         state = estimate.step(estimate.step(estimate.start, step), step)
         true = np.mean((state.plain - clean) ** 2)
         differences.append(estimate.of(state).value - true)
@@ -95,7 +95,7 @@ def test_the_estimate_knows_its_own_error():
     values, reported = [], []
     for seed in range(30):
         trial = Blur(noisy(clean, seed=seed).astype(np.float64), seed + 1000)
-        estimate = RiskEstimate(trial, np.full(3, SIGMA))
+        estimate = RiskEstimate.on(trial, np.full(3, SIGMA))
         state = estimate.step(estimate.start, step)
         found = estimate.of(state)
         values.append(found.value - np.mean((state.plain - clean) ** 2))
@@ -110,7 +110,7 @@ def test_more_perturbations_give_the_divergence_more_exactly():
     step = Step(beta=1.4 / SIGMA, t=2.4, regularised=False)
     spread = {}
     for probes in (1, 4):
-        estimates = (RiskEstimate(Blur(image, seed, probes), np.full(3, SIGMA)) for seed in range(20))
+        estimates = (RiskEstimate.on(Blur(image, seed, probes), np.full(3, SIGMA)) for seed in range(20))
         found = [estimate.of(estimate.step(estimate.start, step)).divergence for estimate in estimates]
         spread[probes] = np.std(found, ddof=1)
     assert 1.3 < spread[1] / spread[4] < 3

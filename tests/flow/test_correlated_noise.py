@@ -131,7 +131,7 @@ def test_the_estimated_error_is_the_true_one_where_neighbours_share_noise():
         noisy = clean + draw_haar_noise(covariances, clean.shape[1:], random)
         like = draw_haar_noise(covariances, clean.shape[1:], random) / np.sqrt(np.mean(own**2))
         for name, signs in (("like", like), ("unlike", random.choice([-1.0, 1.0], clean.shape))):
-            estimate = RiskEstimate(Blur(noisy, signs[None]), own)
+            estimate = RiskEstimate.on(Blur(noisy, signs[None]), own)
             state = estimate.step(estimate.step(estimate.start, step), step)
             true = np.mean((state.plain - clean) ** 2)
             differences[name].append((estimate.of(state).value - true) / np.mean(own**2))

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import canvas_colours
+from beltrami_cli.flow.canvas import canvas_colours, painted
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document

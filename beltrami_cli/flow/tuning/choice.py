@@ -244,7 +244,7 @@ def choose(
     scale = choose_beta(metric_sigma, 1.0) * manifold.unit if len(metric_sigma) else 0.0
     grid = _grid(parameters, manifold.search_range, scale, manifold.beta)
     weight = (_SHARED_BY_NEIGHBOURS if trial.correlated else 1.0) * parameters.strength
-    risks = RiskEstimate(trial, manifold.noise.sigma, manifold.noise.stabiliser)
+    risks = RiskEstimate.on(trial, manifold.noise.sigma, manifold.noise.stabiliser)
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
     values: dict[str, Any] = {

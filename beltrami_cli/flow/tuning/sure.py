@@ -18,12 +18,12 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.flow.clipping import variance_of_clipped
+from beltrami_cli.flow.manifold import SampleTrial
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.flow.records import Step
 from beltrami_cli.surface.colour_values import limits_of
@@ -44,28 +44,6 @@ _MARK_STEPS, _MARK_TIME = 2, 2.4
 
 # Parts of the sample, whose estimates are compared for the standard error of their mean.
 _PARTS = 16
-
-
-class Trial(Protocol):
-    """A sample of a surface on which iterations can be tried; states are arrays of any layout."""
-
-    @property
-    def start(self) -> Float32s:
-        """The noisy colours."""
-
-    @property
-    def signs(self) -> Float32s:
-        """Perturbations: independent signs, 1 or -1, or correlated noise with a mean square of 1."""
-
-    @property
-    def relative(self) -> Float32s | float:
-        """The variance of the noise of the samples that are scored relative to its mean, shape (S, 1), or 1."""
-
-    def step(self, state: Float32s, step: Step) -> Float32s:
-        """Return the state after an iteration."""
-
-    def scored(self, state: Float32s) -> Float32s:
-        """Return the colours, shape (S, N), of those samples that are as they would be on the whole surface."""
 
 
 @dataclass(frozen=True)
@@ -94,64 +72,75 @@ def wanted_probes(samples: int) -> int:
     return min(_MOST_PROBES, -(-_ENOUGH_SAMPLES // max(1, samples)))
 
 
+@dataclass(frozen=True, eq=False)
 class RiskEstimate:
-    """Monte Carlo SURE on a trial, with noise of standard deviation `sigma` by channel, shape (N,)."""
+    """Monte Carlo SURE on a trial."""
 
-    def __init__(self, trial: Trial, sigma: Float64s, stabiliser: VarianceStabiliser | None = None) -> None:
-        self._trial = trial
-        self._epsilon = PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
-        self._noisy = trial.scored(trial.start)
-        self._variance = np.square(sigma) * self._unclipped_variance() * trial.relative
-        # Errors count as they are in the colours as given.
-        self._counts: Float32s | float = 1.0
-        if stabiliser is not None:
-            self._counts = np.square(stabiliser.slopes(self._noisy.T)).T
-        self.noise = float(np.mean(np.broadcast_to(self._variance, self._noisy.shape) * self._counts))
+    trial: SampleTrial
+    noisy: Float32s  # the colours that count, shape (S, N)
+    variance: Float64s  # of their noise
+    counts: Float32s | float  # factors of squared errors: these count as they are in the colours as given
+    weights: tuple[Float64s, ...]  # turn the responses to each stack of signs into the divergence
+    size: np.float32  # of the perturbation
+
+    @classmethod
+    def on(
+        cls, trial: SampleTrial, sigma: Float64s, stabiliser: VarianceStabiliser | None = None
+    ) -> RiskEstimate:
+        """Prepare the estimate for noise of standard deviation `sigma` by channel, shape (N,)."""
+        noisy, size = trial.scored(trial.start), PERTURBATION * float(np.sqrt(np.square(sigma).mean()))
+        variance = np.square(sigma) * _unclipped_variance(trial, noisy) * trial.relative
+        counts = 1.0 if stabiliser is None else np.square(stabiliser.slopes(noisy.T)).T
         signs = [trial.scored(drawn) for drawn in trial.signs]
         # 1 for signs; perturbations like the noise have its size, channel by channel, and so need no weights.
         power = np.mean([np.mean(np.square(drawn), axis=0) for drawn in signs], axis=0)
-        weight = 2 * self._variance * self._counts / np.maximum(power, _LEAST_POWER)
-        # What turns responses into the divergence.
-        self._weights = [weight / (len(signs) * self._epsilon) * drawn for drawn in signs]
+        weight = 2 * variance * counts / np.maximum(power, _LEAST_POWER)
+        weights = tuple(weight / (len(signs) * size) * drawn for drawn in signs)
+        return cls(trial, noisy, variance, counts, weights, np.float32(size))
+
+    @property
+    def noise(self) -> float:
+        """The mean variance of the noise."""
+        return float(np.mean(np.broadcast_to(self.variance, self.noisy.shape) * self.counts))
 
     @property
     def start(self) -> State:
         """The state before any iteration."""
-        start = self._trial.start
-        return State(start, tuple(start + np.float32(self._epsilon) * signs for signs in self._trial.signs))
-
-    def _unclipped_variance(self) -> Float64s | float:
-        """Return which part of the noise's variance was not cut off at 0 and full scale, sample by sample."""
-        # There y is the value that the estimate takes for y: x plus the mean of clipped noise, to which averages tend
-        # until they are restored.
-        start = self._trial.start
-        remaining: Float64s | float = 1.0
-        low, high = limits_of(self._noisy)
-        for beyond, is_reached in (
-            (start <= low, (self._noisy == low).any()),
-            (start >= high, (self._noisy == high).any()),
-        ):
-            if is_reached:
-                marks = beyond.astype(np.float32)
-                for _ in range(_MARK_STEPS):
-                    marks = self._trial.step(marks, Step(0.0, _MARK_TIME, regularised=False))
-                remaining = remaining * variance_of_clipped(self._trial.scored(marks).astype(np.float64))
-        return remaining
+        start = self.trial.start
+        return State(start, tuple(start + self.size * signs for signs in self.trial.signs))
 
     def step(self, state: State, step: Step) -> State:
         """Return the state after an iteration."""
-        perturbed = tuple(self._trial.step(colours, step) for colours in state.perturbed)
-        return State(self._trial.step(state.plain, step), perturbed)
+        perturbed = tuple(self.trial.step(colours, step) for colours in state.perturbed)
+        return State(self.trial.step(state.plain, step), perturbed)
 
     def of(self, state: State) -> Risk:
         """Estimate the error of a state."""
-        smoothed = self._trial.scored(state.plain).astype(np.float64)
+        smoothed = self.trial.scored(state.plain).astype(np.float64)
         divergence = np.zeros_like(smoothed)
-        for weights, colours in zip(self._weights, state.perturbed, strict=True):
-            divergence += weights * (self._trial.scored(colours) - smoothed)
-        misfit = (np.square(smoothed - self._noisy) - self._variance) * self._counts
+        for weights, colours in zip(self.weights, state.perturbed, strict=True):
+            divergence += weights * (self.trial.scored(colours) - smoothed)
+        misfit = (np.square(smoothed - self.noisy) - self.variance) * self.counts
         # A mean along so short an axis takes three times as long.
         each = np.einsum("sn->s", misfit + divergence) / misfit.shape[1]
         parts = np.array([part.mean() for part in np.array_split(each, _PARTS) if len(part)])
         error = float(parts.std(ddof=1) / np.sqrt(len(parts))) if len(parts) > 1 else float("inf")
         return Risk(float(each.mean()), error, float(divergence.mean()))
+
+
+def _unclipped_variance(trial: SampleTrial, noisy: Float32s) -> Float64s | float:
+    """Return which part of the noise's variance was not cut off at 0 and full scale, sample by sample."""
+    # There y is the value that the estimate takes for y: x plus the mean of clipped noise, to which averages tend until
+    # they are restored.
+    remaining: Float64s | float = 1.0
+    low, high = limits_of(noisy)
+    for beyond, is_reached in (
+        (trial.start <= low, (noisy == low).any()),
+        (trial.start >= high, (noisy == high).any()),
+    ):
+        if is_reached:
+            marks = beyond.astype(np.float32)
+            for _ in range(_MARK_STEPS):
+                marks = trial.step(marks, Step(0.0, _MARK_TIME, regularised=False))
+            remaining = remaining * variance_of_clipped(trial.scored(marks).astype(np.float64))
+    return remaining
