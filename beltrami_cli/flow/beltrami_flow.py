@@ -18,7 +18,7 @@ from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Manifold, mark_clipped, restore_clipped
 from beltrami_cli.flow.mean_light import MeanLight
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.flow.partitions import Runner, Split
+from beltrami_cli.flow.partitions import Partition, Runner, Split, TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.records import Averaged, Step
 from beltrami_cli.flow.tuning.choice import Choice, is_noisy, tune
@@ -37,11 +37,6 @@ def in_partitions(count: int, runner: Runner) -> Iterator[None]:
         yield
     finally:
         _WANTED.reset(token)
-
-
-def wanted_split() -> Split | None:
-    """Return how surfaces are split in this context; None: not at all."""
-    return _WANTED.get()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +118,7 @@ def choose_parameters(
         wanted = dataclasses.replace(wanted, clipping="keep")
         kept = dataclasses.replace(manifold.parameters, clipping="keep")
         manifold = dataclasses.replace(manifold, parameters=kept)
-    split, moves = wanted_split(), manifold.moving is not None
+    split, moves = _WANTED.get(), manifold.moving is not None
     if moves and split is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
     if moves:  # positions take the same iterations, for which the best parameters of colours are too strong
@@ -204,10 +199,10 @@ def _run_kernel(
 
 
 def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], stages: _Stages) -> Averaged:
-    manifold = dataclasses.replace(manifold)  # so that a Gaussian of the metric lives no longer than the loop
-    samples, truncated = 0.0, 0
+    samples, truncated, gaussian = 0.0, 0, None
     for step in steps:
-        metric = manifold.measure(stacks[0], step)  # eq. (1)
+        metric = manifold.measure(stacks[0], step, gaussian)  # eq. (1)
+        gaussian = metric.gaussian  # none any more after the last regularised iteration
         done = manifold.average(stacks, metric, stages.of(1))  # eq. (9)
         stacks, samples, truncated = done.stacks, samples + done.samples, truncated + done.truncated
         if done.moving is not None:
@@ -219,17 +214,28 @@ def _iterate_in_partitions(
     manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], split: Split, stages: _Stages
 ) -> Averaged:
     """Run all iterations partition by partition: the same colours bit for bit; `samples` is an estimate."""
-    from beltrami_cli.flow.grid_manifold import GridManifold
-    from beltrami_cli.flow.grid_partitions import iterate_on_grid
+    from beltrami_cli.flow.grid_partitions import cut_grid
     from beltrami_cli.flow.mesh_manifold import MeshManifold
-    from beltrami_cli.flow.mesh_partitions import iterate_on_mesh
+    from beltrami_cli.flow.mesh_partitions import cut_mesh
 
-    progress, size = stages.of(len(steps)), manifold.geometry.size
-    shared = None if progress is None else lambda done, total: progress(size * done // total)
-    if isinstance(manifold, MeshManifold):
-        return iterate_on_mesh(manifold, stacks, steps, split, shared)
-    assert isinstance(manifold, GridManifold)
-    return iterate_on_grid(manifold, stacks, steps, split, shared)
+    cut: Callable[..., Sequence[Partition]] = cut_mesh if isinstance(manifold, MeshManifold) else cut_grid
+    geometry = manifold.geometry
+    axis, samples, progress = geometry.axis, geometry.samples, stages.of(len(steps))
+    shared = None if progress is None else lambda done, total: progress(geometry.size * done // total)
+    before = np.concatenate([geometry.take(stack, samples) for stack in stacks], axis=1)
+    done, widening = None, 1
+    while done is None:
+        try:
+            parts = cut(manifold, split.count, widening, steps, stacks[0].shape[axis])
+            done = split.runner.run(parts, before, len(steps), shared)
+        except TooNarrowError:  # all are cut again, twice as wide
+            widening *= 2
+    widths = np.cumsum([stack.shape[axis] for stack in stacks])
+    for stack, rows in zip(stacks, np.split(done.values, widths[:-1], axis=1), strict=True):
+        flat = stack if axis == 1 else stack.reshape(len(stack), -1).T
+        flat[samples] = rows
+        geometry.refresh(stack)
+    return Averaged(stacks, done.samples, done.truncated)
 
 
 class _Stages:

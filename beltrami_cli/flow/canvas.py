@@ -95,10 +95,9 @@ def collaborate_on_canvas(
         if progress is not None:
             progress(done)
 
-    own = mixing.parts
     variances = None if relative is None else relative[0]
     collaborate_on_grid(
-        kind, noisy, pilot, own, variances, mixing.has_pilot, estimates, weights, threads, report
+        kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, report
     )
     return estimates
 
@@ -265,9 +264,7 @@ def _steps_over_seams(atlas: Atlas, planes: Float32s) -> tuple[Int32s, Float32s,
 def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     """Return the atlas of some cells of another, whose halo others refresh."""
     kind = part.kind
-    kind[cells == whole.kind.size - 1] = (
-        EMPTY  # the last cell is margin, or stands for cells beyond the canvas
-    )
+    kind[cells == whole.kind.size - 1] = EMPTY  # margin, which also stands for cells beyond the canvas
     cut = np.zeros(whole.kind.size, bool)
     cut[whole.cut_cells] = True
     nothing = np.zeros(0, np.int64)

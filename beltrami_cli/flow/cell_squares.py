@@ -65,7 +65,6 @@ class Squares(CoarseLevel):
         return max(1, large_arrays.BLOCK // cells)
 
     def _cells(self, rows: slice) -> slice:
-        """Return the rows of cells of some rows of squares."""
         return slice(rows.start * self._side, rows.stop * self._side)
 
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
@@ -79,7 +78,6 @@ class Squares(CoarseLevel):
         )
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:
-        """Return random means with a covariance of channels."""
         return mixed_signs(noise, means.shape[1:], np.random.default_rng(_SEED))
 
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
@@ -99,12 +97,10 @@ class Squares(CoarseLevel):
         refresh_halo(stack, atlas, threads)
 
     def planes(self, count: int) -> Float32s:
-        """Return planes of zeros."""
         planes: Float32s = large_arrays.zeros((count, *self.kinds.shape), np.float32)
         return planes
 
     def total(self, planes: Float32s) -> Float64s:
-        """Sum planes over the owned cells."""
         return np.asarray(
             np.sum(planes * self._counts, axis=(1, 2), dtype=np.float64, where=self.kinds == OWNED)
         )

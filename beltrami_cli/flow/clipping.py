@@ -219,7 +219,7 @@ class NormalTables:
 
 @cache
 def normal_tables() -> NormalTables:
-    """Make the tables."""
+    """Return the tables, made once."""
     from math import erfc, sqrt
 
     limits = np.linspace(-NormalTables.furthest, NormalTables.furthest, 4 * _TABLE + 1)

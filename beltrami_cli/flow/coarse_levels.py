@@ -132,7 +132,6 @@ def _around(geometry: Geometry, level: CoarseLevel, channel: Float32s, shares: F
 
 
 def _coarsest(covariances: Float64s) -> int:
-    """Return the coarsest level that is needed."""
     sizes = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     grows = np.flatnonzero(sizes[1:] > _GROWS * sizes[:-1])
     return int(grows[-1]) + 1 if len(grows) else 0

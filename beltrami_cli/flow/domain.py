@@ -8,11 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Uint8s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.records import KernelWork, Mixing
-from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
+from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import Indices
 
 Stack = Float32s
 
@@ -59,9 +60,14 @@ class Geometry(Domain):
         """Samples that an iteration goes through, for its progress."""
 
     @property
-    @abstractmethod
     def kernels(self) -> int:
-        """Samples that have a kernel."""
+        """How many samples have a kernel."""
+        return len(self.samples)
+
+    @property
+    @abstractmethod
+    def samples(self) -> Indices:
+        """The places in a stack of the samples that have a kernel."""
 
     @property
     @abstractmethod
@@ -73,7 +79,7 @@ class Geometry(Domain):
         """Return how much work kernels are, with this unit of length in sample spacings."""
 
     @abstractmethod
-    def take(self, stack: Stack, samples: Int64s) -> Float32s:
+    def take(self, stack: Stack, samples: Indices) -> Float32s:
         """Return the channels of some samples, with a row a sample."""
 
     @abstractmethod
@@ -89,7 +95,7 @@ class Geometry(Domain):
         """Find the channels whose noise, of standard deviation `sigma`, was cut off at 0 or at full scale."""
 
     @abstractmethod
-    def gaussian(self, scale: float) -> MeshGaussian | GridGaussian:
+    def gaussian(self, scale: float) -> Gaussian:
         """Make the Gaussian of the regularised metric, `scale` sample spacings wide."""
 
     def refresh(self, stack: Stack) -> None:

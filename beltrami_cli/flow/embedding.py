@@ -20,7 +20,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
 from beltrami_cli.surface.records import Encoding
 
@@ -107,13 +107,6 @@ def overall_noise(sigma: Float64s) -> float:
     """Return the root mean square of the channels' noise, without channels that have none, such as constant alpha."""
     noisy = sigma[sigma > 0.1 * sigma.max()] if len(sigma) else sigma
     return float(np.sqrt(np.mean(np.square(noisy)))) if len(noisy) else 0.0
-
-
-def beta_of(parameters: KernelParameters, sigma: Float64s, unit: float) -> float:
-    """Return the given beta, or else the one that `choose_beta` gives, in units of length per unit of colour."""
-    if parameters.beta is not None:
-        return parameters.beta
-    return choose_beta(sigma) * unit / float(np.sqrt(parameters.strength))
 
 
 def to_space(colours: Float32s, encoding: Encoding, space: Space) -> Float32s:

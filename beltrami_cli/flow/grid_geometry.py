@@ -17,7 +17,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import KernelWork
 from beltrami_cli.flow.regularisation import GridGaussian, gaussian_taps
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo
 
 # Rows of a canvas that are processed together, where each needs memory.
 ROWS = 64
@@ -63,8 +63,8 @@ class GridGeometry(Geometry):
         return self.atlas.kind.size
 
     @property
-    def kernels(self) -> int:
-        return len(self.atlas.owned_cells)
+    def samples(self) -> Indices:
+        return self.atlas.owned_cells
 
     @property
     def kind(self) -> Uint8s:
@@ -85,7 +85,7 @@ class GridGeometry(Geometry):
     def work(self, unit: float) -> KernelWork:
         return KernelWork(self.kernels, unit)
 
-    def take(self, stack: Stack, samples: Int64s) -> Float32s:
+    def take(self, stack: Stack, samples: Indices) -> Float32s:
         """Return the channels of some cells, by their flat indices, with a row a cell."""
         return colours_at(stack, samples, self.threads)
 
@@ -108,10 +108,9 @@ class GridGeometry(Geometry):
 
     def gaussian(self, scale: float) -> GridGaussian:
         filled, stops = self.atlas.kind != EMPTY, self.stops_at_holes
-        return GridGaussian(filled, scale, stop_at_holes=stops, atlas=self.atlas, threads=self.threads)
+        return GridGaussian.of(filled, scale, stop_at_holes=stops, atlas=self.atlas, threads=self.threads)
 
     def refresh(self, stack: Stack) -> None:
-        """Give the halo the colours of the cells that it shows."""
         refresh_halo(stack, self.atlas, self.threads)
 
     def planes(self, count: int) -> Float32s:
@@ -119,7 +118,6 @@ class GridGeometry(Geometry):
         return planes
 
     def total(self, planes: Float32s) -> Float64s:
-        """Sum planes over the owned cells."""
         kind, total = self.atlas.kind, np.zeros(len(planes))
         for rows in large_arrays.blocks(len(kind), ROWS):
             own = np.where(kind[rows] == OWNED, planes[:, rows], np.float32(0))

@@ -43,7 +43,7 @@ from beltrami_cli.flow.records import (
     at_step,
     kernel_values,
 )
-from beltrami_cli.flow.regularisation import GridGaussian, guide_radius
+from beltrami_cli.flow.regularisation import Gaussian, GridGaussian, guide_radius
 from beltrami_cli.flow.search_range import ON_GRIDS, RULE_ON_GRIDS
 from beltrami_cli.flow.tuning.grid_trial import choose_blocks, perturbations, tried_cells, with_halo
 from beltrami_cli.flow.tuning.sure import wanted_probes
@@ -166,9 +166,9 @@ class GridManifold(Manifold):
     jumps: int = 0  # seams over which colours jump, which end the surface for kernels
     is_in_one_block: bool = False  # leaves stacks as they are, and returns averages in new ones
 
-    def measure(self, colours: Stack, step: Step) -> Metric:
+    def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Choose the metric, eq. (1), which is induced row block by row block while they are averaged."""
-        return Metric(step, len(colours), self._gaussian if step.regularised and step.beta else None)
+        return Metric(step, len(colours), self._regularising(step, gaussian))
 
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
@@ -192,11 +192,12 @@ class GridManifold(Manifold):
             if gaussian is not None:
                 gaussian = gaussian.from_row(around.start)
             share = (block.stop - block.start) / len(inside)
-            before, shared = (
-                [stack[:, around] for stack in stacks],
+            before = [stack[:, around] for stack in stacks]
+            after, held = part._apply_kernel(
+                before,
+                dataclasses.replace(metric, gaussian=gaussian),
                 _share(progress, block.start * columns, share),
             )
-            after, held = part._apply_kernel(before, dataclasses.replace(metric, gaussian=gaussian), shared)
             # The next block depends on what this one replaces, and on nothing above.
             if finished is not None:
                 self._put(stacks, *finished)
@@ -209,7 +210,6 @@ class GridManifold(Manifold):
         return Averaged(stacks, samples)
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
-        """Replace rows of stacks by those of planes, in place."""
         from beltrami_cli._native import copy_planes
 
         for stack, own in zip(stacks, _split(planes, stacks), strict=True):
@@ -286,11 +286,9 @@ class GridManifold(Manifold):
         return perturbations(1, len(self.colours), self.geometry.atlas, self.noise.covariances)[0]
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
-        """Return squares of cells."""
         return squares_for(self.geometry.atlas, self.parameters, most, self.noise.relative, tick)
 
     def trial(self) -> SampleTrial:
-        """Choose blocks of the canvas, and draw the perturbations of their colours."""
         atlas, planes, own = self.geometry.atlas, self.colours, self.parameters
         budget = tried_cells(atlas)
         if len(atlas.owned_cells) <= budget:
@@ -325,7 +323,6 @@ class GridManifold(Manifold):
         )
 
     def new_colours(self) -> NewColours:
-        """Return the colours of the owned cells as they are now, and those of the gutter."""
         atlas, threads = self.geometry.atlas, self.geometry.threads
         return canvas_colours(atlas, self.colours, threads).mapped(self.noise.to_input)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,10 +11,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.canvas import kernel_margin
-from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.partitions import Advance, Split
-from beltrami_cli.flow.records import Averaged, Step
+from beltrami_cli.flow.partitions import Advance
+from beltrami_cli.flow.records import Step
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas
 
 
@@ -60,7 +59,6 @@ class GridPartition:
         self._rows = np.where(is_own, own_row, len(self.owned) + np.searchsorted(self.borrowed, drawn))
 
     def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
-        """Run an iteration, see `Partition`."""
         parameters = dataclasses.replace(self._part.parameters, threads=threads)
         part, atlas = dataclasses.replace(self._part, parameters=parameters), self._part.geometry.atlas
         planes = np.zeros((own.shape[1], *atlas.kind.shape), np.float32)
@@ -72,27 +70,11 @@ class GridPartition:
         return Advance(part.geometry.take(averaged.stacks[0], atlas.owned_cells), averaged.samples, 0)
 
 
-def iterate_on_grid(
-    whole: GridManifold,
-    stacks: list[Stack],
-    steps: Sequence[Step],
-    split: Split,
-    progress: Callable[[int, int], None] | None,
-) -> Averaged:
-    """Run all iterations on partitions, whose margins are always wide enough."""
-    grid, channels = whole.geometry, len(stacks[0])
-    rows = np.concatenate([grid.take(stack, grid.atlas.owned_cells) for stack in stacks], axis=1)
-    done = split.run(lambda _: cut_grid(whole, split.count, steps, channels), rows, len(steps), progress)
-    planes = [plane.reshape(-1) for stack in stacks for plane in stack]
-    for plane, channel in zip(planes, done.values.T, strict=True):
-        plane[grid.atlas.owned_cells] = channel
-    for stack in stacks:
-        grid.refresh(stack)
-    return Averaged(stacks, done.samples, done.truncated)
-
-
-def cut_grid(whole: GridManifold, count: int, steps: Sequence[Step], channels: int) -> list[GridPartition]:
-    """Cut a canvas into up to `count` partitions with about the same number of owned cells."""
+def cut_grid(
+    whole: GridManifold, count: int, widening: int, steps: Sequence[Step], channels: int
+) -> list[GridPartition]:
+    """Cut a canvas into up to `count` partitions with about the same number of owned cells and margins that suffice."""
+    del widening
     atlas = whole.geometry.atlas
     number, source = _sources(atlas)
     cores = _cores(atlas.kind == OWNED, count)

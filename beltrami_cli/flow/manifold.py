@@ -9,6 +9,7 @@ https://doi.org/10.1109/TIP.2007.894253
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,12 +22,12 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.domain import CoarseLevel, Geometry, Stack, in_blocks
-from beltrami_cli.flow.embedding import Guide, beta_of, choose_guide_beta, join_channels
+from beltrami_cli.flow.embedding import Guide, choose_beta, choose_guide_beta, join_channels
 from beltrami_cli.flow.moving_positions import MovingPositions
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Averaged, Mixing, NewColours, SampledKernel, Step
-from beltrami_cli.flow.regularisation import GridGaussian, MeshGaussian
+from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.flow.search_range import Rule, SearchRange
 from beltrami_cli.surface.atlas import EMPTY
 
@@ -41,7 +42,7 @@ class Metric:
 
     step: Step
     channels: int
-    gaussian: MeshGaussian | GridGaussian | None  # None: not regularised
+    gaussian: Gaussian | None  # None: not regularised
 
 
 @dataclass(frozen=True)
@@ -86,12 +87,16 @@ class Manifold(ABC):
     @property
     def beta(self) -> float:
         """The given beta, or else one for the noise, in units of length per unit of stabilised colours."""
-        sigma = self.noise.sigma[self.metric_channels]
-        return beta_of(self.parameters, sigma, self.unit) if len(sigma) else 0.0
+        sigma, own = self.noise.sigma[self.metric_channels], self.parameters
+        if not len(sigma):
+            return 0.0
+        if own.beta is not None:
+            return own.beta
+        return choose_beta(sigma) * self.unit / math.sqrt(own.strength)
 
     @abstractmethod
-    def measure(self, colours: Stack, step: Step) -> Metric:
-        """Induce the metric, eq. (1), by colours."""
+    def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
+        """Induce the metric, eq. (1), by colours; `gaussian`: that of an earlier metric, to be used again."""
 
     @abstractmethod
     def average(
@@ -128,15 +133,16 @@ class Manifold(ABC):
     def new_colours(self) -> NewColours:
         """Return the colours block by block, with those beyond seams, to be written back to the document."""
 
-    @cached_property
-    def _gaussian(self) -> MeshGaussian | GridGaussian:
-        return self.geometry.gaussian(self.parameters.metric_scale)
+    def _regularising(self, step: Step, gaussian: Gaussian | None) -> Gaussian | None:
+        if not step.regularised or (step.beta == 0 and self.moving is None):
+            return None
+        return self.geometry.gaussian(self.parameters.metric_scale) if gaussian is None else gaussian
 
     def _channels(
         self,
         colours: Stack,
         step: Step,
-        gaussian: MeshGaussian | GridGaussian | None,
+        gaussian: Gaussian | None,
         features: tuple[tuple[Stack, float], ...] = (),
     ) -> tuple[Stack, float]:
         """Return the channels that enter the metric besides the positions, and their beta."""
@@ -147,11 +153,9 @@ class Manifold(ABC):
             colours = np.divide(colours, np.sqrt(self.noise.relative), dtype=np.float32)
 
         def regularised(stack: Stack, beta: float) -> tuple[Stack, float]:
-            return (
-                (stack, beta)
-                if gaussian is None or not beta
-                else (gaussian.smooth(stack), beta / gaussian.gain)
-            )
+            if gaussian is None or not beta:
+                return stack, beta
+            return gaussian.smooth(stack), beta / gaussian.gain
 
         guides = [(guide.stack, guide.beta) for guide in self.guides]  # which are clean
         smoothed = [regularised(*feature) for feature in features]
@@ -170,7 +174,6 @@ class SampleTrial:
 
     @property
     def samples(self) -> int:
-        """How many samples count."""
         return len(self.scored(self.start))
 
     @property
@@ -179,8 +182,12 @@ class SampleTrial:
         return 1.0 if self.part.noise.relative is None else self.scored(self.part.noise.relative)
 
     def step(self, state: Stack, step: Step) -> Stack:
-        """Return the colours after an iteration."""
-        return self.part.average([state], self.part.measure(state, step)).stacks[0]
+        metric = self.part.measure(state, step, self._gaussian if step.regularised else None)
+        return self.part.average([state], metric).stacks[0]
+
+    @cached_property
+    def _gaussian(self) -> Gaussian:
+        return self.part.geometry.gaussian(self.part.parameters.metric_scale)
 
     def scored(self, state: Stack) -> Float32s:
         """Return the colours of the samples that count, shape (S, N)."""

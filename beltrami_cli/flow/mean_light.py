@@ -69,7 +69,6 @@ class MeanLight:
 
 
 def _give_back(geometry: Geometry, before: Float32s, after: Float32s) -> None:
-    """Add the light that a channel has lost, in place."""
     smoothed = after.copy()
     for band in _bands(smoothed):
         sums = geometry.planes(2)
@@ -82,7 +81,6 @@ def _give_back(geometry: Geometry, before: Float32s, after: Float32s) -> None:
 
 
 def _light_of(manifold: Manifold, space: Space) -> Float32s:
-    """Return planes of the light of all channels."""
     axis, stabiliser = manifold.geometry.axis, manifold.noise.stabiliser
     planes = manifold.geometry.planes(manifold.colours.shape[axis])
     for own, light in zip(in_blocks(axis, manifold.colours), in_blocks(0, planes), strict=True):

@@ -17,7 +17,7 @@ from beltrami_cli.flow.records import MeshWork
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.tuning.mesh_trial import fingerprints
 from beltrami_cli.flow.vertex_graph import Graph
-from beltrami_cli.surface.atlas import OWNED
+from beltrami_cli.surface.atlas import OWNED, Indices
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 from beltrami_cli.surface.records import SampledSurface
 
@@ -81,7 +81,11 @@ class MeshGeometry(Geometry):
 
     @property
     def kernels(self) -> int:
-        return len(self.positions)
+        return self.size
+
+    @property
+    def samples(self) -> Indices:
+        return np.arange(self.size)
 
     @property
     def kind(self) -> Uint8s:
@@ -141,15 +145,13 @@ class MeshGeometry(Geometry):
     def work(self, unit: float) -> MeshWork:
         return MeshWork(self.size, unit, self.edges, len(self.faces))
 
-    def take(self, stack: Stack, samples: Int64s) -> Float32s:
+    def take(self, stack: Stack, samples: Indices) -> Float32s:
         return stack[samples]
 
     def steps(self, stack: Stack) -> Float32s:
-        """Return differences along all edges."""
         return stack[self.edges[:, 0]] - stack[self.edges[:, 1]]
 
     def single(self, marked: Bools) -> Bools:
-        """Return which of the marked samples have no edge to a marked one."""
         single = marked.copy()
         single[self.edges[marked[self.edges].all(axis=1)]] = False
         return single
@@ -159,7 +161,7 @@ class MeshGeometry(Geometry):
         return find_clipped(np.ascontiguousarray(colours[self._is_joined()].T), sigma)
 
     def gaussian(self, scale: float) -> MeshGaussian:
-        return MeshGaussian(self.size, self.edges, self.lengths, scale, self.gain)
+        return MeshGaussian.of(self.size, self.edges, self.lengths, scale, self.gain)
 
     def planes(self, count: int) -> Float32s:
         return np.zeros((count, self.size), np.float32)
@@ -169,7 +171,7 @@ class MeshGeometry(Geometry):
 
     def spread(self, planes: Float32s) -> Float32s:
         """Average rows over the surface, in passes over the neighbours of each sample."""
-        means = MeshGaussian(self.size, self.edges, self.lengths, _SPREAD, gain=1.0)
+        means = MeshGaussian.of(self.size, self.edges, self.lengths, _SPREAD, gain=1.0)
         rows = np.ascontiguousarray(planes.T)
         for _ in range(_PASSES):
             rows = means.smooth(rows)

@@ -33,6 +33,7 @@ from beltrami_cli.flow.records import (
     kernel_values,
     without_hubs,
 )
+from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.flow.search_range import ON_MESHES, RULE_ON_MESHES
 from beltrami_cli.flow.tuning.mesh_trial import choose_patches, fingerprints, random_signs
 from beltrami_cli.flow.tuning.sure import wanted_probes
@@ -114,12 +115,12 @@ class MeshManifold(Manifold):
     plain_levels = 2, 1
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 
-    def measure(self, colours: Stack, step: Step) -> Metric:
+    def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Induce the metric, eq. (1)."""
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
         features = () if moving is None else ((moving.normals, moving.beta),)
-        gaussian = self._gaussian if step.regularised else None
+        gaussian = self._regularising(step, gaussian)
         channels, beta = self._channels(colours, step, gaussian, features)
         mesh.core.update_metric(positions, channels, beta, mesh.scales, self.parameters.thread_count)
         return Metric(step, colours.shape[1], gaussian)
@@ -169,12 +170,10 @@ class MeshManifold(Manifold):
         return signs
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Clusters]:
-        """Return clusters of samples."""
         del tick
         return clusters_for(self.geometry.graph(self.colours), most, self.noise.relative)
 
     def trial(self) -> SampleTrial:
-        """Choose patches of the surface, and draw the perturbations of their colours."""
         colours, edges, size = self.colours, self.geometry.edges, self.geometry.size
         around = fingerprints(colours, edges)
         # A patch that reached a hub would hold everything around it.

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Int32s
-from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.manifold import Metric
 from beltrami_cli.flow.mesh_manifold import MeshManifold, average_rows
-from beltrami_cli.flow.partitions import Advance, Split
-from beltrami_cli.flow.records import Averaged, Step, at_step
+from beltrami_cli.flow.partitions import Advance
+from beltrami_cli.flow.records import Step, at_step
 
 # Sixteen samples make a group of the solver along segments, and groups are formed within blocks of this many
 # consecutive samples. The members of a group change the rounding of its averages, so partitions own whole blocks.
@@ -63,7 +62,6 @@ class MeshPartition:
         self.threads = whole.parameters.threads
 
     def advance(self, own: Float32s, borrowed: Float32s, iteration: int, threads: int) -> Advance:
-        """Run an iteration, see `Partition`."""
         parameters = dataclasses.replace(self._part.parameters, threads=threads)
         part, size = dataclasses.replace(self._part, parameters=parameters), len(self._unknown)
         values = np.zeros((size, own.shape[1]), np.float32)
@@ -97,33 +95,11 @@ def _marked(part: MeshManifold, metric: Metric, marks: Float32s, max_samples: in
     return np.asarray(averages.any(axis=1))
 
 
-def iterate_on_mesh(
-    whole: MeshManifold,
-    stacks: list[Stack],
-    steps: Sequence[Step],
-    split: Split,
-    progress: Callable[[int, int], None] | None,
-) -> Averaged:
-    """Run all iterations on partitions, which receive samples as far as kernels are expected to reach."""
-    reach, channels = first_reach(whole), stacks[0].shape[1]
-    rows = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
-    done = split.run(
-        lambda widening: cut_mesh(whole, split.count, widening * reach, steps, channels),
-        rows,
-        len(steps),
-        progress,
-    )
-    widths = np.cumsum([stack.shape[1] for stack in stacks])
-    for stack, after in zip(stacks, np.split(done.values, widths[:-1], axis=1), strict=True):
-        stack[:] = after
-    return Averaged(stacks, done.samples, done.truncated)
-
-
 def cut_mesh(
-    whole: MeshManifold, count: int, reach: int, steps: Sequence[Step], channels: int
+    whole: MeshManifold, count: int, widening: int, steps: Sequence[Step], channels: int
 ) -> list[MeshPartition]:
-    """Cut a surface into up to `count` partitions that receive samples up to `reach` edges away."""
-    mesh = whole.geometry
+    """Cut into up to `count` partitions, which receive samples as far as kernels are expected to reach."""
+    mesh, reach = whole.geometry, widening * _first_reach(whole)
     if any(step.regularised for step in steps):
         gain = mesh.gaussian(whole.parameters.metric_scale).gain
         whole = dataclasses.replace(whole, geometry=dataclasses.replace(mesh, gain=gain))
@@ -138,7 +114,7 @@ def cut_mesh(
     return partitions
 
 
-def first_reach(whole: MeshManifold) -> int:
+def _first_reach(whole: MeshManifold) -> int:
     """Guess the radius of kernels in edges; partitions that prove too narrow are cut again."""
     own = whole.parameters
     spacing = whole.geometry.spacing if own.units == "world" else 1.0

@@ -116,18 +116,3 @@ class Split:
 
     count: int
     runner: Runner
-
-    def run(
-        self,
-        cut: Callable[[int], Sequence[Partition]],
-        values: Float32s,
-        iterations: int,
-        progress: Callable[[int, int], None] | None,
-    ) -> Joined:
-        """Cut a surface and run all iterations; partitions that prove too narrow are cut again, twice as wide."""
-        widening = 1
-        while True:
-            try:
-                return self.runner.run(cut(widening), values, iterations, progress)
-            except TooNarrowError:
-                widening *= 2

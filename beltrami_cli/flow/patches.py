@@ -140,13 +140,14 @@ def _mix(
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
-    from beltrami_cli._native import blend
+    from beltrami_cli._native import blend, blend_terms
 
     geometry, (colours, signs, size) = manifold.geometry, noisy
     axis, sums = geometry.axis, geometry.planes(2)
     stacks = in_blocks(axis, colours, signs, *results, *responses, relative_variance(manifold))
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, in_blocks(0, sums), strict=True):
-        model.write_terms(z, b / size, (p, q, near_p, near_q), relative, own)
+        probe: Array = b / size
+        blend_terms(z, probe, (p, q, near_p, near_q), (*model.noise, relative), own, model.threads)
     weights, share, gain = _weigh(geometry, sums, model.variance, _OF_SAMPLES)
     stacks = in_blocks(axis, *results, *responses)
     for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
@@ -185,16 +186,18 @@ def _means(
     results: tuple[Float32s, Float32s],
 ) -> _NoisyMeans:
     """Take means of noisy colours, and compare them with the first of both results; the second is lost."""
+    from beltrami_cli._native import blend_residual, blend_share_within
+
     axis, relatives = manifold.geometry.axis, relative_variance(manifold)
     (colours, signs, size), (before, memory) = noisy, results
     means = level.means(colours)
     with _added(axis, colours, signs, size, model.threads):
         probe = level.means(colours) - means
     for z, p, own, relative in in_blocks(axis, colours, before, memory, relatives):
-        model.write_residual(z, p, relative, own)
+        blend_residual(z, p, (*model.noise, relative), own, model.threads)
     residual = level.means(memory)
     for p, own, relative in in_blocks(axis, before, memory, relatives):
-        model.write_share_within(p, relative, own)
+        blend_share_within(p, (*model.noise, relative), own, model.threads)
         np.subtract(1, own, out=own)
         own *= np.square(own)
     # A cubic mean: what is found where most is cut off, as on white paper, would move ink upon it, too.
@@ -246,40 +249,12 @@ class _Model:
         if clipped is not None:
             own[:, 1:] = np.column_stack([clipped.sigma, clipped.low, clipped.high])
         tables = normal_tables()
-        self._noise = own, tables.furthest, tables.lost, tables.share
-
-    def write_share_within(self, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
-        """Write the share of noisy colours that are not cut off on average, by an estimate of them."""
-        from beltrami_cli._native import blend_share_within
-
-        blend_share_within(estimate, (*self._noise, relative), to, self.threads)
-
-    def write_residual(self, noisy: Float32s, estimate: Float32s, relative: Float32s, to: Float32s) -> None:
-        """Write what was observed, less what noisy colours are on average by an estimate of them."""
-        from beltrami_cli._native import blend_residual
-
-        blend_residual(noisy, estimate, (*self._noise, relative), to, self.threads)
-
-    def write_terms(
-        self,
-        noisy: Float32s,
-        probe: Array,
-        estimates: tuple[Float32s, Float32s, Float32s, Float32s],
-        relative: Float32s,
-        to: Float32s,
-    ) -> None:
-        """Write the terms of the numerator and of the denominator of w, summed over channels.
-
-        The estimates are P and Q, and the same after the perturbation.
-        """
-        from beltrami_cli._native import blend_terms
-
-        blend_terms(noisy, probe, estimates, (*self._noise, relative), to, self.threads)
+        self.noise = own, tables.furthest, tables.lost, tables.share  # as the core takes it
 
     def terms(
         self, residual: Float32s, probe: Array, difference: Float32s, moved: Float32s, relative: Float32s
     ) -> Float32s:
-        """Return the same by the residual, the difference Q - P before and after, and relative noise."""
+        """Return the terms of w, summed over channels, by the residual and the difference Q - P before and after."""
         variances = self._variances[:, *[None] * (residual.ndim - 1)]
         slope = residual * difference - variances * relative * probe * (moved - difference)
         return np.stack([slope.sum(axis=0), np.square(difference).sum(axis=0)])
@@ -349,7 +324,6 @@ def _added(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: 
 
 
 def _add(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: int) -> None:
-    """Add multiples of the signs to a stack, in place."""
     from beltrami_cli._native import add_multiple
 
     for own, sign in in_blocks(axis, stack, signs):

@@ -75,7 +75,6 @@ class Mixing:
 
     @property
     def parts(self) -> tuple[Float32s, Float32s, Float32s, Float32s, float, float]:
-        """What the core takes."""
         return self.forth, self.back, self.variances, self.shrinkage, self.least_ratio, self.strength
 
 
@@ -140,7 +139,7 @@ def kernel_values(distances: Float32s, t: float) -> Float32s:
 
 
 def find_hubs(size: int, edges: Int32s) -> Bools:
-    """Find the vertices with very many edges."""
+    """Return which vertices have very many edges."""
     return np.asarray(np.bincount(edges.ravel(), minlength=size) > _HUB)
 
 
@@ -171,14 +170,12 @@ class KernelWork:
         return self.kernels * min(self._on_even_surface(parameters), parameters.window**2)
 
     def announce(self, parameters: KernelParameters) -> None:
-        """Log how much work is ahead."""
         LOG.info(
             "work: %d kernels in each of %d iterations, at most some %.2g million samples",
             self.kernels, parameters.iterations, parameters.iterations * self.samples(parameters) / 1e6,
         )  # fmt: skip
 
     def _on_even_surface(self, parameters: KernelParameters) -> float:
-        """Return how many samples a kernel holds where samples are evenly spread."""
         return 1 + _DENSITY * (parameters.radius / self._unit) ** 2
 
 

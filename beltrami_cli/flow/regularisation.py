@@ -6,111 +6,133 @@ beta is divided by it, so that noise adds the same to distances with and without
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Iterator
-from copy import copy
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.surface.atlas import EMPTY, STEPS, Atlas, ends_of
 
 _ROWS = 256  # of a grid that are processed together
 
 
+@dataclass(frozen=True, eq=False)
 class MeshGaussian:
-    """Gaussian means over the neighbours of each vertex; `lengths` and `scale` (sigma) in sample spacings."""
+    """Gaussian means over the neighbours of each vertex."""
 
-    def __init__(
-        self, count: int, edges: Int32s, lengths: Float64s, scale: float, gain: float | None = None
-    ) -> None:
-        # Edges with a length in space only, not those of hard colour edges.
-        self._edges, self._count = edges, count
-        self._weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
-        self._total = 1 + self._gather(self._weights)
-        # Remaining standard deviation of white noise.
-        self.gain = self._mean_gain() if gain is None else gain
+    edges: Int32s  # with a length in space: none of hard colour edges
+    weights: Float32s
+    total: Float64s  # of the weights at each vertex, its own is 1
+    gain: float  # remaining standard deviation of white noise
 
-    def _mean_gain(self) -> float:
-        gains = np.sqrt(1 + self._gather(self._weights**2)) / self._total
-        joined = self._total > 1  # vertices without neighbours keep their noise, and do not count
-        return float(gains[joined].mean()) if joined.any() else 1.0
+    @classmethod
+    def of(
+        cls, count: int, edges: Int32s, lengths: Float64s, scale: float, gain: float | None = None
+    ) -> MeshGaussian:
+        """Weigh edges by their `lengths`; these and `scale` (sigma) are in sample spacings."""
+        weights = np.exp(-(lengths**2) / (2 * scale**2)).astype(np.float32)
+        total = 1 + _sums_at_ends(count, edges, weights)
+        if gain is None:
+            gains = np.sqrt(1 + _sums_at_ends(count, edges, weights**2)) / total
+            joined = total > 1  # vertices without neighbours keep their noise, and do not count
+            gain = float(gains[joined].mean()) if joined.any() else 1.0
+        return cls(edges, weights, total, gain)
 
     def smooth(self, colours: Float32s) -> Float32s:
-        """Smooth colours of shape (count, N)."""
+        """Smooth colours of shape (S, N)."""
         from beltrami_cli._native import neighbour_means
 
-        return neighbour_means(colours, self._edges, self._weights, self._total)
-
-    def _gather(self, weights: Float32s) -> Float64s:
-        low, high = self._edges.T
-        sums = np.bincount(low, weights, self._count) + np.bincount(high, weights, self._count)
-        return np.asarray(sums, np.float64)
+        return neighbour_means(colours, self.edges, self.weights, self.total)
 
 
+def _sums_at_ends(count: int, edges: Int32s, weights: Float32s) -> Float64s:
+    low, high = edges.T
+    return np.asarray(np.bincount(low, weights, count) + np.bincount(high, weights, count), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
 class GridGaussian:
-    """Gaussian means of standard deviation `scale`, in cells, over the filled cells of a grid, shape (R, C)."""
+    """Gaussian means over the filled cells of a grid, shape (R, C)."""
 
-    def __init__(
-        self,
-        filled: Bools,
-        scale: float,
-        *,
-        stop_at_holes: bool = False,
-        atlas: Atlas | None = None,
-        threads: int = 1,
-    ) -> None:
-        self._threads, self._first = threads, 0
-        self._taps = gaussian_taps(scale)
-        # Means stop at cells that are not filled. Textures, whose charts keep their distance, do without.
-        self._open = filled if stop_at_holes else None
-        self.gain = float(
-            np.sum(self._taps**2)
-        )  # remaining standard deviation of white noise, away from borders
-        self._partial, self._part = self._partial_totals(filled)
-        self._cut_means = None if atlas is None or not len(atlas.cut_cells) else CutMeans(atlas, self._taps)
+    taps: Float32s
+    reachable: (
+        Bools | None
+    )  # cells at which means do not stop; None: charts that keep their distance do without
+    partial: Int32s  # filled cells (flat indices) that lack a neighbour
+    totals: Float32s  # of their weights
+    cut_means: CutMeans | None
+    threads: int
+    first: int = 0  # the row that planes begin with
+
+    @classmethod
+    def of(
+        cls, filled: Bools, scale: float, *, stop_at_holes: bool, atlas: Atlas, threads: int
+    ) -> GridGaussian:
+        """Find the cells that lack a neighbour for a standard deviation of `scale` cells."""
+        taps, reachable = gaussian_taps(scale), filled if stop_at_holes else None
+        partial, totals = _partial_totals(filled, taps, reachable, threads)
+        cut_means = CutMeans.of(atlas, taps) if len(atlas.cut_cells) else None
+        return cls(taps, reachable, partial, totals, cut_means, threads)
+
+    @property
+    def gain(self) -> float:
+        """Remaining standard deviation of white noise, away from borders."""
+        return float(np.sum(self.taps**2))
 
     def from_row(self, first: int) -> GridGaussian:
         """Return the same means for planes that begin with row `first`; within reach of their ends they are wrong."""
-        part = copy(self)
-        part._first = first
-        return part
+        return dataclasses.replace(self, first=first)
 
     def smooth(self, planes: Float32s) -> Float32s:
         """Smooth planes, shape (N, K, C), which must be 0 where cells are not filled."""
-        first, (count, columns) = self._first, planes.shape[1:]
-        smoothed = self._convolve(planes, None if self._open is None else self._open[first : first + count])
-        here = slice(*np.searchsorted(self._partial, [first * columns, (first + count) * columns]))
-        partial = self._partial[here] - first * columns
+        first, (count, columns) = self.first, planes.shape[1:]
+        reachable = None if self.reachable is None else self.reachable[first : first + count]
+        smoothed = _convolved(planes, self.taps, reachable, self.threads)
+        here = slice(*np.searchsorted(self.partial, [first * columns, (first + count) * columns]))
+        partial = self.partial[here] - first * columns
         for plane, result in zip(planes, smoothed, strict=True):
-            result.reshape(-1)[partial] /= self._part[here]
-            if self._cut_means is not None:
-                self._cut_means.apply(plane, result, first)
+            result.reshape(-1)[partial] /= self.totals[here]
+            if self.cut_means is not None:
+                self.cut_means.apply(plane, result, first)
         return smoothed
 
-    def _partial_totals(self, filled: Bools) -> tuple[Int32s, Float32s]:
-        """Find the filled cells (flat indices) that lack a neighbour, and their total weights."""
-        reach = len(self._taps) // 2
-        # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
-        enough = 1 - self._taps[0] ** 2 / 2
-        cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
-        for first in range(0, len(filled), _ROWS):  # whole planes would take the memory that this saves
-            above = min(first, reach)
-            band = filled[first - above : first + _ROWS + reach]
-            total = self._convolve(band[None].astype(np.float32), None if self._open is None else band)[0]
-            total = total[above : above + _ROWS]
-            lacking = np.flatnonzero((total < enough) & filled[first : first + _ROWS])
-            cells.append((lacking + first * filled.shape[1]).astype(np.int32))
-            totals.append(total.reshape(-1)[lacking])
-        return np.concatenate(cells), np.concatenate(totals)
 
-    def _convolve(self, planes: Float32s, filled: Bools | None) -> Float32s:
-        """Convolve planes, up to holes if `filled` is given."""
-        if filled is None:
-            from beltrami_cli._native import convolve
+def _partial_totals(
+    filled: Bools, taps: Float32s, reachable: Bools | None, threads: int
+) -> tuple[Int32s, Float32s]:
+    """Find the filled cells (flat indices) that lack a neighbour, and their total weights."""
+    reach = len(taps) // 2
+    # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
+    enough = 1 - taps[0] ** 2 / 2
+    cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
+    for first in range(0, len(filled), _ROWS):  # whole planes would take the memory that this saves
+        above = min(first, reach)
+        band = filled[first - above : first + _ROWS + reach]
+        total = _convolved(band[None].astype(np.float32), taps, None if reachable is None else band, threads)[
+            0
+        ]
+        total = total[above : above + _ROWS]
+        lacking = np.flatnonzero((total < enough) & filled[first : first + _ROWS])
+        cells.append((lacking + first * filled.shape[1]).astype(np.int32))
+        totals.append(total.reshape(-1)[lacking])
+    return np.concatenate(cells), np.concatenate(totals)
 
-            return convolve(planes, self._taps, self._threads)
-        along = [_convolve_up_to_holes(plane, filled, self._taps) for plane in planes]
-        return np.stack([_convolve_up_to_holes(plane.T, filled.T, self._taps).T for plane in along])
+
+def _convolved(planes: Float32s, taps: Float32s, reachable: Bools | None, threads: int) -> Float32s:
+    """Convolve planes, up to holes if the cells that are none are given."""
+    if reachable is None:
+        from beltrami_cli._native import convolve
+
+        return convolve(planes, taps, threads)
+    along = [_convolve_up_to_holes(plane, reachable, taps) for plane in planes]
+    return np.stack([_convolve_up_to_holes(plane.T, reachable.T, taps).T for plane in along])
+
+
+Gaussian: TypeAlias = MeshGaussian | GridGaussian
 
 
 def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Float32s:
@@ -147,74 +169,85 @@ def gaussian_taps(scale: float) -> Float32s:
 _AT_ONCE = 1 << 20
 
 
+@dataclass(frozen=True, eq=False)
 class CutMeans:
     """Means over the cells of a square window that can be reached from its centre inside the window."""
 
-    def __init__(self, atlas: Atlas, taps: Float32s) -> None:
-        self._shape, self._reach = atlas.kind.shape, len(taps) // 2
-        self._weights = np.outer(taps, taps).reshape(-1)
-        self._cells = self._near(atlas)
-        chunks = [self._cells[chunk] for chunk in self._chunks(0, len(self._cells))]
-        reached = [np.packbits(self._reached(atlas, cells), axis=1) for cells in chunks]
-        self._reached_bits = np.concatenate(reached) if reached else np.zeros((0, 1), np.uint8)
+    shape: tuple[int, int]
+    weights: Float32s  # of the cells of a window
+    cells: Int64s  # not empty, with a cell at a cut in their window
+    reached_bits: Uint8s  # of the cells of each window
+
+    @classmethod
+    def of(cls, atlas: Atlas, taps: Float32s) -> CutMeans:
+        weights, reach = np.outer(taps, taps).reshape(-1), len(taps) // 2
+        cells = _near_cuts(atlas, reach)
+        reached = [
+            np.packbits(_reached(atlas, cells[chunk], reach), axis=1)
+            for chunk in _chunks(0, len(cells), len(weights))
+        ]
+        bits = np.concatenate(reached) if reached else np.zeros((0, 1), np.uint8)
+        return cls(atlas.kind.shape, weights, cells, bits)
 
     def apply(self, plane: Float32s, result: Float32s, first: int = 0) -> None:
         """Write the means at cells near cuts to `result`; `plane` and `result` are canvas rows from `first` on."""
-        rows, columns = self._shape
-        last = first + len(plane)
-        top = first + self._reach if first else 0
-        bottom = last - self._reach if last < rows else last
-        begin, end = np.searchsorted(self._cells, [top * columns, max(top, bottom) * columns])
-        for chunk in self._chunks(begin, end):
-            cells = self._cells[chunk]
-            weights = (
-                np.unpackbits(self._reached_bits[chunk], axis=1, count=len(self._weights)) * self._weights
-            )
-            window = self._window(cells)[0] - first * columns
+        (rows, columns), size = self.shape, len(self.weights)
+        last, reach = first + len(plane), math.isqrt(size) // 2
+        top = first + reach if first else 0
+        bottom = last - reach if last < rows else last
+        begin, end = np.searchsorted(self.cells, [top * columns, max(top, bottom) * columns])
+        for chunk in _chunks(begin, end, size):
+            cells = self.cells[chunk]
+            weights = np.unpackbits(self.reached_bits[chunk], axis=1, count=size) * self.weights
+            window = _window(self.shape, cells, reach)[0] - first * columns
             means = np.einsum("kw,kw->k", plane.reshape(-1)[window], weights) / weights.sum(axis=1)
             result.reshape(-1)[cells - first * columns] = means
 
-    def _chunks(self, begin: int, end: int) -> Iterator[slice]:
-        size = max(1, _AT_ONCE // len(self._weights))
-        for first in range(begin, end, size):
-            yield slice(first, min(first + size, end))
 
-    def _near(self, atlas: Atlas) -> Int64s:
-        """Find the cells, not empty, whose window holds a cell at a cut."""
-        near = np.zeros(atlas.kind.size, bool)
-        rows, columns = np.divmod(atlas.cut_cells, self._shape[1])
-        for down in range(-self._reach, self._reach + 1):
-            for right in range(-self._reach, self._reach + 1):
-                row, column = rows + down, columns + right
-                inside = (row >= 0) & (row < self._shape[0]) & (column >= 0) & (column < self._shape[1])
-                near[row[inside] * self._shape[1] + column[inside]] = True
-        return np.flatnonzero(near & (atlas.kind.reshape(-1) != EMPTY)).astype(np.int64)
+def _chunks(begin: int, end: int, window: int) -> Iterator[slice]:
+    size = max(1, _AT_ONCE // window)
+    for first in range(begin, end, size):
+        yield slice(first, min(first + size, end))
 
-    def _window(self, cells: Int64s) -> tuple[Int64s, Bools]:
-        """Return the cells of the windows around some cells, shape (K, W), and which of them lie on the canvas."""
-        offsets = np.arange(-self._reach, self._reach + 1)
-        rows = (cells // self._shape[1])[:, None, None] + offsets[:, None]
-        columns = (cells % self._shape[1])[:, None, None] + offsets
-        inside = (rows >= 0) & (rows < self._shape[0]) & (columns >= 0) & (columns < self._shape[1])
-        flat = np.where(inside, rows * self._shape[1] + columns, cells[:, None, None])
-        return flat.reshape(len(cells), -1), inside.reshape(len(cells), -1)
 
-    def _reached(self, atlas: Atlas, cells: Int64s) -> Bools:
-        """Return which cells of the windows can be reached from their centres over edges, shape (K, W)."""
-        side = 2 * self._reach + 1
-        window, inside = self._window(cells)
-        filled = (inside & (atlas.kind.reshape(-1)[window] != EMPTY)).reshape(-1, side, side)
-        reached = np.zeros_like(filled)
-        reached[:, self._reach, self._reach] = True
-        edges = []
-        for lengths, step in zip(atlas.squared_lengths, STEPS, strict=True):
-            here, there = ((..., *slices) for slices in ends_of(step))
-            joined = np.isfinite(lengths.reshape(-1)[window]).reshape(filled.shape)
-            edges.append((here, there, joined[here] & filled[here] & filled[there]))
-        before, count = -1, 0
-        while before < count:
-            for here, there, joined in edges:
-                reached[there] |= reached[here] & joined
-                reached[here] |= reached[there] & joined
-            before, count = count, int(np.count_nonzero(reached))
-        return np.asarray(reached.reshape(len(cells), -1), bool)
+def _near_cuts(atlas: Atlas, reach: int) -> Int64s:
+    """Find the cells, not empty, whose window holds a cell at a cut."""
+    near, shape = np.zeros(atlas.kind.size, bool), atlas.kind.shape
+    rows, columns = np.divmod(atlas.cut_cells, shape[1])
+    for down in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            row, column = rows + down, columns + right
+            inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+            near[row[inside] * shape[1] + column[inside]] = True
+    return np.flatnonzero(near & (atlas.kind.reshape(-1) != EMPTY)).astype(np.int64)
+
+
+def _window(shape: tuple[int, int], cells: Int64s, reach: int) -> tuple[Int64s, Bools]:
+    """Return the cells of the windows around some cells, shape (K, W), and which of them lie on the canvas."""
+    offsets = np.arange(-reach, reach + 1)
+    rows = (cells // shape[1])[:, None, None] + offsets[:, None]
+    columns = (cells % shape[1])[:, None, None] + offsets
+    inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+    flat = np.where(inside, rows * shape[1] + columns, cells[:, None, None])
+    return flat.reshape(len(cells), -1), inside.reshape(len(cells), -1)
+
+
+def _reached(atlas: Atlas, cells: Int64s, reach: int) -> Bools:
+    """Return which cells of the windows can be reached from their centres over edges, shape (K, W)."""
+    side = 2 * reach + 1
+    window, inside = _window(atlas.kind.shape, cells, reach)
+    filled = (inside & (atlas.kind.reshape(-1)[window] != EMPTY)).reshape(-1, side, side)
+    reached = np.zeros_like(filled)
+    reached[:, reach, reach] = True
+    edges = []
+    for lengths, step in zip(atlas.squared_lengths, STEPS, strict=True):
+        here, there = ((..., *slices) for slices in ends_of(step))
+        joined = np.isfinite(lengths.reshape(-1)[window]).reshape(filled.shape)
+        edges.append((here, there, joined[here] & filled[here] & filled[there]))
+    before, count = -1, 0
+    while before < count:
+        for here, there, joined in edges:
+            reached[there] |= reached[here] & joined
+            reached[here] |= reached[there] & joined
+        before, count = count, int(np.count_nonzero(reached))
+    return np.asarray(reached.reshape(len(cells), -1), bool)

@@ -46,11 +46,9 @@ class Clusters(CoarseLevel):
         self._counts, self.noise, self.relative = level.counts, level.noise, relative
 
     def means(self, stack: Stack) -> Float32s:
-        """Return the means of rows of samples."""
         return self._level.means(stack)
 
     def probe(self, means: Stack, noise: Float64s) -> Stack:
-        """Return random means with a covariance of channels."""
         signs = random_signs(means, self._graph.priorities, 1)[0]
         return np.asarray(np.einsum("ij,sj->si", root_of(noise), signs), np.float32)
 
@@ -65,15 +63,12 @@ class Clusters(CoarseLevel):
         stack += self._samples.smoothed(changes[self._level.members], variance)
 
     def planes(self, count: int) -> Float32s:
-        """Return rows of zeros."""
         return np.zeros((count, self._graph.size), np.float32)
 
     def total(self, planes: Float32s) -> Float64s:
-        """Sum rows over all samples."""
         return np.asarray(np.sum(planes * self._counts, axis=1, dtype=np.float64))
 
     def spread(self, planes: Float32s) -> Float32s:
-        """Average rows over the clusters around."""
         rows = np.ascontiguousarray((planes * (self._counts * np.float32(self.noise))).T)
         return np.ascontiguousarray(self._graph.smoothed(rows, self.width**2).T)
 

@@ -15,16 +15,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.regularisation import MeshGaussian
-
-if TYPE_CHECKING:
-    from beltrami_cli._native import SurfacePatches
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about alike. On a triangle
 # lattice a pass adds so many squared spacings to the variance.
@@ -43,18 +40,15 @@ class Graph:
 
     @property
     def size(self) -> int:
-        """The number of samples."""
         return len(self.positions)
 
     @cached_property
     def _means(self) -> MeshGaussian:
-        return MeshGaussian(self.size, self.edges, np.ones(len(self.edges)), _FLAT, gain=1.0)
+        return MeshGaussian.of(self.size, self.edges, np.ones(len(self.edges)), _FLAT, gain=1.0)
 
     @cached_property
     def patches(self) -> SurfacePatches:
         """The patches in the tangent planes of all samples."""
-        from beltrami_cli._native import SurfacePatches
-
         return SurfacePatches(self.positions, self.edges, self.axes, self.priorities, self.threads)
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
@@ -118,7 +112,6 @@ class Level:
 
     @cached_property
     def counts(self) -> Float32s:
-        """How many samples each cluster has."""
         return np.bincount(self.members, minlength=self.graph.size).astype(np.float32)
 
     @property
@@ -127,7 +120,6 @@ class Level:
         return float(1 / self.counts.mean())
 
     def means(self, rows: Float32s) -> Float32s:
-        """Return the means of rows of samples."""
         sums = [np.bincount(self.members, column, self.graph.size) for column in rows.T]
         return np.stack([(own / self.counts).astype(np.float32) for own in sums], axis=1)
 

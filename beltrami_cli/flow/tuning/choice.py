@@ -55,7 +55,6 @@ class Grid:
     least_gain: float = 0.0  # a path ends with an iteration that gains less than this share of the error
 
     def at(self, place: Place) -> Schedule:
-        """Return the schedule without plain iterations at a place in the grid."""
         beta, growth, regularised = place
         return Schedule(self.betas[beta], self.growths[growth], self.t, self.regularised[regularised], 0)
 
@@ -136,7 +135,6 @@ class Search:
             schedule = replace(schedule, plain=schedule.plain + 1)
 
     def _ends(self, risks: list[float]) -> bool:
-        """Return whether the last iteration of a path gained too little to continue."""
         return len(risks) > 1 and risks[-2] - risks[-1] < self._grid.least_gain * abs(risks[-2])
 
     def _try(self, schedule: Schedule, state: State) -> float:
@@ -247,19 +245,17 @@ def choose(
     risks = RiskEstimate.on(trial, manifold.noise.sigma, manifold.noise.stabiliser)
     search = Search(risks, grid, risks.noise, weight, tick)
     best = search.run()
-    values: dict[str, Any] = {
-        "iterations": best.regularised + best.plain,
-        "t": best.t,
-        "beta": best.beta,
-        "beta_growth": best.growth,
-        "metric_steps": best.regularised,
-    }
-    chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
-    estimate = _decibels(search.tried[best], risks.noise)
-    choice = Choice(
-        _as_given(chosen, manifold), *estimate, len(search.tried), trial.samples, trial.correlated
+    psnr, error, gain = _decibels(search.tried[best], risks.noise)
+    chosen, given = _chosen(manifold, parameters, best)
+    return chosen, Choice(
+        given,
+        psnr=psnr,
+        error=error,
+        gain=gain,
+        candidates=len(search.tried),
+        samples=trial.samples,
+        correlated=trial.correlated,
     )
-    return dataclasses.replace(parameters, **chosen, free=()), choice
 
 
 def is_noisy(sigma: Float64s) -> bool:
@@ -288,9 +284,16 @@ def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float,
         (_nearest(betas, contrast * scale), _nearest(growths, growth), _nearest(regularised, count))
         for contrast, growth, count in search_range.starts
     )
-    t = search_range.t if "t" in free else parameters.t
-    limits = search_range.max_iterations, starts, search_range.least_gain
-    return Grid(betas, growths, t, regularised, iterations, *limits)
+    return Grid(
+        betas=betas,
+        growths=growths,
+        t=search_range.t if "t" in free else parameters.t,
+        regularised=regularised,
+        iterations=iterations,
+        max_iterations=search_range.max_iterations,
+        starts=starts,
+        least_gain=search_range.least_gain,
+    )
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:
@@ -314,20 +317,26 @@ def choose_by_rule(
     if "beta" in parameters.free and len(metric_sigma):
         strength = float(np.sqrt(parameters.strength))
         beta = choose_beta(metric_sigma, rule.contrast) * manifold.unit / strength
+    plain = rule.count(overall_noise(metric_sigma)) - rule.regularised
+    schedule = Schedule(beta, rule.growth, rule.step, rule.regularised, plain)
+    chosen, given = _chosen(manifold, parameters, schedule)
+    return chosen, Choice(given)
+
+
+def _chosen(
+    manifold: Manifold, parameters: KernelParameters, schedule: Schedule
+) -> tuple[KernelParameters, dict[str, Any]]:
+    """Set the free parameters; return their values, too, with beta per unit of the colours as they were given."""
     values: dict[str, Any] = {
-        "iterations": rule.count(overall_noise(metric_sigma)),
-        "t": rule.step,
-        "beta": beta,
-        "beta_growth": rule.growth,
-        "metric_steps": rule.regularised,
+        "iterations": schedule.regularised + schedule.plain,
+        "t": schedule.t,
+        "beta": schedule.beta,
+        "beta_growth": schedule.growth,
+        "metric_steps": schedule.regularised,
     }
     chosen: dict[str, Any] = {name: values[name] for name in parameters.free}
-    return dataclasses.replace(parameters, **chosen, free=()), Choice(_as_given(chosen, manifold))
-
-
-def _as_given(chosen: dict[str, Any], manifold: Manifold) -> dict[str, Any]:
-    """Return chosen parameters with beta per unit of the colours as they were given."""
-    return chosen | ({"beta": chosen["beta"] / manifold.noise.growth} if "beta" in chosen else {})
+    given = chosen | ({"beta": chosen["beta"] / manifold.noise.growth} if "beta" in chosen else {})
+    return dataclasses.replace(parameters, **chosen, free=()), given
 
 
 def tune(

@@ -67,7 +67,6 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
 
 
 def _ranked(colours: Float32s, around: NDArray[np.uint64], edges: Int32s, connected: Int64s) -> Int64s:
-    """Sort samples by the detail around them."""
     # A few patches at random may miss all detail, or hold nothing else; one from each part of this order does neither.
     detail = detail_around(colours, edges)[connected]
     return connected[np.lexsort((around[connected], detail))]

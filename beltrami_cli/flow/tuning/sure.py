@@ -105,17 +105,14 @@ class RiskEstimate:
 
     @property
     def start(self) -> State:
-        """The state before any iteration."""
         start = self.trial.start
         return State(start, tuple(start + self.size * signs for signs in self.trial.signs))
 
     def step(self, state: State, step: Step) -> State:
-        """Return the state after an iteration."""
         perturbed = tuple(self.trial.step(colours, step) for colours in state.perturbed)
         return State(self.trial.step(state.plain, step), perturbed)
 
     def of(self, state: State) -> Risk:
-        """Estimate the error of a state."""
         smoothed = self.trial.scored(state.plain).astype(np.float64)
         divergence = np.zeros_like(smoothed)
         for weights, colours in zip(self.weights, state.perturbed, strict=True):
