@@ -131,9 +131,9 @@ def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
     name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
     line = registry.recognised(data, name)
     if line is not None and line.kind == "volume":
-        from beltrami_cli.layers.voxels import LevelSetDocument
+        from beltrami_cli.layers.voxels import read_level_set
 
-        return LevelSetDocument(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
+        return read_level_set(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
     return registry.open_as(line, data, name, folder, access)
 
 

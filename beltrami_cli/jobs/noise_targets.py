@@ -6,7 +6,6 @@ Samples at one place have one random number, so that split vertices stay equal, 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,7 @@ from beltrami_cli.flow.canvas import painted as on_canvas
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.image import Picture, write_image
+from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
@@ -29,7 +28,7 @@ from beltrami_cli.layers.settings import COLOUR_SLOTS, SLOTS
 from beltrami_cli.layers.texel_colours import Repainting, all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
-from beltrami_cli.surface.atlas import fill_gutter, texels_by_texture
+from beltrami_cli.surface.atlas import fill_gutter
 from beltrami_cli.surface.baking import places_of_texels
 from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.grouping import group_places
@@ -98,23 +97,16 @@ def coded_as_jpeg(samples: Layer, quality: int) -> Float32s:
     if samples.names not in (("red", "green", "blue"), ("grey",)):
         cause = f"{samples.label}: JPEG codes all channels together; leave out --channels and --alpha"
         raise UsageError(cause)
-    pictures: Sequence[Picture]
-    if isinstance(samples, ImageLayer):
-        pictures, offsets = [samples.picture], np.array([0, samples.valid.size])
-        places = np.flatnonzero(samples.valid)
-    else:
-        assert isinstance(samples, TextureLayer)
-        pictures, offsets = samples.pictures, samples.atlas.texture_offsets
-        places = samples.atlas.owned_texels
-    space = samples.colours.space
-    coded = np.empty((len(places), len(samples.names)), np.float32)
-    for index, inside, texels in texels_by_texture(offsets, places):
-        picture = pictures[index]
+    assert isinstance(samples, ImageLayer | TextureLayer)
+    cells, space = samples.cells(), samples.colours.space
+    coded = np.empty((len(cells.row), len(samples.names)), np.float32)
+    for index, picture in enumerate(
+        [samples.picture] if isinstance(samples, ImageLayer) else samples.pictures
+    ):
         working = samples.colours.working(picture, np.arange(picture.pixels[..., 0].size))
         shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
-        coded[inside] = to_space(
-            as_jpeg(shown, quality).reshape(-1, len(samples.names))[texels], "srgb", space
-        )
+        inside, place = cells.of(index)
+        coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", space)
     return coded
 
 

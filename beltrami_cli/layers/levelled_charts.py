@@ -53,21 +53,16 @@ def _level_textures(layer: TextureLayer, wanted: LevelSettings) -> TextureLayer:
     if layer.slot not in COLOUR_SLOTS:
         cause = f"{layer.label}: they are data, which no camera exposed; leave them out of --slots"
         raise UsageError(cause)
-    atlas, planes, charts = (
-        layer.atlas,
-        on_canvas(layer),
-        TextureCharts.of(layer.atlas, layer.surface.textures),
-    )
+    atlas, planes = layer.atlas, on_canvas(layer)
+    charts = TextureCharts.of(atlas, layer.surface.textures)
     is_coloured = layer.names == ("red", "green", "blue")
     halved = [is_coloured and each is not None and max(each.span) > 1 for each in layer.tables]
     found, change = level_canvas(atlas, planes, wanted.strength, charts.matching(wanted.reference), halved)
-    return dataclasses.replace(
-        layer,
-        levelled=colours_at(planes, atlas.owned_cells, layer.settings.kernel.thread_count)
-        if change
-        else None,
-        level_report=_report(layer.label, found, change, charts.facts(layer.pictures)),
-    )
+    levelled = None
+    if change:
+        levelled = colours_at(planes, atlas.owned_cells, layer.settings.kernel.thread_count)
+    report = _report(layer.label, found, change, charts.facts(layer.pictures))
+    return dataclasses.replace(layer, levelled=levelled, level_report=report)
 
 
 def _level_vertices(layer: VertexLayer, wanted: LevelSettings, photographs: Int64s | None) -> VertexLayer:
@@ -78,10 +73,8 @@ def _level_vertices(layer: VertexLayer, wanted: LevelSettings, photographs: Int6
     of_samples[layer.sampling.sample_of] = photographs
     mesh = surface.positions, surface.all_faces
     found, change, colours = level_mesh(*mesh, surface.colours, of_samples, wanted.strength)
-    parts: list[dict[str, object]] = [{"chart": part} for part in range(len(found.groups))]
-    return dataclasses.replace(
-        layer, levelled=colours, level_report=_report(layer.label, found, change, parts)
-    )
+    report = _report(layer.label, found, change, [{"chart": part} for part in range(len(found.groups))])
+    return dataclasses.replace(layer, levelled=colours, level_report=report)
 
 
 def colours_of(layer: Layer) -> NewColours:
@@ -152,7 +145,6 @@ class TextureCharts:
 
 
 def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:
-    """Report the levelling of colours; `charts` are facts about each chart."""
     facts, verdict = found.facts, found.verdict
     reason = "" if change else _TOO_SMALL
     if verdict is None:
@@ -168,14 +160,14 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
                 pair = {"gain": (1 + of_chart[:, 0]).tolist(), "offset": of_chart[:, 1].tolist()}
                 exposures.append({**each, **pair})
     return LevelReport(
-        what,
-        len(charts),
-        facts.seams,
-        facts.stepped,
-        facts.painted,
-        facts.before,
-        facts.after if change else facts.before,
-        0.0 if verdict is None else verdict.share,
+        what=what,
+        charts=len(charts),
+        seams=facts.seams,
+        stepped=facts.stepped,
+        painted=facts.painted,
+        before=facts.before,
+        after=facts.after if change else facts.before,
+        foretold=0.0 if verdict is None else verdict.share,
         tilted=verdict is not None and len(verdict.spread) > 2,
         levelled=change > 0,
         reason=reason,

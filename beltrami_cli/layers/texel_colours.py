@@ -112,8 +112,10 @@ class Repainting:
             covered, known, rows = self.near_charts(index, pixels.shape[:2], new)
             chosen, values = new.beyond_places[rows], new.beyond[rows]
             self.paint(pixels, index, chosen, lambda block, inside: values[block][inside])
-            refilled = Refilled(picture.pixels, pixels, covered, known, partial(self.colours.shown, picture))
-            keep_others(refilled, self.gutter, self.of_texture(self.lone, index)[1], self.threads)
+            keep_others(
+                picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
+                width=self.gutter, lone=self.of_texture(self.lone, index)[1], threads=self.threads,
+            )  # fmt: skip
             opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
             fill_gutter(pixels, covered, self.gutter, known, self.threads, columns, opacity)
         return pixels, change
@@ -168,28 +170,10 @@ def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
     return np.where(is_whole, values, spread)
 
 
-@dataclass(frozen=True)
-class Refilled:
-    """A picture whose charts are repainted, and continued beyond seams, but not yet filled around them."""
-
-    old: Array  # its pixels as they were, shape (H, W, C)
-    new: Array  # and as they are now
-    covered: Bools  # (H, W)
-    known: Bools  # (H, W): texels around charts whose colours stay as they are now
-    shown: Callable[[Array], Float32s]  # colours, shape (K, N), of pixels, shape (K, C)
-
-    def before(self, texels: Indices) -> Float32s:
-        return self.shown(_rows(self.old)[texels])
-
-    def after(self, texels: Indices) -> Float32s:
-        return self.shown(_rows(self.new)[texels])
-
-    def restore(self, texels: Indices) -> None:
-        """Give texels, in place, the colours that they had."""
-        _rows(self.new)[texels] = _rows(self.old)[texels]
-
-
-def keep_others(refilled: Refilled, width: int, lone: Indices, threads: int) -> None:
+def keep_others(
+    old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
+    width: int, lone: Indices, threads: int,
+) -> None:  # fmt: skip
     """Let texels around charts that do not continue the chart beside them keep their colours, in place.
 
     A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
@@ -197,26 +181,31 @@ def keep_others(refilled: Refilled, width: int, lone: Indices, threads: int) -> 
     the chart's border, or paint of another chart, material or model. Single texels of such paint may resemble the
     chart, so half of the uncovered texels around must continue it, too. Of lone texels it is not known which part of
     the surface they show.
+
+    `old`, `new`: pixels before and now, (H, W, C), whose colours `shown` returns. Texels that are `known`, (H, W), are
+    not filled afterwards.
     """
-    limit, known = _REAL_STEP * _taken_away(refilled), refilled.known.reshape(-1)
-    painted, continues = np.flatnonzero(known), np.zeros(refilled.covered.shape, bool)
-    for texels, nearest in nearest_covered(refilled.covered, width + 1 if width else 0, threads=threads):
+    rows, new_rows, is_known = old.reshape(covered.size, -1), new.reshape(covered.size, -1), known.reshape(-1)
+    limit = _REAL_STEP * _taken_away(rows, new_rows, covered, shown)
+    painted, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
+    for texels, nearest in nearest_covered(covered, width + 1 if width else 0, threads=threads):
         for block in large_arrays.blocks(len(texels), _BLOCK):
             here, there = texels[block], nearest[block]
-            step = refilled.before(here) - refilled.before(there)
-            is_halo = known[here]
-            halo, beside = here[is_halo], there[is_halo]
-            now = refilled.after(halo) - refilled.after(beside)
+            step = shown(rows[here]) - shown(rows[there])
+            is_halo = is_known[here]
+            halo = here[is_halo]
+            now = shown(new_rows[halo]) - shown(new_rows[there[is_halo]])
             follows = _size(step[is_halo] - now) <= limit
-            known[halo] = follows
-            alike = _size(step) <= limit
-            alike[is_halo] |= follows
-            continues.reshape(-1)[here] = alike
-    continues &= _is_half(continues, ~refilled.covered)
+            is_known[halo] = follows
+            has_no_step = _size(step) <= limit
+            has_no_step[is_halo] |= follows
+            continues.reshape(-1)[here] = has_no_step
+    continues &= _is_half(continues, ~covered)
     continues.reshape(-1)[lone] = False
-    stays = ~(continues | refilled.covered)
-    refilled.restore(painted[stays.reshape(-1)[painted]])
-    refilled.known[stays] = True
+    stays = ~(continues | covered)
+    restored = painted[stays.reshape(-1)[painted]]
+    new_rows[restored] = rows[restored]
+    known[stays] = True
 
 
 def _is_half(marked: Bools, counted: Bools) -> Bools:
@@ -233,16 +222,12 @@ def _is_half(marked: Bools, counted: Bools) -> Bools:
     return found
 
 
-def _rows(pixels: Array) -> Array:
-    return pixels.reshape(-1, pixels.shape[2])
-
-
-def _taken_away(refilled: Refilled) -> float:
+def _taken_away(old: Array, new: Array, covered: Bools, shown: Callable[[Array], Float32s]) -> float:
     """Return the root mean square by which the texels at the borders of charts changed."""
-    edge = np.flatnonzero(refilled.covered & within(~refilled.covered, 1))
+    edge = np.flatnonzero(covered & within(~covered, 1))
     total = 0.0
     for block in large_arrays.blocks(len(edge), _BLOCK):
-        change = refilled.after(edge[block]) - refilled.before(edge[block])
+        change = shown(new[edge[block]]) - shown(old[edge[block]])
         total += float(np.square(_size(change)).sum())
     return float(np.sqrt(total / max(1, len(edge))))
 

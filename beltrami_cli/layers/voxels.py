@@ -92,54 +92,11 @@ class LevelSetDocument(Document):
     kind: ClassVar[str] = "volume"
 
     def __init__(
-        self,
-        data: bytes,
-        name: str,
-        folder: Path | None,
-        settings: LevelSetSettings,
-        access: Access,
-        threads: int,
-    ) -> None:
+        self, name: str, folder: Path | None, access: Access, *,
+        vertices: PaintedVertices, contents: MeshContents, facts: dict[str, object],
+    ) -> None:  # fmt: skip
         super().__init__(b"", name, folder, access)
-        require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
-        max_voxels = settings.max_voxels
-        if access.memory is not None:
-            max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
-        volume = read_volume(data, name, folder, max_voxels, access)
-        level = settings.iso if settings.iso is not None else volume.level or 0.0
-        known = np.isfinite(volume.values)
-        if volume.known is not None:
-            known &= volume.known
-        self._facts = {
-            "grid": list(volume.values.shape),
-            "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
-            "origin": volume.lattice.origin.tolist(),
-            "values": list(_range(volume.values, known)),
-            "level": level,
-            "unknown_voxels": int(known.size - np.count_nonzero(known)),
-        }
-        vertices, faces = _triangulated(volume, known, level, settings.inside, name)
-        positions = level_set.places(volume.lattice, vertices)
-        source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
-        values = _colours_at(source, volume.lattice, known, positions, threads)
-        found = level_set.has_colour(values)
-        if not found.any():
-            raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
-        colours, alpha, notices = _scaled(source, values, found, where)
-        self.notices += notices
-        names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
-        encoding: Encoding = "srgb"
-        stored = source.samples.dtype.name
-        if isinstance(source, level_set.NearColours):
-            encoding, stored = source.encoding, source.stored or stored
-        whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # whose corners have colours
-        self._vertices = PaintedVertices(positions, whole, colours, names, encoding, stored)
-        offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
-        self._contents = MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha)
-
-    @property
-    def _painted(self) -> PaintedVertices:
-        return self._vertices
+        self._painted, self._contents, self._facts = vertices, contents, facts
 
     def contents(self) -> MeshContents:
         return self._contents
@@ -150,6 +107,54 @@ class LevelSetDocument(Document):
     def _patched(self, new: Changes, naming: Naming) -> Written:
         cause = "a level set is not written"
         raise InputError(self.name, cause, "name an output in .ply, .obj, .glb or .gltf")
+
+
+def read_level_set(
+    data: bytes, name: str, folder: Path | None, settings: LevelSetSettings, access: Access, threads: int
+) -> LevelSetDocument:
+    """Triangulate a volume, and colour its surface."""
+    require_package("skimage.measure", "scikit-image", name, "to triangulate level sets")
+    max_voxels = settings.max_voxels
+    if access.memory is not None:
+        max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
+    volume = read_volume(data, name, folder, max_voxels, access)
+    level = settings.iso if settings.iso is not None else volume.level or 0.0
+    known = np.isfinite(volume.values)
+    if volume.known is not None:
+        known &= volume.known
+    facts = {
+        "grid": list(volume.values.shape),
+        "spacing": np.linalg.norm(volume.lattice.axes, axis=1).tolist(),
+        "origin": volume.lattice.origin.tolist(),
+        "values": list(_range(volume.values, known)),
+        "level": level,
+        "unknown_voxels": int(known.size - np.count_nonzero(known)),
+    }
+    vertices, faces = _triangulated(volume, known, level, settings.inside, name)
+    positions = level_set.places(volume.lattice, vertices)
+    source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
+    values = _colours_at(source, volume.lattice, known, positions, threads)
+    found = level_set.has_colour(values)
+    if not found.any():
+        raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
+    colours, alpha, notices = _scaled(source, values, found, where)
+    names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
+    encoding: Encoding = "srgb"
+    stored = source.samples.dtype.name
+    if isinstance(source, level_set.NearColours):
+        encoding, stored = source.encoding, source.stored or stored
+    whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # whose corners have colours
+    offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
+    made = LevelSetDocument(
+        name,
+        folder,
+        access,
+        vertices=PaintedVertices(positions, whole, colours, names, encoding, stored),
+        contents=MeshContents(positions, faces.ravel(), offsets, colours, encoding, stored, alpha),
+        facts=facts,
+    )
+    made.notices += notices
+    return made
 
 
 def _triangulated(
