@@ -24,7 +24,7 @@ from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.repainted_document import with_new_colours
-from beltrami_cli.layers.layer import Layer, Repainted
+from beltrami_cli.layers.layer import Layer, Repainted, all_images
 from beltrami_cli.layers.memory_check import checked_memory
 from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, layers_of, select
 from beltrami_cli.layers.settings import SmoothSettings
@@ -103,8 +103,9 @@ def recolour(
             )
         with watch.stage("write"):
             new = [each.repainted for each in painted]
-            written = _files(document, new, kind, naming, in_place=not is_moved(source, target))
-        notices = [*selection.notices, *(notice for each in new for notice in each.notices)]
+            images, said = all_images(new)
+            written = _files(document, new, images, kind, naming, in_place=not is_moved(source, target))
+        notices = [*selection.notices, *(notice for each in new for notice in each.notices), *said]
         report = file.write(written, notices, [warning for each in painted for warning in each.warnings])
     return report, painted
 
@@ -161,13 +162,13 @@ def paint(
 
 
 def _files(
-    document: Document, painted: Sequence[Repainted], kind: OutputFormat, naming: Naming, *, in_place: bool
-) -> Written:
+    document: Document, painted: Sequence[Repainted], images: dict[tuple[Slot, str], ImageFile],
+    kind: OutputFormat, naming: Naming, *, in_place: bool,
+) -> Written:  # fmt: skip
     """Return the files of a document with new colours, images and positions, in the format of the output."""
     colours = next((each.colours for each in painted if each.colours is not None), None)
     places = next((each.positions for each in painted if each.positions is not None), None)
     moved = None if places is None else moved_vertices(document, places)
-    images = {key: image for each in painted for key, image in each.images.items()}
     if in_place:
         images = {key: image for key, image in images.items() if _is_new(document, *key, image)}
     if kind.is_patched:

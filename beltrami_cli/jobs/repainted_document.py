@@ -12,13 +12,13 @@ from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Changes, Document, Naming
 from beltrami_cli.formats.image_document import ImageDocument
-from beltrami_cli.layers.layer import Repainted
+from beltrami_cli.layers.layer import Repainted, all_images
 from beltrami_cli.surface.records import MeshContents, PaintedVertices, Slot, TexturedSurface
 
 
 def with_new_colours(document: Document, painted: Sequence[Repainted]) -> Document:
     """Return what a document would be with new colours, rounded to what its file holds of them."""
-    images = {key: image.data for each in painted for key, image in each.images.items()}
+    images = {key: image.data for key, image in all_images(painted)[0].items()}
     vertices = next((each for each in painted if each.colours is not None), None)
     if document.kind == "image":
         return ImageDocument(images.get(("baseColor", ""), document.data), document.name)

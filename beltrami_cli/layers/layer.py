@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -32,6 +31,22 @@ Part = Literal["vertices", "textures", "image"]
 
 
 @dataclass(frozen=True)
+class SharedImage:
+    """New pixels of an image that several slots show, each in channels of its own."""
+
+    slot: Slot
+    key: str
+    pixels: Array
+    columns: list[int]  # the channels that change
+    write: Callable[[Array], tuple[ImageFile, list[str]]]  # returns also what users should know
+
+    def fits(self, other: SharedImage) -> bool:
+        """Whether both can be one file: colours and data are encoded differently."""
+        is_of_kind = (self.slot in COLOUR_SLOTS) == (other.slot in COLOUR_SLOTS)
+        return is_of_kind and set(self.columns).isdisjoint(other.columns)
+
+
+@dataclass(frozen=True)
 class Repainted:
     """New colours for a document: of vertices, with positions of those that moved, or image files."""
 
@@ -39,6 +54,7 @@ class Repainted:
     colours: Float32s | None = None
     positions: Float64s | None = None
     images: dict[tuple[Slot, str], ImageFile] = field(default_factory=dict)
+    shared: tuple[SharedImage, ...] = ()
     notices: tuple[str, ...] = ()
 
 
@@ -230,30 +246,28 @@ def rewritten(
     return dataclasses.replace(file, is_chosen=suffix is not None), [*picture.notices, *file.notices, *lost]
 
 
-class SharedImages:
-    """Pixels of images so far, for images that several slots show.
+def all_images(
+    painted: Iterable[Repainted],
+) -> tuple[dict[tuple[Slot, str], ImageFile], list[str]]:
+    """Return the new images of all layers, with what users should know of those that several slots show.
 
     Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
     """
-
-    def __init__(self, keys: Iterable[str] = ()) -> None:
-        self._remaining = Counter(keys)
-        self._joined: dict[str, tuple[Array, set[int], tuple[Slot, ...]]] = {}
-
-    def join(
-        self, slot: Slot, key: str, pixels: Array, columns: Sequence[int]
-    ) -> tuple[Array, tuple[Slot, ...]]:
-        """Combine an image's new pixels with the channels that other slots changed; also return these slots."""
-        self._remaining[key] -= 1
-        slots: tuple[Slot, ...] = (slot,)
-        if key in self._joined:
-            before, changed, others = self._joined[key]
-            # Colours and data are encoded differently, so they are not joined.
-            if (slot in COLOUR_SLOTS) == (others[0] in COLOUR_SLOTS) and changed.isdisjoint(columns):
-                pixels[..., sorted(changed)] = before[..., sorted(changed)]
-                columns, slots = [*columns, *changed], (*others, slot)
-        if self._remaining[key] > 0:
-            self._joined[key] = pixels, set(columns), slots
-        else:
-            self._joined.pop(key, None)
-        return pixels, slots
+    images = dict[tuple[Slot, str], ImageFile]()
+    joined = dict[str, list[list[SharedImage]]]()
+    for each in painted:
+        images |= each.images
+        for new in each.shared:
+            groups = joined.setdefault(new.key, [])
+            if groups and all(new.fits(other) for other in groups[-1]):
+                groups[-1].append(new)
+            else:
+                groups.append([new])
+    notices = list[str]()
+    for *others, last in (group for groups in joined.values() for group in groups):
+        for other in others:
+            last.pixels[..., other.columns] = other.pixels[..., other.columns]
+        file, said = last.write(last.pixels)
+        images |= {(each.slot, last.key): file for each in (*others, last)}
+        notices += said
+    return images, notices

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, is_only_read
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
-from beltrami_cli.layers.layer import Layer, SharedImages
+from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import choose_textures
@@ -112,7 +113,8 @@ def layers_of(
     if selection.vertices:
         yield vertex_layer(document, settings, access)
     chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
-    shared = SharedImages(texture.key for surface in chosen for texture in surface.textures)
+    counts = Counter(texture.key for surface in chosen for texture in surface.textures)
+    shared = frozenset(key for key, count in counts.items() if count > 1)
     for slot, surface in zip(selection.slots, chosen, strict=True):
         many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
         groups: list[TextureGroup] = []

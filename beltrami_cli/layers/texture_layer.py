@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.embedding import Guide
@@ -27,7 +27,7 @@ from beltrami_cli.layers.coded_pictures import plan_on_pictures
 from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.reports import LevelReport, SlotReport
-from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
+from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import (
     Repainting,
     choose_textures,
@@ -62,7 +62,7 @@ class TextureLayer(layer.Layer):
     tables: Sequence[JpegTables | None]
     atlas: Atlas
     colours: PictureColours
-    shared: layer.SharedImages
+    shared: Collection[str] = ()  # keys of images that other slots show, too
     guided: GuidedTexels | None = None  # where its guides are read from
     noise: Float32s | None = None  # standard deviations of the owned cells, (T, K)
     group: TextureGroup | None = None
@@ -72,8 +72,7 @@ class TextureLayer(layer.Layer):
     @classmethod
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
-        guided: tuple[Document, Access] | None = None, shared: layer.SharedImages | None = None,
-        group: TextureGroup | None = None,
+        guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), group: TextureGroup | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Decode the chosen textures, and lay their charts out; `guided`: where guides and noise are read from."""
         surface, kernel = choose_textures(surface, settings.textures), settings.kernel
@@ -101,7 +100,7 @@ class TextureLayer(layer.Layer):
             tables=tables,
             atlas=atlas,
             colours=colours,
-            shared=shared or layer.SharedImages(),
+            shared=shared,
             guided=guides,
             noise=noise,
             group=group,
@@ -154,7 +153,7 @@ class TextureLayer(layer.Layer):
         for picture in self.pictures:
             check_writable(picture, self.settings.textures.image_suffix)
 
-    def _written(self) -> list[int]:
+    def _own(self) -> list[int]:
         """Return which textures are written back: of a group, its own."""
         own = None if self.group is None else self.group.own
         return [i for i, texture in enumerate(self.surface.textures) if own is None or texture.key in own]
@@ -172,7 +171,7 @@ class TextureLayer(layer.Layer):
                 "channels": list(picture.channels),
                 "covered": round(float(covered[index] / picture.pixels[..., 0].size), 4),
             }
-            for index in self._written()
+            for index in self._own()
             for picture in [self.pictures[index]]
         ]
 
@@ -180,7 +179,7 @@ class TextureLayer(layer.Layer):
         used, counts = self._used(plan, result), self.atlas.counts
         if self.group is not None:
             used |= self.group.common.described
-            counts |= self.group.counts(self.atlas, self._written())
+            counts |= self.group.counts(self.atlas, self._own())
         return SlotReport(
             slot=self.slot,
             textures=self._facts(),
@@ -217,21 +216,28 @@ class TextureLayer(layer.Layer):
         is_levelled, wanted = self.levelled is not None, self.settings.textures
         gutter = wanted.gutter if is_smoothed or is_levelled else None
         painter = painter_of(self, gutter, is_dithered=is_levelled and not is_smoothed)
-        changes, images = list[layer.Change](), dict[tuple[Slot, str], ImageFile]()
-        for index in self._written():
+        changes, images, shared = (
+            list[layer.Change](),
+            dict[tuple[Slot, str], ImageFile](),
+            list[layer.SharedImage](),
+        )
+        for index in self._own():
             texture, picture = self.surface.textures[index], self.pictures[index]
             pixels, change = painter.repaint(index, new)
             changes.append(change)
             large_arrays.leave_memory()
-            columns = self.colours.columns(picture)
-            pixels, slots = self.shared.join(self.slot, texture.key, pixels, columns)
-            is_data = self.slot not in COLOUR_SLOTS
-            file, said = layer.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
+            write = partial(
+                _written, picture, wanted, as_data=self.slot not in COLOUR_SLOTS,
+                is_kept=self.group is not None and texture.is_read_anew,
+            )  # fmt: skip
+            if texture.key in self.shared:
+                columns = self.colours.columns(picture)
+                shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
+                continue
+            images[self.slot, texture.key], said = write(pixels)
             notices += said
-            if self.group is not None and texture.is_read_anew:
-                file = dataclasses.replace(file, content=large_arrays.kept(file.data))
-            images |= {(each, texture.key): file for each in slots}
-        return layer.Repainted(layer.Change.joined(changes), images=images, notices=tuple(notices))
+        change = layer.Change.joined(changes)
+        return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
     def cells(self) -> Cells:
         atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
@@ -261,6 +267,14 @@ def painter_of(textures: TextureLayer, gutter: int | None, *, is_dithered: bool 
         threads=textures.settings.kernel.thread_count,
         is_dithered=is_dithered,
     )
+
+
+def _written(
+    picture: Picture, wanted: TextureSettings, pixels: Array, *, as_data: bool, is_kept: bool
+) -> tuple[ImageFile, list[str]]:
+    """Write new pixels as a file, `is_kept` on disk; return also what users should know."""
+    file, said = layer.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=as_data)
+    return dataclasses.replace(file, content=large_arrays.kept(file.data)) if is_kept else file, said
 
 
 def _plan_alone(textures: TextureLayer, index: int) -> Plan[GridManifold]:
