@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -115,11 +116,22 @@ def read_guide_images(
     return tuple(guides)
 
 
+class Textured(Protocol):
+    """A document, or a part of one, whose textures guide."""
+
+    @property
+    def name(self) -> str: ...
+
+    def slots(self) -> tuple[Slot, ...]: ...
+
+    def textured(self, slot: Slot) -> TexturedSurface: ...
+
+
 @dataclass(frozen=True)
 class GuidedTexels:
     """The texels that guides are read for."""
 
-    document: Document
+    document: Textured
     surface: TexturedSurface
     pictures: Sequence[Picture]
     atlas: Atlas

@@ -19,12 +19,11 @@ from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, check_writable, read_texture
 from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.coded_pictures import plan_on_pictures
-from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
+from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.reports import LevelReport, SlotReport
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
@@ -72,7 +71,7 @@ class TextureLayer(layer.Layer):
     @classmethod
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
-        guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), group: TextureGroup | None = None,
+        guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (), group: TextureGroup | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Decode the chosen textures, and lay their charts out; `guided`: where guides and noise are read from."""
         surface, kernel = choose_textures(surface, settings.textures), settings.kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,22 +62,31 @@ class Patch:
     places: Float64s | None = None  # positions of vertices, (K, 3), if they moved
 
 
-def _part_of(document: Document, own: TexturedSurface, part: TexturedSurface, faces: Int64s) -> Document:
-    """Return the part of a document's triangles that is smoothed, as guides of textures read it."""
+@dataclass(frozen=True)
+class _Part:
+    """The part of a document's triangles that is smoothed, as guides of textures read it."""
 
-    def textured(slot: Slot) -> TexturedSurface:
-        guiding = document.textured(slot)
-        if len(guiding.faces) != len(own.faces):
+    document: Document
+    whole: TexturedSurface
+    part: TexturedSurface
+    faces: Int64s
+
+    @property
+    def name(self) -> str:
+        return self.document.name
+
+    def slots(self) -> tuple[Slot, ...]:
+        return self.document.slots()
+
+    def textured(self, slot: Slot) -> TexturedSurface:
+        guiding, faces = self.document.textured(slot), self.faces
+        if len(guiding.faces) != len(self.whole.faces):
             return guiding  # which is refused as for the whole
-        matches = (guiding.uv[faces] == own.uv[faces]).all(axis=(1, 2))
+        has_same_uv = (guiding.uv[faces] == self.whole.uv[faces]).all(axis=(1, 2))
         return dataclasses.replace(
-            part, textures=guiding.textures, texture_of=guiding.texture_of[faces],
-            uv=np.where(matches[:, None, None], part.uv, np.nan),
+            self.part, textures=guiding.textures, texture_of=guiding.texture_of[faces],
+            uv=np.where(has_same_uv[:, None, None], self.part.uv, np.nan),
         )  # fmt: skip
-
-    made = copy(document)
-    made.textured = textured  # type: ignore[method-assign]
-    return made
 
 
 class Previewer:
@@ -189,7 +197,7 @@ class Previewer:
         order = self._around(focus)
         order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
         part = _used(surface, order)
-        read = _part_of(self._document, self._own, part, self._faces[order])
+        read = _Part(self._document, self._own, part, self._faces[order])
         layer = TextureLayer.read(part, self._slot, settings, guided=(read, self._access))
         new, painter = _smooth(layer, progress), painter_of(layer, gutter=None)
         offsets, patches = layer.atlas.texture_offsets, []
