@@ -199,23 +199,13 @@ def smooth(
     assert repainted.colours is not None
     counts, geometry = report.counts, report.geometry or {}
     return SmoothResult(
-        colours=repainted.colours,
-        beta=report.beta,
-        spacing=report.spacing,
-        noise=report.noise,
-        samples=int(counts["samples"]),
-        hard_edge_samples=int(counts["hard_edge_samples"]),
-        samples_per_kernel=done.samples_per_kernel,
-        truncated=int(counts["truncated_kernels"]),
-        iterations=report.iterations,
-        guide_betas=report.guides,
-        positions=repainted.positions,
-        normal_noise=geometry.get("normal_noise"),
-        normal_beta=geometry.get("normal_beta"),
-        cloud=count_cloud(layer.joined) if faces is None else None,
-        choice=done.choice,
-        patches=report.patches,
-    )
+        colours=repainted.colours, beta=report.beta, spacing=report.spacing, noise=report.noise,
+        samples=int(counts["samples"]), hard_edge_samples=int(counts["hard_edge_samples"]),
+        samples_per_kernel=done.samples_per_kernel, truncated=int(counts["truncated_kernels"]),
+        iterations=report.iterations, guide_betas=report.guides, positions=repainted.positions,
+        normal_noise=geometry.get("normal_noise"), normal_beta=geometry.get("normal_beta"),
+        cloud=count_cloud(layer.joined) if faces is None else None, choice=done.choice, patches=report.patches,
+    )  # fmt: skip
 
 
 def smooth_image(
@@ -299,12 +289,7 @@ def smooth_image(
     assert isinstance(report, VertexReport)
     smoothed[pixels] = done.repainted.colours
     return ImageResult(
-        colours=smoothed.reshape(*shape, -1),
-        beta=report.beta,
-        spacing=report.spacing,
-        noise=np.array(list(report.noise.values())),
-        samples=int(report.counts["samples"]),
-        samples_per_kernel=done.samples_per_kernel,
-        choice=done.choice,
-        patches=report.patches,
-    )
+        colours=smoothed.reshape(*shape, -1), beta=report.beta, spacing=report.spacing,
+        noise=np.array(list(report.noise.values())), samples=int(report.counts["samples"]),
+        samples_per_kernel=done.samples_per_kernel, choice=done.choice, patches=report.patches,
+    )  # fmt: skip

@@ -51,14 +51,10 @@ def smooth_layer(
     del plan, result  # before images as large are made
     repainted = layer.repaint(new, is_smoothed=is_smoothed)
     return Smoothed(
-        part=layer.part,
-        repainted=repainted,
-        report=dataclasses.replace(report, change=repainted.change.summary()),
-        warnings=warnings,
-        choice=choice,
-        samples_per_kernel=samples_per_kernel,
-        levelled=layer.level_report,
-    )
+        part=layer.part, repainted=repainted,
+        report=dataclasses.replace(report, change=repainted.change.summary()), warnings=warnings,
+        choice=choice, samples_per_kernel=samples_per_kernel, levelled=layer.level_report,
+    )  # fmt: skip
 
 
 def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:

@@ -92,17 +92,12 @@ class ImageLayer(Layer):
             remedy = "" if visible.any() else "; --alpha smooth takes what is transparent, too"
             remarks.append(f"{picture.name} has no pixel but holes, so nothing was smoothed{remedy}.")
         return cls(
-            picture=picture,
-            settings=settings,
-            colours=colours,
-            surface=dataclasses.replace(surface, valid=valid),
-            valid=valid,
+            picture=picture, settings=settings, colours=colours,
+            surface=dataclasses.replace(surface, valid=valid), valid=valid,
             guides=read_guide_images(picture, valid, settings, access),
             noise=noise_of_pixels(settings.kernel, [picture], valid.reshape(-1), access),
-            tables=read_jpeg_tables(document.data),
-            suffix=suffix,
-            remarks=tuple(remarks),
-        )
+            tables=read_jpeg_tables(document.data), suffix=suffix, remarks=tuple(remarks),
+        )  # fmt: skip
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -114,16 +109,11 @@ class ImageLayer(Layer):
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         return plan_on_image(
-            self.surface,
-            partial(self.colours.working, self.picture),
-            self.settings.kernel,
-            guides=self.guides,
-            metric_channels=self.colours.metric_channels,
-            tick=tick,
-            noise=self.noise,
+            self.surface, partial(self.colours.working, self.picture), self.settings.kernel,
+            guides=self.guides, metric_channels=self.colours.metric_channels, tick=tick, noise=self.noise,
             coded=(self.picture.pixels, self.tables) if self.colours.shows_all else None,
             light_in=self.colours.light_space,
-        )
+        )  # fmt: skip
 
     def require_writable(self) -> None:
         check_writable(self.picture, self.suffix)

@@ -160,19 +160,12 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
                 pair = {"gain": (1 + of_chart[:, 0]).tolist(), "offset": of_chart[:, 1].tolist()}
                 exposures.append({**each, **pair})
     return LevelReport(
-        what=what,
-        charts=len(charts),
-        seams=facts.seams,
-        stepped=facts.stepped,
-        painted=facts.painted,
-        before=facts.before,
-        after=facts.after if change else facts.before,
+        what=what, charts=len(charts), seams=facts.seams, stepped=facts.stepped, painted=facts.painted,
+        before=facts.before, after=facts.after if change else facts.before,
         foretold=0.0 if verdict is None else verdict.share,
-        tilted=verdict is not None and len(verdict.spread) > 2,
-        levelled=change > 0,
-        reason=reason,
+        tilted=verdict is not None and len(verdict.spread) > 2, levelled=change > 0, reason=reason,
         exposures=exposures,
-    )
+    )  # fmt: skip
 
 
 def photograph_attribute(document: Document, wanted: str | None = None) -> str | None:

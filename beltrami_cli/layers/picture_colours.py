@@ -88,19 +88,12 @@ class PictureColours:
         sampled = tuple((*names, *further, "alpha")[i] for i in chosen.sampled)
         is_light = space != "data" and all(picture.encoding == "linear" for picture in pictures)
         return cls(
-            names=sampled,
-            written=chosen.written,
-            metric_channels=chosen.metric,
-            space=space,
-            light_space=space if is_light else None,
-            width=width,
-            kept=[i for i in chosen.sampled if i < width],
-            changing=changing,
-            others={name: further[name] for name in sampled if name in further},
-            has_alpha=has_alpha,
-            hides=slot in COLOUR_SLOTS and not smoothes_alpha,
-            is_normal=slot == "normal",
-        )
+            names=sampled, written=chosen.written, metric_channels=chosen.metric, space=space,
+            light_space=space if is_light else None, width=width,
+            kept=[i for i in chosen.sampled if i < width], changing=changing,
+            others={name: further[name] for name in sampled if name in further}, has_alpha=has_alpha,
+            hides=slot in COLOUR_SLOTS and not smoothes_alpha, is_normal=slot == "normal",
+        )  # fmt: skip
 
     @property
     def shows_all(self) -> bool:

@@ -92,18 +92,9 @@ class TextureLayer(layer.Layer):
             if settings.embedding.guides:
                 guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
         return cls(
-            slot=slot,
-            settings=settings,
-            surface=surface,
-            pictures=pictures,
-            tables=tables,
-            atlas=atlas,
-            colours=colours,
-            shared=shared,
-            guided=guides,
-            noise=noise,
-            group=group,
-        )
+            slot=slot, settings=settings, surface=surface, pictures=pictures, tables=tables, atlas=atlas,
+            colours=colours, shared=shared, guided=guides, noise=noise, group=group,
+        )  # fmt: skip
 
     @cached_property
     def label(self) -> str:
