@@ -20,7 +20,7 @@ from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.layers.texture_groups import TextureGroup, separate_groups
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -65,12 +65,9 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
         raise UsageError(f"{', '.join(wrong)}: for images only, but {document.name} is none; leave it out")
     present = document.slots()
     slots = tuple(slot for slot in present if slot in settings.textures.slots)
-    if (
-        not slots
-        and settings.on != "vertices"
-        and settings.textures.slots not in ((), SLOTS, TextureSettings.slots)
-    ):
-        raise _no_such_textures(document, present, settings.textures.slots)
+    wanted = settings.textures.slots
+    if not slots and settings.on != "vertices" and wanted and "baseColor" not in wanted:
+        raise _no_such_textures(document, present, wanted)
     coloured = settings.on != "texture" and document.has_vertex_colours()
     if settings.on == "auto":
         slots = document.readable(slots)
@@ -84,7 +81,6 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     if not slots:
         raise _nothing_to_smooth(document, present, textures_only=settings.on == "texture")
     slots = _with_chosen_textures(document, slots, settings)
-    wanted = settings.textures.slots
     absent = (
         [] if wanted == SLOTS else [f"it has no {slot} textures" for slot in wanted if slot not in present]
     )
