@@ -139,14 +139,11 @@ def choose_parameters(
     work.announce(chosen)
     geometry = manifold.geometry if split is not None else manifold.geometry.for_kernels()
     return Plan(
-        manifold=dataclasses.replace(manifold, geometry=geometry, parameters=chosen),
-        noise=noise.of_input,
-        described_noise=noise.described(),
-        choice=choice,
-        takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy,
-        light=light,
+        manifold=dataclasses.replace(manifold, geometry=geometry, parameters=chosen), noise=noise.of_input,
+        described_noise=noise.described(), choice=choice,
+        takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
         split=split,
-    )
+    )  # fmt: skip
 
 
 def smooth(

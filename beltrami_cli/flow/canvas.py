@@ -61,7 +61,7 @@ def colours_at(planes: Float32s, cells: Indices, threads: int) -> Float32s:
 
 
 def canvas_colours(atlas: Atlas, planes: Float32s, threads: int) -> NewColours:
-    """Return the colours of the owned cells, read from the canvas when they are taken, and those of the gutter."""
+    """Return the colours of the owned cells, read from the canvas when they are taken, and the gutter's colours."""
     refresh_halo(planes, atlas, threads, interpolated=True)
     flat, cells, gutter = planes.reshape(len(planes), -1), atlas.owned_cells, atlas.gutter_cells
     beyond = np.zeros((len(gutter), len(flat)), np.float32)
@@ -85,7 +85,7 @@ def collaborate_on_canvas(
     *,
     relative: Float32s | None = None,
 ) -> Float32s:
-    """Estimate the colours of the owned cells from patches that look alike in the pilot; `relative`: see `Manifold`."""
+    """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
     from beltrami_cli._native import collaborate_on_grid
 
     estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
@@ -269,20 +269,11 @@ def without_references(part: Atlas, whole: Atlas, cells: Int64s) -> Atlas:
     cut[whole.cut_cells] = True
     nothing = np.zeros(0, np.int64)
     return dataclasses.replace(
-        part,
-        cut_cells=np.flatnonzero(cut[cells.reshape(-1)]),
-        owned_cells=np.flatnonzero(kind == OWNED),
-        owned_texels=nothing,
-        halo_cells=nothing,
-        halo_taps=np.zeros((0, 4), np.int64),
-        halo_weights=np.zeros((0, 4), np.float32),
-        halo_seams=np.zeros(0, np.int32),
-        gutter_cells=nothing,
-        gutter_texels=nothing,
-        border_texels=nothing,
-        lone_texels=nothing,
-        chart_of=np.zeros(0, np.int32),
-    )
+        part, cut_cells=np.flatnonzero(cut[cells.reshape(-1)]), owned_cells=np.flatnonzero(kind == OWNED),
+        owned_texels=nothing, halo_cells=nothing, halo_taps=np.zeros((0, 4), np.int64),
+        halo_weights=np.zeros((0, 4), np.float32), halo_seams=np.zeros(0, np.int32), gutter_cells=nothing,
+        gutter_texels=nothing, border_texels=nothing, lone_texels=nothing, chart_of=np.zeros(0, np.int32),
+    )  # fmt: skip
 
 
 def end_at_seams(planes: Float32s, atlas: Atlas, threads: int) -> None:

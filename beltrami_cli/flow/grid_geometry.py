@@ -50,13 +50,10 @@ class GridGeometry(Geometry):
     def of(cls, atlas: Atlas, parameters: KernelParameters, *, stop_at_holes: bool) -> GridGeometry:
         scale, threads = local_scales(atlas, parameters.window), parameters.thread_count
         return cls(
-            atlas=atlas,
-            spacing=mean_spacing(atlas, scale),
-            scale=scale if parameters.units == "spacing" else None,
-            repeats=halo_repeats(atlas, threads),
-            stops_at_holes=stop_at_holes,
-            threads=threads,
-        )
+            atlas=atlas, spacing=mean_spacing(atlas, scale),
+            scale=scale if parameters.units == "spacing" else None, repeats=halo_repeats(atlas, threads),
+            stops_at_holes=stop_at_holes, threads=threads,
+        )  # fmt: skip
 
     @property
     def size(self) -> int:
@@ -151,7 +148,7 @@ class GridGeometry(Geometry):
 
 
 def pick(planes: Array, samples: slice | Int64s) -> Array:
-    """Return rows, or cells by flat index, of an array whose last axes are those of the canvas."""
+    """Return rows, or cells by flat index, of an array of planes."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
     flat = planes.reshape(*planes.shape[:-2], -1)

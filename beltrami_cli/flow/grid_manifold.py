@@ -1,6 +1,6 @@
 """The image manifold of colours on a regular grid: the canvas of a texture atlas, or one image.
 
-Large canvases are averaged in place, row block by row block, so that little memory is needed besides the colours.
+Large canvases are averaged in place, row block by row block, which needs little more memory than the colours.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ CELLS_PER_THREAD = 1 << 16
 # Row blocks end where the tiles of the core end, so that no tile is cut.
 TILE_ROWS = 32
 
-# The paper's scheme takes supports up to ten cells away, and the metric from the cells beside them.
+# The paper's scheme takes supports up to ten cells away, and the metric from their neighbours.
 _BEYOND_WINDOW = 12
 
 # The widest window that the sweeps support; wider ones are marched through with a heap.
@@ -117,13 +117,9 @@ def grid_manifold(
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
     noise = estimate_noise(
-        NoisyCanvas(planes, atlas.kind == OWNED),
-        parameters.given_noise,
-        varies=parameters.evens_noise,
-        least=parameters.least_noise,
-        measured=measured,
-        known=known,
-    )
+        NoisyCanvas(planes, atlas.kind == OWNED), parameters.given_noise, varies=parameters.evens_noise,
+        least=parameters.least_noise, measured=measured, known=known,
+    )  # fmt: skip
     different = np.zeros(max(1, atlas.seams), bool)
     # Where colours do not count as distance, a jump in colour is not an edge.
     if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
@@ -137,15 +133,11 @@ def grid_manifold(
     if unit is None:
         unit = grid.spacing if parameters.units == "world" else 1.0
     return GridManifold(
-        geometry=grid,
-        colours=planes,
-        noise=noise,
-        parameters=parameters,
-        unit=unit,
+        geometry=grid, colours=planes, noise=noise, parameters=parameters, unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
         guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in guides),
         jumps=int(np.count_nonzero(different)),
-    )
+    )  # fmt: skip
 
 
 def _guide_on_canvas(guide: Guide, grid: GridGeometry) -> Stack:
@@ -218,7 +210,7 @@ class GridManifold(Manifold):
     def _apply_kernel(
         self, stacks: Sequence[Stack], metric: Metric, progress: Callable[[int], None] | None
     ) -> tuple[Float32s, int]:
-        """Average stacks, of which the first holds the colours, at once; return the samples held, too."""
+        """Average stacks, colours first, at once; return the number of samples in all kernels, too."""
         from beltrami_cli._native import smooth_grid
 
         own, grid = at_step(self.parameters, metric.step), self.geometry

@@ -2,7 +2,7 @@
 
 A sample has a position X and a colour I, and is embedded as (X, beta I). Two kinds of manifolds are sampled:
 triangulated surfaces, and regular grids. A manifold is composed of its geometry, which holds positions and neighbours,
-of colours, and of the kernels of the metric that both induce. Equations are those of A. Spira, R. Kimmel, N. Sochen,
+of colours, and of the kernels of the metric that both induce. Equations: A. Spira, R. Kimmel, N. Sochen,
 "A short time Beltrami kernel for smoothing images on manifolds", IEEE Trans. Image Processing 16(6), 2007,
 https://doi.org/10.1109/TIP.2007.894253
 """
@@ -115,7 +115,7 @@ class Manifold(ABC):
     def collaborate(
         self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
     ) -> Stack:
-        """Estimate colours from patches that look alike in the pilot."""
+        """Estimate colours from similar patches, compared on the pilot."""
 
     @abstractmethod
     def perturbation(self) -> Float32s | NDArray[np.int8]:
@@ -145,7 +145,7 @@ class Manifold(ABC):
         gaussian: Gaussian | None,
         features: tuple[tuple[Stack, float], ...] = (),
     ) -> tuple[Stack, float]:
-        """Return the channels that enter the metric besides the positions, and their beta."""
+        """Return the channels of the metric without the positions, and their beta."""
         axis = self.geometry.axis
         if not isinstance(self.metric_channels, slice):
             colours = np.ascontiguousarray(np.take(colours, self.metric_channels, axis=axis))

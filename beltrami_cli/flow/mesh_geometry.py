@@ -62,18 +62,13 @@ class MeshGeometry(Geometry):
         edges, lengths = edges_in_space(core.edges(), positions)
         spacing = local_spacing(len(order), edges, lengths)
         return cls(
-            order=order,
-            positions=positions,
-            faces=faces,
-            edges=edges,
+            order=order, positions=positions, faces=faces, edges=edges,
             lengths=lengths / np.sqrt(spacing[edges[:, 0]] * spacing[edges[:, 1]]),
             spacing=float(lengths.mean()) if len(lengths) else 0.0,
             scales=(1 / spacing).astype(np.float32) if parameters.units == "spacing" else None,
             weights=vertex_areas(positions, rank[surface.faces]) if parameters.weights == "area" else None,
-            is_along_segments=is_along_segments,
-            threads=parameters.thread_count,
-            _core=core,
-        )
+            is_along_segments=is_along_segments, threads=parameters.thread_count, _core=core,
+        )  # fmt: skip
 
     @property
     def size(self) -> int:
@@ -120,17 +115,13 @@ class MeshGeometry(Geometry):
         inside = (ends >= 0).all(axis=1)
         scales, weights = self.scales, self.weights
         return dataclasses.replace(
-            self,
-            order=np.zeros(0, self.order.dtype),
+            self, order=np.zeros(0, self.order.dtype),
             positions=placed(self.positions, samples, places, size),
-            faces=corners[(corners >= 0).all(axis=1)],
-            edges=ends[inside],
-            lengths=self.lengths[inside],
+            faces=corners[(corners >= 0).all(axis=1)], edges=ends[inside], lengths=self.lengths[inside],
             scales=None if scales is None else placed(scales, samples, places, size, 1),
-            weights=None if weights is None else placed(weights, samples, places, size),
-            _core=None,
+            weights=None if weights is None else placed(weights, samples, places, size), _core=None,
             _graph=None,
-        )
+        )  # fmt: skip
 
     def for_kernels(self) -> MeshGeometry:
         """Return the geometry without triangles, which only cuts need."""

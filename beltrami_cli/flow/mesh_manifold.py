@@ -97,15 +97,11 @@ def mesh_manifold(
             parameters=places,
         )
     return MeshManifold(
-        geometry=mesh,
-        colours=colours,
-        noise=noise,
-        parameters=parameters,
-        unit=unit,
+        geometry=mesh, colours=colours, noise=noise, parameters=parameters, unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
         guides=tuple(GuideStack.of(guide, guide.values[mesh.order], mesh, unit) for guide in guides),
         moving=moving,
-    )
+    )  # fmt: skip
 
 
 class MeshManifold(Manifold):

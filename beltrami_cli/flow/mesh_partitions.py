@@ -99,9 +99,11 @@ def cut_mesh(
     whole: MeshManifold, count: int, widening: int, steps: Sequence[Step], channels: int
 ) -> list[MeshPartition]:
     """Cut into up to `count` partitions, which receive samples as far as kernels are expected to reach."""
-    mesh, reach = whole.geometry, widening * _first_reach(whole)
+    mesh, own = whole.geometry, whole.parameters
+    spacing = (mesh.spacing or 1.0) if own.units == "world" else 1.0
+    reach = widening * min(mesh.size, 2 + int(EDGES_PER_SPACING * own.radius / spacing))
     if any(step.regularised for step in steps):
-        gain = mesh.gaussian(whole.parameters.metric_scale).gain
+        gain = mesh.gaussian(own.metric_scale).gain
         whole = dataclasses.replace(whole, geometry=dataclasses.replace(mesh, gain=gain))
     neighbours = Neighbours(mesh.size, mesh.core.edges())
     blocks = -(-mesh.size // _BLOCK)
@@ -112,13 +114,6 @@ def cut_mesh(
         ring = neighbours.rings(*owned, reach + beyond)
         partitions.append(MeshPartition(whole, owned, ring, reach, steps, channels))
     return partitions
-
-
-def _first_reach(whole: MeshManifold) -> int:
-    """Guess the radius of kernels in edges; partitions that prove too narrow are cut again."""
-    own = whole.parameters
-    spacing = whole.geometry.spacing if own.units == "world" else 1.0
-    return min(whole.geometry.size, 2 + int(EDGES_PER_SPACING * own.radius / (spacing or 1.0)))
 
 
 class Neighbours:

@@ -73,17 +73,12 @@ class MovingPositions:
         normals = vertex_normals(positions, faces, places)
         sigma, beta = estimate_normal_sigma(normals, edges), parameters.normal_beta
         return cls(
-            positions=positions,
-            normals=normals,
-            sigma=sigma,
-            beta=choose_normal_beta(normals, edges, sigma) * unit if beta is None else beta,
-            faces=faces,
-            places=places,
-            spacing=spacing,
-            origin=positions.mean(axis=0) if len(positions) else np.zeros(3),
+            positions=positions, normals=normals, sigma=sigma,
+            beta=choose_normal_beta(normals, edges, sigma) * unit if beta is None else beta, faces=faces,
+            places=places, spacing=spacing, origin=positions.mean(axis=0) if len(positions) else np.zeros(3),
             leads=np.bincount(faces.ravel(), minlength=len(positions)) > 0,
             stays=on_boundary(places[faces], count)[places],
-        )
+        )  # fmt: skip
 
     def channels(self) -> Float32s:
         """Return the positions as channels to be averaged, shape (S, 3), in sample spacings."""

@@ -27,7 +27,7 @@ def collaborate_on_graph(
     relative: Float32s | None,
     progress: Callable[[int], None] | None = None,
 ) -> Stack:
-    """Estimate colours from patches that look alike in the pilot; `relative`: variance of the noise by its mean."""
+    """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
     estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
     graph.patches.collaborate(
         noisy, pilot, mixing.parts, relative, mixing.has_pilot, estimates, weights, graph.threads, progress

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow.moving_positions import estimate_normal_sigma
+from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
+from beltrami_cli.flow.moving_positions import GeometryParameters, estimate_normal_sigma
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
+from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 
 SIDE = 16
@@ -26,6 +30,19 @@ def shaken(positions, sigma=0.15, seed=1):
 def moved(positions, faces, colours=None, **parameters):
     colours = np.full((len(positions), 1), 0.4) if colours is None else colours
     return beltrami_cli.smooth(positions, faces, colours, smooth_geometry=True, **parameters)
+
+
+def test_a_plan_keeps_its_positions_while_it_is_carried_out():
+    surface = SampledSurface(
+        shaken(SPHERE), SPHERE_FACES, SPHERE_FACES[:0], np.full((len(SPHERE), 1), 0.4, np.float32)
+    )
+    kernel = KernelParameters(beta=1.0, iterations=2, threads=1)
+    places = GeometryParameters(np.arange(len(SPHERE), dtype=np.int32))
+    plan = choose_parameters(mesh_manifold(surface, kernel, geometry=places), kernel)
+    before = plan.manifold.moving.positions.copy()
+    after = smooth(plan).manifold.moving.positions
+    assert np.array_equal(plan.manifold.moving.positions, before)
+    assert not np.array_equal(after, before)
 
 
 def rms(values):

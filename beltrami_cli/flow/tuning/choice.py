@@ -248,14 +248,9 @@ def choose(
     psnr, error, gain = _decibels(search.tried[best], risks.noise)
     chosen, given = _chosen(manifold, parameters, best)
     return chosen, Choice(
-        given,
-        psnr=psnr,
-        error=error,
-        gain=gain,
-        candidates=len(search.tried),
-        samples=trial.samples,
+        given, psnr=psnr, error=error, gain=gain, candidates=len(search.tried), samples=trial.samples,
         correlated=trial.correlated,
-    )
+    )  # fmt: skip
 
 
 def is_noisy(sigma: Float64s) -> bool:
@@ -285,15 +280,10 @@ def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float,
         for contrast, growth, count in search_range.starts
     )
     return Grid(
-        betas=betas,
-        growths=growths,
-        t=search_range.t if "t" in free else parameters.t,
-        regularised=regularised,
-        iterations=iterations,
-        max_iterations=search_range.max_iterations,
-        starts=starts,
-        least_gain=search_range.least_gain,
-    )
+        betas=betas, growths=growths, t=search_range.t if "t" in free else parameters.t,
+        regularised=regularised, iterations=iterations, max_iterations=search_range.max_iterations,
+        starts=starts, least_gain=search_range.least_gain,
+    )  # fmt: skip
 
 
 def _nearest(values: tuple[float, ...], wanted: float) -> int:
