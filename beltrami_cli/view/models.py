@@ -51,7 +51,9 @@ _FULL = 65535
 _FARTHEST = 1e9  # sizes of a model or texture; nothing so far away is visible
 _BYTE = 257  # 16-bit value of one 8-bit step
 _LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
-_FILLED = 0.99  # of the room for pictures, since PNG adds 1 % at most to bytes that it cannot compress
+_FILLED_AT_FIRST = 0.99  # share of the room for pictures; PNG adds at most 1 % to incompressible bytes
+# The same of pictures that are larger than the measured ones: their texels have more noise, and 10 % more bytes.
+_FILLED_AT_LAST = 0.85
 _LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
 
 
@@ -119,11 +121,8 @@ class ModelWriter:
         binary[:] = data.tobytes()
         images, share = [image() for image in self._images], 1.0
         room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _LEAST_PICTURES)
-        if sum(len(content) for _, content in images) > room:
-            pictures = [read_image(content, "a picture") for _, content in images]
-            most = sum((3 + (each.alpha is not None)) * each.pixels[..., 0].size for each in pictures)
-            share = min(1.0, float(np.sqrt(_FILLED * room / most)))
-            images = [("image/png", _png(_resized(sheet_of(each), share))) for each in pictures]
+        if _size(images) > room:
+            images, share = _scaled(images, room)
         file = np.frombuffer(self._written(images, reach), np.uint8)
         first = len(file) - len(binary)
         tables = [(first + start, length, stride) for start, length, stride in self._tables]
@@ -288,6 +287,27 @@ def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None
 def _png(sheet: Float32s) -> bytes:
     pixels = _as_bytes(sheet)
     return png_of(pixels[..., :3] if (pixels[..., 3] == 255).all() else pixels)
+
+
+def _size(images: list[Image]) -> int:
+    return sum(len(content) for _, content in images)
+
+
+def _scaled(images: list[Image], room: float) -> tuple[list[Image], float]:
+    """Scale images down until they fit; return also the share of their width that is left."""
+    pictures = [read_image(content, "a picture") for _, content in images]
+    most = float(sum((3 + (each.alpha is not None)) * each.pixels[..., 0].size for each in pictures))
+    fitting, share = images, 0.0
+    # The first guess assumes that nothing can be compressed; averages of texels can.
+    for limit in (_FILLED_AT_FIRST * room, _FILLED_AT_LAST * room):
+        wanted = min(1.0, float(np.sqrt(limit / most)))
+        if wanted <= share:
+            break
+        made = [("image/png", _png(_resized(sheet_of(each), wanted))) for each in pictures]
+        if share and _size(made) > room:
+            break
+        fitting, share, most = made, wanted, _size(made) / wanted**2
+    return fitting, share
 
 
 def _resized(sheet: Float32s, share: float) -> Float32s:
