@@ -78,9 +78,18 @@ class Written:
         return [*self.sidecars, *self.copies]
 
 
-def not_converted(mesh: records.MeshContents | records.TexturedMesh, others: Iterable[str] = ()) -> list[str]:
+def not_converted(
+    mesh: records.MeshContents | records.TexturedMesh,
+    others: Iterable[str] = (),
+    *,
+    keeps_frame: bool = False,
+) -> list[str]:
     """Return the notice of what a conversion drops, or nothing."""
     left = dict.fromkeys([*mesh.left_out, *others])
+    if mesh.frame.up != "Y" and not keeps_frame:
+        left |= {f"the axis that is up, which is {mesh.frame.up}": None}
+    if mesh.frame.unit != 1 and not keeps_frame:
+        left |= {f"the unit of {mesh.frame.unit:g} m": None}
     return [f"Not converted: {'; '.join(left)}."] if left else []
 
 
@@ -166,6 +175,11 @@ class Document(ABC):
     def _scale(self) -> float | None:
         """The number that is full scale of the vertex colours; None: as their type says."""
         return None
+
+    @property
+    def frame(self) -> records.Frame:
+        """Which axis of the positions is up, and their unit."""
+        return records.Frame()
 
     def grid(self) -> Int64s | None:
         """Return the rows of `painted()` on the grid of a range image, shape (H, W), -1: none; None without a grid."""

@@ -21,6 +21,7 @@ from beltrami_cli.surface.lookup import look_up
 from beltrami_cli.surface.polygons import triangulate
 from beltrami_cli.surface.records import (
     Encoding,
+    Frame,
     ImageFile,
     Material,
     MaterialMap,
@@ -49,6 +50,7 @@ class NewTexture:
     pixels: Array  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
     charts: int | None  # how many, if it was unwrapped
     notices: tuple[str, ...]
+    frame: Frame
 
     @property
     def in_words(self) -> str:
@@ -72,7 +74,8 @@ class NewTexture:
         transparent = bool(alpha.size and (alpha < alpha.max()).any())
         shown = MaterialMap(0, ("clamp", "clamp"))
         material = Material(maps={"baseColor": shown}, alpha="blend" if transparent else "opaque")
-        return TexturedMesh(self.positions, self.faces, self.uv, (material,), (MeshImage(image),))
+        images = (MeshImage(image),)
+        return TexturedMesh(self.positions, self.faces, self.uv, (material,), images, frame=self.frame)
 
 
 def texture_from_vertices(
@@ -104,7 +107,8 @@ def texture_from_vertices(
         return _rounded(_as_srgb(interpolated(corners, owners, weights), contents.encoding), dtype)
 
     pixels = bake(uv, size, shade, values.shape[1], dtype)
-    return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, tuple(_left_behind(contents)))
+    notices = tuple(_left_behind(contents))
+    return NewTexture(contents.positions, faces, uv, space_of, pixels, charts, notices, contents.frame)
 
 
 def texture_from_textures(
@@ -139,7 +143,9 @@ def texture_from_textures(
 
     pixels = bake(made.uv, made.size, shade, channels, dtype)
     notices = _what_textures_lose(document, old, pictures)
-    return NewTexture(old.positions, old.faces, made.uv, old.space_of, pixels, made.charts, notices)
+    return NewTexture(
+        old.positions, old.faces, made.uv, old.space_of, pixels, made.charts, notices, document.frame
+    )
 
 
 def _unwrapped(

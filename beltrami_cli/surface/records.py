@@ -60,6 +60,14 @@ class MovedVertices:
 
 
 @dataclass(frozen=True)
+class Frame:
+    """How positions are meant; most formats do not say, and glTF has only the default."""
+
+    up: str = "Y"  # or "Z"
+    unit: float = 1.0  # metres
+
+
+@dataclass(frozen=True)
 class MeshContents:
     """A whole coloured mesh, as far as it can be written in another format."""
 
@@ -74,6 +82,7 @@ class MeshContents:
     # What the source holds and this record does not ("materials", "animations", ...), for the
     # notice of what the conversion drops.
     left_out: tuple[str, ...] = ()
+    frame: Frame = Frame()
 
 
 Wrap = Literal["repeat", "mirror", "clamp"]
@@ -208,6 +217,7 @@ class TexturedMesh:
     normals: Float32s | None = None  # (F, 3, 3): of every corner; NaN where there is none
     colours: VertexColours | None = None
     left_out: tuple[str, ...] = ()  # as in `MeshContents`
+    frame: Frame = Frame()
 
     @property
     def material_numbers(self) -> Int32s:

@@ -12,8 +12,10 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.formats.usd.layers import layer_from
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import EmbeddingSettings
+from beltrami_cli.surface.records import Frame
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -22,6 +24,7 @@ from formats.usd_files import (
     BOUND,
     COLOURS,
     GIVEN,
+    HEADER,
     PICTURE,
     POINTS,
     QUADS,
@@ -381,3 +384,22 @@ def test_positions_are_not_smoothed_in_vain(form, tmp_path):
     with pytest.raises(InputError, match="positions of a usda file cannot be replaced"):
         smooth_file(tmp_path / "a.usda", tmp_path / f"b.{form}", settings)
     assert [path.name for path in tmp_path.iterdir()] == ["a.usda"]
+
+
+@pytest.mark.parametrize("lines", [(coloured(COLOURS),), (BOUND, material_text("a.png"))])
+@pytest.mark.parametrize("unwrap", [None, BakeSettings()])
+def test_the_axis_and_the_unit_of_a_scene_are_kept_in_gltf(lines, unwrap, tmp_path):
+    header = HEADER.replace("metersPerUnit = 1", "metersPerUnit = 0.01").replace('"Y"', '"Z"')
+    write(tmp_path, {"a.usda": scene(mesh_text(lines[0]), *lines[1:], header=header), "a.png": PICTURE})
+    report = smooth_file(tmp_path / "a.usda", tmp_path / "b.glb", GIVEN, unwrap=unwrap)
+    document = open_document(str(tmp_path / "b.glb"))
+    surface = document.painted() if document.has_vertex_colours() else document.textured("baseColor")
+    corners = np.unique(surface.positions[surface.faces].reshape(-1, 3), axis=0)
+    # What was z is up, in metres, and the handedness is the same.
+    expected = np.unique(POINTS[:, [0, 2, 1]] * [0.01, 0.01, -0.01], axis=0)
+    np.testing.assert_allclose(corners[np.lexsort(corners.T)], expected[np.lexsort(expected.T)], atol=1e-7)
+    assert "the axis" not in str(report)
+    smooth_file(tmp_path / "a.usda", tmp_path / "c.usdz", GIVEN)
+    assert open_document(str(tmp_path / "c.usdz")).frame == Frame("Z", 0.01)
+    said = smooth_file(tmp_path / "a.usda", tmp_path / "d.ply", GIVEN)
+    assert "the axis that is up, which is Z; the unit of 0.01 m" in str(said)

@@ -26,7 +26,7 @@ from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import ImageFile, Material, MeshContents, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, TexturedMesh, VertexColours
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.
@@ -118,7 +118,7 @@ def _coloured(contents: MeshContents, stem: str) -> Model:
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
         notices.append("Quads and polygons are cut into triangles.")
-    notices += not_converted(contents)
+    notices += not_converted(contents, keeps_frame=True)
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(_unit_normals(contents.normals))
@@ -133,16 +133,23 @@ def _coloured(contents: MeshContents, stem: str) -> Model:
     if contents.alpha is not None and np.any(contents.alpha < 1):
         material["alphaMode"] = "BLEND"
     meshes = [{"primitives": [primitive], "name": stem}]
-    return _model(meshes, {"materials": [material]}, arrays), arrays, {}
+    return _model(meshes, {"materials": [material]}, arrays, contents.frame), arrays, {}
 
 
-def _model(meshes: list[Tree], painting: Tree, arrays: Arrays) -> Tree:
+def _model(meshes: list[Tree], painting: Tree, arrays: Arrays, frame: Frame) -> Tree:
     """Return the JSON of a file whose scene shows each mesh once, with the members that paint these."""
+    nodes: list[Tree] = [{"mesh": number, "name": each["name"]} for number, each in enumerate(meshes)]
+    shown = list(range(len(meshes)))
+    if frame != Frame():
+        unit, is_upright = frame.unit, frame.up == "Y"
+        y, z = ([0, unit, 0, 0], [0, 0, unit, 0]) if is_upright else ([0, 0, -unit, 0], [0, unit, 0, 0])
+        matrix = [unit, 0, 0, 0, *y, *z, 0, 0, 0, 1]  # column by column: metres, and y up
+        nodes, shown = [*nodes, {"name": "root", "matrix": matrix, "children": shown}], [len(meshes)]
     return {
         "asset": {"version": "2.0", "generator": "beltrami"},
         "scene": 0,
-        "scenes": [{"nodes": list(range(len(meshes)))}],
-        "nodes": [{"mesh": number, "name": each["name"]} for number, each in enumerate(meshes)],
+        "scenes": [{"nodes": shown}],
+        "nodes": nodes,
         "meshes": meshes,
         **painting,
         "accessors": arrays.accessors,
@@ -203,8 +210,10 @@ def _textured(mesh: TexturedMesh, stem: str) -> Model:
     painting: Tree = {"materials": [], "textures": [], "samplers": []}
     for material in mesh.materials:
         painting["materials"].append(_material(material, painting, stem))
-    parts.arrays.notices += not_converted(mesh)
-    tree = _model(meshes, {key: entries for key, entries in painting.items() if entries}, parts.arrays)
+    parts.arrays.notices += not_converted(mesh, keeps_frame=True)
+    tree = _model(
+        meshes, {key: entries for key, entries in painting.items() if entries}, parts.arrays, mesh.frame
+    )
     images = {name: image.file for name, image in zip(image_names(mesh, stem), mesh.images, strict=True)}
     return tree, parts.arrays, images
 

@@ -27,7 +27,15 @@ from beltrami_cli.formats.model_folder import LEFT_ALONE, NewFiles
 from beltrami_cli.formats.textured_mesh import common_suffix, new_files
 from beltrami_cli.formats.usd.layers import IMAGES, Layers
 from beltrami_cli.formats.usd.textures import Textures
-from beltrami_cli.surface.records import ImageFile, MeshContents, Slot, Texture, TexturedMesh, TexturedSurface
+from beltrami_cli.surface.records import (
+    Frame,
+    ImageFile,
+    MeshContents,
+    Slot,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+)
 
 _COUNTS = {
     "instanced": "{} mesh(es) are instances of others; each is smoothed once, at its first place.",
@@ -87,7 +95,8 @@ class UsdDocument(Document):
                 raise InputError(self.name, f"some {what} of its vertices are no finite numbers")
         kinds = {block["type"] for block in self._words["blocks"]}
         stored = kinds.pop() if len(kinds) == 1 else "float32"
-        return MeshContents(positions, *self._coloured_polygons, colours, "linear", stored)
+        polygons = self._coloured_polygons
+        return MeshContents(positions, *polygons, colours, "linear", stored, frame=self.frame)
 
     @cached_property
     def _coloured_polygons(self) -> tuple[Int32s, Int64s]:
@@ -95,6 +104,10 @@ class UsdDocument(Document):
         is_coloured = rows[np.cumsum(sizes) - sizes] >= 0
         kept = rows[np.repeat(is_coloured, sizes)].astype(np.int32)
         return kept, np.concatenate([[0], np.cumsum(sizes[is_coloured])])
+
+    @property
+    def frame(self) -> Frame:
+        return Frame(self._words["up"], self._words["unit"])
 
     def slots(self) -> tuple[Slot, ...]:
         return self._textures.slots()
@@ -187,14 +200,13 @@ class UsdDocument(Document):
 
     def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
         values = self._painted.colours if colours is None and self.has_vertex_colours() else colours
-        return self._textures.mesh(PurePath(self.name).stem, values, self._left_out())
+        mesh = self._textures.mesh(PurePath(self.name).stem, values, self._left_out())
+        return dataclasses.replace(mesh, frame=self.frame)
 
     def _left_out(self) -> list[str]:
         words = self._words
         others = [f"{kind} prims" for kind in words["others"]]
         others += ["variants"] if words["variants"] else []
-        others += ["the axis that is up, which is Z"] if words["up"] == "Z" else []
-        others += [f"the unit of {words['unit']:g} m"] if words["unit"] != 1 else []
         return [*others, *(["node hierarchy"] if len(words["meshes"]) > 1 else [])]
 
     def fingerprint(self) -> Fingerprint:

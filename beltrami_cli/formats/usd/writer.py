@@ -24,7 +24,7 @@ from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
-from beltrami_cli.surface.records import Material, MeshContents, Slot, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import Frame, Material, MeshContents, Slot, TexturedMesh, VertexColours
 
 _BLOCK = 1 << 16  # rows written at a time
 _UNFIT = re.compile(r"\W", re.ASCII)
@@ -40,7 +40,7 @@ _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float
 
 
 def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
-    notices = not_converted(contents)
+    notices = not_converted(contents, keeps_frame=True)
     shown = _colours(contents, notices)
     own = [
         *_array("point3f[] points", shortest_type(contents.positions), 3),
@@ -51,7 +51,7 @@ def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
     if contents.normals is not None:
         own += [*_array("normal3f[] normals", contents.normals, 3, 'interpolation = "vertex"')]
     head = f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode()
-    text = [_header(_identifier(stem)), head, *own, b"    }\n}\n"]
+    text = [_header(_identifier(stem), contents.frame), head, *own, b"    }\n}\n"]
     return _finished(suffix, b"".join(text), stem, {}, notices)
 
 
@@ -59,7 +59,7 @@ def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
     names = [_identifier(name) for name in material_names(mesh.materials, "painted")]
     names = [f"{name}_{number}" if name in names[:number] else name for number, name in enumerate(names)]
     files, root, notices = image_names(mesh, stem), _identifier(stem), list[str]()
-    text = [_header(root)]
+    text = [_header(root, mesh.frame)]
     shown = [] if mesh.colours is None else _colours(mesh.colours, notices)
     group_of, material_of = mesh.group_numbers, mesh.material_numbers
     for number, group in enumerate(mesh.groups):
@@ -80,7 +80,7 @@ def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
         text += [_material(name, material, files, f"/{root}/{name}").encode()]
     text += [b"}\n"]
     images = {name: image.file.data for name, image in zip(files, mesh.images, strict=True)}
-    return _finished(suffix, b"".join(text), stem, images, [*notices, *not_converted(mesh)])
+    return _finished(suffix, b"".join(text), stem, images, [*notices, *not_converted(mesh, keeps_frame=True)])
 
 
 _PLAIN = '        uniform token subdivisionScheme = "none"\n'
@@ -96,10 +96,10 @@ def _finished(suffix: str, text: bytes, stem: str, images: dict[str, bytes], not
     return Written(packed({f"{stem}.usdc": layer, **images}), notices=tuple(notices))
 
 
-def _header(name: str) -> bytes:
+def _header(name: str, frame: Frame) -> bytes:
     lines = [
         "#usda 1.0",
-        f'(\n    defaultPrim = "{name}"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n',
+        f'(\n    defaultPrim = "{name}"\n    metersPerUnit = {frame.unit:.9g}\n    upAxis = "{frame.up}"\n)\n',
         f'def Xform "{name}" (\n    kind = "component"\n)\n{{\n',
     ]
     return "\n".join(lines).encode()
