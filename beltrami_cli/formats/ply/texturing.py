@@ -185,12 +185,14 @@ def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) 
         )
     uv = finite_columns(vertices, ("u", "v"), "texture coordinate")
     faces, lengths = _artec_faces(rows, len(offsets) - 1, name), np.diff(bounds)
-    sizes = np.zeros(len(offsets) - 1, np.int64)
-    sizes[faces] = 2 * lengths
-    order = np.argsort(faces)
-    starts = np.cumsum(lengths[order]) - lengths[order]
-    corners = np.repeat(bounds[:-1][order] - starts, lengths[order]) + np.arange(len(chosen))
-    return _face_coordinates((uv[chosen[corners]].ravel(), np.append(0, np.cumsum(sizes))), offsets, name)
+    if (lengths != np.diff(offsets)[faces]).any():
+        raise InputError(
+            name, f"element {_ARTEC[1]} has other numbers of corners than its faces", "export it again"
+        )
+    values, bare = np.zeros((int(offsets[-1]), 2)), np.ones(len(offsets) - 1, np.bool_)
+    values[np.repeat(offsets[faces] - bounds[:-1], lengths) + np.arange(len(chosen))] = uv[chosen]
+    bare[faces] = False
+    return values, bare
 
 
 def _face_coordinates(lists: tuple[Array, Int64s], offsets: Int64s, name: str) -> tuple[Float64s, Bools]:

@@ -119,7 +119,8 @@ class _Las:
             # They are behind the compressed points, which may differ in length.
             header[_AT_RECORDS : _AT_RECORDS + 8] = bytes(8)
         header += b"".join(each.record_data_bytes() for each in self._las.evlrs or ())
-        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._points.dtype.names}
+        names = [name for name in self._points.dtype.names if name not in "XYZ"]  # which become the positions
+        columns = {name: np.ascontiguousarray(self._points[name]) for name in names}
         places = {"positions": np.array(self._las.xyz), "header": np.frombuffer(header, np.uint8)}
         return places | _with_colours(columns, self._RGB)
 
@@ -211,21 +212,14 @@ class _E57:
 
     def arrays(self) -> Columns:
         known = [self._raw(scan.points) for scan in self._scans]
-        rest: Columns = {"xml": np.frombuffer(self._xml(), np.uint8)}
-        names = self._painted(known)
-        parts, positions = [], []
-        for number, (scan, columns) in enumerate(zip(self._scans, known, strict=True)):
-            rest |= {f"{number} {name}": each for name, each in columns.items() if name not in names}
-            if names:
-                parts.append(np.column_stack([columns[name] for name in names]))
-            positions.append(self._places(scan, columns))
-        colours = {} if not names else {"colours" if len(names) == 3 else "intensity": np.concatenate(parts)}
-        return {"positions": np.concatenate(positions), **colours, **rest}
-
-    def _painted(self, known: list[Columns]) -> tuple[str, ...]:
-        return next(
-            (names for names in (self._RGB, ("intensity",)) if all({*names} <= c.keys() for c in known)), ()
-        )
+        places = [self._places(*each) for each in zip(self._scans, known, strict=True)]
+        found = {"positions": np.concatenate(places), "xml": np.frombuffer(self._xml(), np.uint8)}
+        for key, names in (("colours", self._RGB), ("intensity", ("intensity",))):
+            if key not in found and all(columns.keys() >= {*names} for columns in known):
+                found[key] = np.concatenate([np.column_stack([c.pop(name) for name in names]) for c in known])
+        for number, columns in enumerate(known):
+            found |= {f"{number} {name}": column for name, column in columns.items()}
+        return found
 
     def _raw(self, node: Any) -> Columns:
         """Read the numbers of points as they are stored, before they are scaled."""
@@ -299,24 +293,19 @@ class _E57:
             content = np.empty(pair["in"].byteCount(), np.uint8)
             pair["in"].read(content, 0, len(content))
             pair["out"].write(content, 0, len(content))
-        fresh = self._fresh(new)
+        ends = np.cumsum([scan.point_count for scan in self._scans])
+        parts = [] if new is None else np.split(new, ends[:-1])
+        fresh = {scan.points.pathName(): part for scan, part in zip(self._scans, parts, strict=False)}
         for pair in vectors:
             columns = self._raw(pair["in"])
-            columns |= fresh.get(pair["in"].pathName(), {})
+            if (part := fresh.get(pair["in"].pathName())) is not None:
+                columns |= _replaced(part, self._RGB)
             buffers, _kept = self._buffers(made, pair["in"], columns)  # which point into these arrays
             writer = pair["out"].writer(buffers)
             writer.write(pair["in"].childCount())
             writer.close()
         made.close()
         return path.read_bytes()
-
-    def _fresh(self, new: Array | None) -> dict[str, Columns]:
-        """Return the new columns of each scan by the path of its points."""
-        if new is None:
-            return {}
-        bounds = np.cumsum([scan.point_count for scan in self._scans])[:-1]
-        parts = zip(self._scans, np.split(new, bounds), strict=True)
-        return {scan.points.pathName(): _replaced(part, self._RGB) for scan, part in parts}
 
 
 _READERS: list[tuple[bytes, type[_Las | _E57]]] = [(b"LASF", _Las), (b"ASTM", _E57)]
