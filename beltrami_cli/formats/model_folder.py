@@ -108,20 +108,23 @@ class ModelFolder:
             return there.relative_to(self._folder).as_posix()
         return path
 
-    def locate_alike(self, name: str, within: PurePosixPath = _HERE) -> tuple[str, str]:
-        """Return the path of a file or of a set of tiles that a name means, and "" or, behind the name, why that one.
+    def locate_alike(
+        self, name: str, within: PurePosixPath = _HERE, *, tiles: bool = True
+    ) -> tuple[str, str]:
+        """Return the path of a file (`tiles`: or a set of tiles) that a name means, and what to say behind it, or "".
 
         Exporters write the paths of their own machine, and names in the encoding of its language.
         """
+        locate = self.locate_any if tiles else self.locate
         try:
-            return self.locate_any(name, within), ""
+            return locate(name, within), ""
         except UnfitReferenceError as error:
             failed = error
         for spelling in _spellings(name):
             last = PureWindowsPath(spelling).name
             for known, folder in ((spelling, within), (last, within), (last, _HERE)):
                 with contextlib.suppress(UnfitReferenceError):
-                    path = self.locate_any(known, folder)
+                    path = locate(known, folder)
                     return path, f"is not followed; '{path}' in the model's folder is taken for it."
         raise failed
 

@@ -19,12 +19,18 @@ from beltrami_cli.view.views import view_of
 from hostile.textured_models import PICTURE, write_model
 from small_models import COLOURED, ply
 
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nelement face 1\n"
+    "property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+    "end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 255 0 0\n"
+)
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
+        ("a.ply", PLY.replace("red", "heat"), "no vertex colours among"),
         ("a.obj", OBJ, "no vertex colours on its 'v' lines"),
         ("a.obj", f"mtllib gone.mtl\n{OBJ}", "'gone.mtl' is missing"),
     ],

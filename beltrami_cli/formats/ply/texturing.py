@@ -60,7 +60,7 @@ def read_comments(header: bytes, folder: model_folder.ModelFolder) -> list[Textu
         name = os.fsdecode(match[1])
         try:
             path: str | None
-            path, reason = folder.locate_alike(name)
+            path, reason = folder.locate_alike(name, tiles=False)
         except model_folder.UnfitReferenceError as error:
             path, reason = None, f"{error}{model_folder.LEFT_ALONE}"
         found.append(TextureComment(name, path, *match.span(1), reason))
