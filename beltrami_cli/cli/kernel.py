@@ -35,8 +35,7 @@ OUTPUT by its extension:
 
 # Parameters that concern the averages, while this command looks at the kernel only.
 _OF_WRITING = (
-    "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry",
-    "normal_beta", "level_seams",
+    "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry", "normal_beta", "level_seams",
 )  # fmt: skip
 
 
@@ -69,7 +68,7 @@ def command(source: str, target: str, at: str, iteration: int, messages: Message
     held = len(shown.table["distance"])
     furthest = f"{shown.table['distance'].max():.3g} of {shown.radius:.3g}"
     messages.say(
-        f"{target}: kernel of the {shown.at} in iteration {shown.iteration} of {shown.iterations}, "
+        f"{target}: kernel of the {shown.at} in iteration {iteration} of {shown.iterations}, "
         f"{counted(held, 'sample')} up to {furthest} away, beta {shown.beta:.3g}"
     )
     if shown.cut_short:

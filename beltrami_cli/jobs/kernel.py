@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import from_space
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.records import SampledKernel
-from beltrami_cli.formats.document import Document, Written
+from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
@@ -35,6 +35,9 @@ from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
 
 _ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window
+Place = tuple[
+    str, int, dict[str, Array]
+]  # of a sample: in words, its number, and columns that say where all are
 
 
 @dataclass(frozen=True)
@@ -42,24 +45,17 @@ class ShownKernel:
     """The kernel of one sample in one iteration; `table` has a row for each sample that it holds, the nearest first."""
 
     at: str  # vertex 12, texel 3,4 of skin.png, or pixel 3,4
-    iteration: int  # counted from 1
     iterations: int
     beta: float
-    t: float
     radius: float
     cut_short: bool  # at max_samples
     table: dict[str, Array]  # which sample it is, its distance, weight, and colour in the working space
 
 
 def kernel_file(
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
-    at: str,
-    settings: SmoothSettings = DEFAULTS,
-    *,
-    iteration: int = 1,
-    job: Job = PLAIN_JOB,
-) -> ShownKernel:
+    source: str | os.PathLike[str], target: str | os.PathLike[str], at: str, settings: SmoothSettings = DEFAULTS,
+    *, iteration: int = 1, job: Job = PLAIN_JOB,
+) -> ShownKernel:  # fmt: skip
     """Write the kernel of the sample at a place, in an iteration counted from 1, as .ply, image or .csv."""
     source, target = os.fspath(source), os.fspath(target)
     suffix = ".csv" if target == "-" else Path(target).suffix.lower()
@@ -75,62 +71,55 @@ def kernel_file(
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = layers_of(document, selection, settings, access)
-    drawn_as = ".ply" if isinstance(samples, PaintedLayer) else ".png"
-    if suffix != ".csv" and (suffix == ".ply") != (drawn_as == ".ply"):
+    on_mesh = isinstance(samples, PaintedLayer)
+    if suffix != ".csv" and (suffix == ".ply") != on_mesh:
+        drawn_as = ".ply" if on_mesh else ".png"
         raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
     plan = samples.plan()
     if isinstance(samples, PaintedLayer):
         sample_of = samples.sample_of(plan)
-        name, index, columns = _vertex_at(at, samples.joined.positions, sample_of, document.name)
-    else:
-        name, index, columns = _texel_at(at, samples, document)
-    parameters, before = plan.parameters, plan.stopped_before(iteration - 1)
-    manifold = smooth(before, job.progress_of("iterations before")).manifold
+        name, index, columns = _vertex_at(at, samples, sample_of, document.name)
+    else:  # glTF counts v from the upper side of an image, other formats from the lower
+        name, index, columns = _texel_at(at, samples, is_flipped=document.format not in ("gltf", "glb"))
+    manifold = smooth(plan.stopped_before(iteration - 1), job.progress_of("iterations before")).manifold
     kernel = manifold.kernel_at(index, plan.step(iteration - 1))
+    channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
     table = {column: values[kernel.samples] for column, values in columns.items()}
     table |= {"distance": kernel.distances, "weight": kernel.weights}
-    channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
     table |= dict(zip(channels, kernel.colours.T, strict=True))
+    parameters = plan.parameters
     nearness = 1 - kernel.distances / max(np.float32(parameters.radius), np.finfo(np.float32).tiny)
     if suffix == ".csv":
-        written = _table(table)
+        text = io.StringIO()
+        rows = zip(*(values.tolist() for values in table.values()), strict=True)
+        csv.writer(text, lineterminator="\n").writerows([list(table), *rows])
+        written = Written([text.getvalue().encode()])
     elif isinstance(samples, PaintedLayer):
         written = _mesh(samples, sample_of, kernel, nearness, _greys(manifold.new_colours().table(), samples))
     else:
         written = _picture(manifold, index, kernel, nearness, samples, suffix)
     output.write(written)
-    return ShownKernel(
-        at=name,
-        iteration=iteration,
-        iterations=parameters.iterations,
-        beta=plan.beta * parameters.growth(iteration - 1),
-        t=parameters.t,
-        radius=parameters.radius,
-        cut_short=drawn_as == ".ply" and len(kernel.samples) == parameters.max_samples,
-        table=table,
-    )
+    beta = plan.beta * parameters.growth(iteration - 1)
+    cut_short = on_mesh and len(kernel.samples) == parameters.max_samples
+    return ShownKernel(name, parameters.iterations, beta, parameters.radius, cut_short, table)
 
 
-def _vertex_at(
-    at: str, positions: Float64s, sample_of: Int64s, name: str
-) -> tuple[str, int, dict[str, Array]]:
+def _vertex_at(at: str, samples: PaintedLayer, sample_of: Int64s, name: str) -> Place:
     """Find the sample of a vertex, by its index or the nearest position."""
-    numbers = _numbers(at)
+    numbers, positions = _numbers(at), samples.joined.positions
     if len(numbers) == 3:
         squared = np.where(sample_of >= 0, np.square(positions - numbers).sum(axis=1), np.inf)
-        vertex = int(np.nanargmin(squared))
-    elif len(numbers) == 1 and numbers[0] in range(len(positions)) and sample_of[int(numbers[0])] >= 0:
-        vertex = int(numbers[0])
-    else:
+        numbers = [float(np.nanargmin(squared))]
+    if len(numbers) != 1 or numbers[0] not in range(len(positions)) or sample_of[int(numbers[0])] < 0:
         remedy = f"give its index, 0 to {len(positions) - 1}, or a position X,Y,Z"
         raise UsageError(f"--at {at} is no coloured vertex of {name}; {remedy}")
-    samples, first = np.unique(sample_of, return_index=True)
-    first = first[samples >= 0]
+    known, first = np.unique(sample_of, return_index=True)
+    first, vertex = first[known >= 0], int(numbers[0])
     columns = {"vertex": first, **dict(zip("xyz", positions[first].T, strict=True))}
     return f"vertex {vertex}", int(sample_of[vertex]), columns
 
 
-def _texel_at(at: str, samples: Layer, document: Document) -> tuple[str, int, dict[str, Array]]:
+def _texel_at(at: str, samples: Layer, *, is_flipped: bool) -> Place:
     """Find the sample nearest to texture coordinates, or to a pixel of an image."""
     glob, _, place = at.rpartition(":")
     cells, numbers, is_image = samples.cells(), np.array(_numbers(place)), samples.part == "image"
@@ -139,28 +128,21 @@ def _texel_at(at: str, samples: Layer, document: Document) -> tuple[str, int, di
     fitting = [index for index, name in enumerate(names) if fnmatch(name, glob or "*")]
     if len(fitting) != 1:
         which = "several textures" if fitting else "no texture"
-        raise UsageError(
-            f"--at {at} names {which}; write one of {', '.join(names)} and a colon before the place"
-        )
+        remedy = f"write one of {', '.join(names)} and a colon before the place"
+        raise UsageError(f"--at {at} names {which}; {remedy}")
     mine, (row, column) = cells.of(fitting[0])
     size = np.array(cells.sizes[fitting[0]][::-1])
     if len(numbers) == 2 and not is_image:
-        # glTF counts v from the upper side of an image, other formats from the lower.
-        u, v = numbers
-        numbers = np.floor((u, v if document.format in ("gltf", "glb") else 1 - v) * size)
+        numbers = np.floor((numbers[0], 1 - numbers[1] if is_flipped else numbers[1]) * size)
     if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= size)).all() or not mine.any():
         form = "column and row as X,Y" if is_image else "texture coordinates U,V from 0 to 1"
         raise UsageError(f"--at {at} is no place in {samples.label}, {size[0]} x {size[1]}; give {form}")
     nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()
-    index = int(np.flatnonzero(mine)[nearest])
-    name, pixels = f"{column[nearest]},{row[nearest]}", {"x": cells.column, "y": cells.row}
-    if is_image:
-        return f"pixel {name}", index, pixels
-    return (
-        f"texel {name} of {names[fitting[0]]}",
-        index,
-        {"texture": np.array(names)[cells.picture], **pixels},
-    )
+    name, columns = f"{column[nearest]},{row[nearest]}", {"x": cells.column, "y": cells.row}
+    if not is_image:
+        columns = {"texture": np.array(names)[cells.picture], **columns}
+    name = f"pixel {name}" if is_image else f"texel {name} of {names[fitting[0]]}"
+    return name, int(np.flatnonzero(mine)[nearest]), columns
 
 
 def _numbers(at: str) -> list[float]:
@@ -171,14 +153,6 @@ def _numbers(at: str) -> list[float]:
     if not numbers or not np.isfinite(numbers).all():
         raise UsageError(f"--at {at} is no place; give the index of a vertex, X,Y,Z, U,V, or a pixel X,Y")
     return numbers
-
-
-def _table(columns: dict[str, Array]) -> Written:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(columns)
-    rows.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
-    return Written([text.getvalue().encode()])
 
 
 def _greys(colours: Float32s, samples: Layer) -> Float32s:
@@ -195,23 +169,16 @@ def _mesh(
     samples: PaintedLayer, sample_of: Int64s, kernel: SampledKernel, nearness: Float32s, greys: Float32s
 ) -> Written:
     """Colour the whole mesh by nearness, with distance (NaN beyond the kernel) and weight as properties."""
-    values = np.full((len(greys), 2), np.nan, np.float32)
-    values[:, 1] = 0
-    values[kernel.samples] = np.column_stack([kernel.distances, kernel.weights])
-    near = np.full(len(greys), np.nan, np.float32)
-    near[kernel.samples] = nearness
+    rows = np.full((len(greys), 3), [np.nan, np.nan, 0], np.float32)
+    rows[kernel.samples] = np.column_stack([nearness, kernel.distances, kernel.weights])
+    near, distance, weight = rows.T
     shades = as_bytes(colour_by_value(near, greys, np.isfinite(near)))
-    scalars = {"distance": values[sample_of, 0], "weight": values[sample_of, 1]}
+    scalars = {"distance": distance[sample_of], "weight": weight[sample_of]}
     return write_scalars_as_ply(samples.joined.positions, samples.joined.faces, shades[sample_of], scalars)
 
 
 def _picture(
-    manifold: GridManifold,
-    index: int,
-    kernel: SampledKernel,
-    nearness: Float32s,
-    samples: Layer,
-    suffix: str,
+    manifold: GridManifold, index: int, kernel: SampledKernel, nearness: Float32s, samples: Layer, suffix: str
 ) -> Written:
     """Draw the canvas around a sample three times: its colours, the nearness, the weights."""
     around, offsets = manifold.parameters.window // 2 + _SURROUNDINGS, kernel.offsets
