@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+
+from beltrami_cli.formats.registry import FORMATS
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "beltrami_cli"
@@ -71,6 +75,44 @@ def test_commands_for_developers_are_targets_of_make():
 def test_every_folder_of_the_package_has_its_place_in_the_architecture():
     folders = {f"{path.parent.name}/" for path in PACKAGE.glob("*/__init__.py")} | {"native/"}
     assert folders <= quoted(DEVELOPERS[0])
+
+
+def figures(page):
+    return re.findall(r"```mermaid\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def imported_by(path):
+    """The modules of the package that a file imports anywhere, by their paths."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            found |= {node.module, *(f"{node.module}.{each.name}" for each in node.names)}
+    return {ROOT / (name.replace(".", "/") + ".py") for name in found}
+
+
+def test_the_road_is_that_of_the_imports():
+    road = figures(DEVELOPERS[0])[0]
+    paths = {name: PACKAGE / path for name, path in re.findall(r'(\w+)\["([\w/.]+)<br>', road)}
+    arrows = re.findall(r"^ *(\w+)(?:\[.*?\])? (-->|-\.->) (\w+)", road, re.MULTILINE)
+    assert len(arrows) == len(road.strip().splitlines()) - 1
+    for source, kind, target in arrows:
+        if kind == "-->":
+            assert paths[target] in imported_by(paths[source]), (source, target)
+        else:
+            modules = {
+                PACKAGE / "formats" / line.module / (line.reader.split(".")[0] + ".py") for line in FORMATS
+            }
+            assert paths[target] in modules
+
+
+def test_the_floors_are_those_of_the_contract():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    layers = contracts["contracts"][0]["layers"]
+    shown = figures(DEVELOPERS[0])[1].strip().splitlines()[1]
+    floors = [re.findall(r"\w+", floor) for floor in shown.split("-->")]
+    assert [set(floor) for floor in floors] == [
+        set(re.findall(r"\w+", layer)) for layer in layers if layer != "__main__"
+    ]
 
 
 def test_versions_agree():
