@@ -46,7 +46,9 @@ def smooth_layer(
     plan = layer.plan(tick)
     result = smooth(plan, progress)
     report, new = layer.report(plan, result), result.manifold.new_colours()
-    warnings, is_smoothed = report.warnings(plan.parameters.max_samples), plan.parameters.iterations > 0
+    warnings, is_smoothed = list[str](), plan.parameters.iterations > 0
+    if isinstance(report, VertexReport):
+        warnings = report.warnings(plan.parameters.max_samples)
     choice, samples_per_kernel = result.choice, result.samples_per_kernel
     del plan, result  # before images as large are made
     repainted = layer.repaint(new, is_smoothed=is_smoothed)

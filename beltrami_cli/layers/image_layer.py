@@ -173,7 +173,7 @@ class ImageLayer(Layer):
 
 
 def written(layer: ImageLayer, new: NewColours, notices: Sequence[str]) -> Repainted:
-    """Return the image with new colours as a file; `notices` follow what is said of it."""
+    """Return the image with new colours as a file; `notices` follow the writer's own."""
     picture, suffix, settings = layer.picture, layer.suffix, layer.settings
     pixels, change = layer.painted(new)
     pixels, turned = upright(picture, pixels, suffix)

@@ -249,7 +249,7 @@ def rewritten(
 def all_images(
     painted: Iterable[Repainted],
 ) -> tuple[dict[tuple[Slot, str], ImageFile], list[str]]:
-    """Return the new images of all layers, with what users should know of those that several slots show.
+    """Return the new images of all layers, and notices about images that several slots show.
 
     Occlusion is the red channel of an image, roughness and metalness are green and blue, mostly of the same image.
     """

@@ -44,7 +44,7 @@ class PictureColours:
     metric_channels: list[int] | None  # which of the N enter the metric; None: all
     space: Space  # of the samples: the working space, or data as stored
     light_space: Space | None  # the same if they stand for light, as pictures of floats do; None: they do not
-    width: int  # colour channels of the pictures; grey pictures beside coloured ones have red = green = blue
+    width: int  # colour channels of the pictures; in grey ones among coloured ones red = green = blue
     kept: list[int]  # which of these are sampled
     changing: list[int]  # which of these change
     others: dict[

@@ -27,11 +27,6 @@ class LayerReport:
     choice: dict[str, object] | None
     patches: float | None  # the share of the result that is from patches; None: only the kernel was run
 
-    def warnings(self, max_samples: int) -> list[str]:
-        """Return what users should be warned of, where kernels held at most `max_samples`."""
-        del max_samples
-        return []
-
 
 @dataclass(frozen=True, kw_only=True)
 class VertexReport(LayerReport):
@@ -46,6 +41,7 @@ class VertexReport(LayerReport):
     geometry: dict[str, float] | None = None
 
     def warnings(self, max_samples: int) -> list[str]:
+        """Return warnings for users; kernels held at most `max_samples`."""
         found, outliers = list[str](), self.counts.get("outliers", 0)
         if outliers:
             alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"

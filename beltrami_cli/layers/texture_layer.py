@@ -77,7 +77,7 @@ class TextureLayer(layer.Layer):
         surface, kernel = choose_textures(surface, settings.textures), settings.kernel
         pictures, tables = list[Picture](), list[JpegTables | None]()
         for texture in surface.textures:
-            data = texture.data  # which may be read anew each time
+            data = texture.data  # each access may read the file
             picture = read_texture(texture, data)
             is_written = group is None or texture.key in group.own
             pictures.append(picture if is_written else dataclasses.replace(picture, source=b""))
@@ -180,7 +180,7 @@ class TextureLayer(layer.Layer):
         )
 
     def describe(self) -> dict[str, object]:
-        """Return the facts; exposure steps, which may be those of several layers, are left open."""
+        """Return the facts without exposure steps, which may be common to several layers."""
         plan, described = self.plan(), self._facts()
         plans = [plan] if len(described) == 1 else (_plan_alone(self, i) for i in range(len(described)))
         seams = 0

@@ -33,11 +33,6 @@ from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 _PROBED_KERNELS = 1000
 
 
-def columns_of(painted: PaintedVertices, settings: SmoothSettings) -> ChosenChannels:
-    """Choose the columns of vertex colours."""
-    return choose_channels(painted.channels, settings, "the colours have")
-
-
 def describe_colours(painted: PaintedVertices) -> dict[str, object]:
     """Return facts about colours of vertices, in JSON types."""
     colours = painted.colours
@@ -65,7 +60,7 @@ class PaintedLayer(Layer):
 
     @cached_property
     def channels(self) -> ChosenChannels:
-        return columns_of(self.painted, self.settings)
+        return choose_channels(self.painted.channels, self.settings, "the colours have")
 
     @cached_property
     def names(self) -> tuple[str, ...]:

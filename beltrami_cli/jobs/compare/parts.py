@@ -26,12 +26,13 @@ from beltrami_cli.jobs.compare.figures import (
 )
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.memory_check import COMPARED_PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import all_texel_colours, choose_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import coloured_rows, columns_of, only_rows, with_surface
+from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
 from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
 from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
@@ -98,7 +99,7 @@ def compare_vertices(
     require_one_model(documents, (one, other))
     held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
-    channels, space = columns_of(one, settings).changing, settings.space
+    channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
     reference, test = (
         to_space(each.colours[rows][:, channels], each.encoding, space) for each in (one, other)
     )
