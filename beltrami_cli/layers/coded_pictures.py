@@ -13,7 +13,6 @@ from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.noise.coded_picture import CodedPicture, decode
-from beltrami_cli.flow.noise.given import GivenNoise
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.surface import large_arrays
@@ -41,7 +40,12 @@ def plan_on_pictures(
     all pictures as their files have them; none if the samples have other colours.
     """
     pictures = _coded(atlas, coded) if kernel.evens_noise and not kernel.fast else []
-    sigma = _sigma_before(pictures, kernel.given_noise) if pictures else None
+    sigma = None
+    if pictures:
+        from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
+
+        sigma = noise_before_jpeg(pictures) if kernel.given_noise is None else kernel.given_noise.sigma
+        sigma = sigma if sigma and is_changed(pictures, sigma) else None
     if sigma is None:
         return choose_parameters(make(None, None), kernel, tick, light_in=light_in)
     planes, noise, before = None, None, None
@@ -79,14 +83,6 @@ def _coded(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> li
         CodedPicture(pixels, mask, tables.steps, tables.span)
         for (pixels, tables), mask in zip(known, used, strict=True)
     ]
-
-
-def _sigma_before(pictures: Sequence[CodedPicture], given: GivenNoise | None) -> float | None:
-    """Return sigma of white noise before JPEG; None: nothing can be made of it."""
-    from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
-
-    sigma = noise_before_jpeg(pictures) if given is None else given.sigma
-    return sigma if sigma and is_changed(pictures, sigma) else None
 
 
 def _decode(

@@ -152,7 +152,10 @@ class PictureColours:
         """
         columns, count = self.columns(picture), len(self.changing)
         new = samples if self.written == list(range(samples.shape[1])) else samples[:, self.written]
-        if not self._is_converted(picture):
+        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self.width
+        if (
+            is_plain and not self.is_normal and not self._is_divided(picture)
+        ):  # the numbers are stored as they are
             return new[:, : len(columns)]
         rows = np.take(table, pixels, axis=0)
         moved = self.shown(picture, rows) != new
@@ -184,11 +187,6 @@ class PictureColours:
     def opacity(self, picture: Picture) -> Float32s | None:
         """Return the opacity by which a picture's colours, but not samples, are multiplied, shape (H, W), or None."""
         return full_scale_one(picture.pixels[..., picture.alpha]) if self._is_divided(picture) else None
-
-    def _is_converted(self, picture: Picture) -> bool:
-        """Whether samples of a picture differ from the numbers that it stores."""
-        is_plain = self.space in ("data", picture.encoding) and len(picture.colour) == self.width
-        return not is_plain or self.is_normal or self._is_divided(picture)
 
     def _is_divided(self, picture: Picture) -> bool:
         # Colours that are averaged together with alpha are weighted by it already.

@@ -169,46 +169,33 @@ class VertexLayer(PaintedLayer):
         return dataclasses.replace(report, geometry=geometry)
 
     def describe(self) -> dict[str, object]:
-        painted = self.joined
-        facts = self._describe_points() if self.is_cloud else self._describe_mesh()
-        plan = self.plan()
-        manifold = plan.manifold
-        moving = {}
+        painted, counts, plan = self.joined, self._counts(), self.plan()
+        manifold, planned = plan.manifold, self._planned(plan)
         if (moved := manifold.moving) is not None:
-            moving = {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
-        held = round(samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0)), 1)
-        planned = self._planned(plan)
-        planned["smooth"] |= moving | {"samples_per_kernel": held}
-        return {
-            "colours": describe_colours(painted),
-            "cloud" if self.is_cloud else "surface": {
-                **facts,
-                "mean_edge_length": manifold.geometry.spacing,
-                "bounds": bounds(painted.positions),
-            },
-            **planned,
-        }
+            planned["smooth"] |= {"normal_noise": float(moved.sigma), "normal_beta": float(moved.beta)}
+        in_kernel = samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0))
+        planned["smooth"]["samples_per_kernel"] = round(in_kernel, 1)
+        where = {"mean_edge_length": manifold.geometry.spacing, "bounds": bounds(painted.positions)}
+        what = "cloud" if self.is_cloud else "surface"
+        return {"colours": describe_colours(painted), what: counts | where, **planned}
 
-    def _describe_mesh(self) -> dict[str, object]:
-        painted, surface, sampling = self.painted, self.surface(), self.sampling
+    def _counts(self) -> dict[str, object]:
+        vertices, samples = len(self.painted.colours), len(self.sampling.first_vertex)
+        places, place_of = self.sampling.places, self.sampling.place_of
+        if self.is_cloud:
+            counts = {"points": vertices, "samples": samples, "coincident_points": vertices - places}
+            return {**counts, **dataclasses.asdict(count_cloud(self.joined))}
+        surface = self.surface()
         # The position of each place: a hard colour edge is no boundary of the surface.
-        positions = np.empty((sampling.places, surface.positions.shape[1]))
-        positions[sampling.place_of] = surface.positions
+        positions = np.empty((places, surface.positions.shape[1]))
+        positions[place_of] = surface.positions
         return {
-            "vertices": len(painted.positions),
-            "triangles": len(painted.faces),
-            "samples": len(surface.colours),
-            "coincident_vertices": len(painted.positions) - sampling.places,
-            "hard_edge_samples": len(surface.colours) - sampling.places,
-            **count_topology(positions, sampling.place_of[surface.faces]),
-        }
-
-    def _describe_points(self) -> dict[str, object]:
-        return {
-            "points": len(self.painted.positions),
-            "samples": len(self.sampling.first_vertex),
-            "coincident_points": len(self.painted.positions) - self.sampling.places,
-            **dataclasses.asdict(count_cloud(self.joined)),
+            "vertices": vertices,
+            "triangles": len(self.painted.faces),
+            "samples": samples,
+            "coincident_vertices": vertices - places,
+            "hard_edge_samples": samples - places,
+            **count_topology(positions, place_of[surface.faces]),
         }
 
     def sample_of(self, plan: Plan[Any]) -> Int64s:

@@ -22,7 +22,6 @@ from numpy.typing import DTypeLike
 
 from beltrami_cli.arrays import Array, Int8s, Int64s
 from beltrami_cli.errors import ProcessingError
-from beltrami_cli.surface.worker_process import writing_temporary_files
 
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
@@ -137,6 +136,8 @@ def leave_memory() -> None:
 def free_space() -> int:
     """Return the bytes that are free where large arrays are kept."""
     import tempfile
+
+    from beltrami_cli.surface.worker_process import writing_temporary_files
 
     disk = _DISK.get()
     with writing_temporary_files():
