@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO, Any
 
 import numpy as np
@@ -41,6 +40,8 @@ def writing_temporary_files() -> Iterator[None]:
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
     """Make a folder for temporary files, and remove it in the end; ProcessingError if it cannot be made."""
+    from tempfile import TemporaryDirectory
+
     with ExitStack() as stack:
         with writing_temporary_files():
             folder = stack.enter_context(TemporaryDirectory(prefix="beltrami-"))
@@ -80,6 +81,8 @@ class Worker:
 @contextmanager
 def working(module: str, question: Message, *arguments: int) -> Iterator[Worker]:
     """Run a module that calls `serve`, with some arguments, and end it at last."""
+    from tempfile import TemporaryFile
+
     # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
     with ExitStack() as stack:
         with writing_temporary_files(), ExitStack() as files:  # which also write when they are closed
