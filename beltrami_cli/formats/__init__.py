@@ -1,1 +1,1 @@
-"""Documents that keep their bytes: open, list what is coloured, patch the colours, and nothing else."""
+"""Documents that keep their bytes: open, list the coloured parts, patch the colours, and nothing else."""

@@ -1,4 +1,4 @@
-"""What a job may read: files of which kind, how large, and from where; and reading them."""
+"""Limits of reading: which files, how large, and from where; and reading them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import ClassVar
 from beltrami_cli.errors import InputError
 from beltrami_cli.fields import Checked, names_in, parameter
 
-# Without O_NONBLOCK, opening a FIFO that nobody writes to would wait for ever.
+# Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
 _OPENING = (
     os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOCTTY", 0)
 )
@@ -90,12 +90,12 @@ def most_unpacked(packed: int) -> int:
 
 
 def is_too_dense(packed: int, unpacked: int) -> bool:
-    """Whether some bytes would be unpacked to more times their number than those of any real model."""
+    """Whether some bytes would be unpacked to more times their number than any real model is."""
     return unpacked > most_unpacked(packed)
 
 
 def require_ratio(name: str, what: str, packed: int, unpacked: int) -> None:
-    """Raise InputError if what is unpacked `is_too_dense`."""
+    """Raise InputError if packed data `is_too_dense`."""
     if is_too_dense(packed, unpacked):
         cause = f"{what} is {unpacked} bytes in {packed} packed ones, more than any model has"
         raise InputError(name, cause, "save it uncompressed, if it is meant so")

@@ -29,7 +29,7 @@ _DAMAGED = "repack it, or export it again"
 
 
 class Archive:
-    """A ZIP archive in memory, of which members are read one by one, none beyond what is allowed."""
+    """A ZIP archive in memory; members are read one by one, within limits."""
 
     def __init__(self, data: bytes, name: str, access: Access, share: int = 1) -> None:
         """`share` is how many times its size in memory a member takes while it is used."""

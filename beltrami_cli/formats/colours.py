@@ -81,7 +81,7 @@ def intensity_scale(values: Float64s) -> tuple[float, str]:
     scale = _scale_of_whole(values, _INTENSITY_SCALES)
     if scale is not None:
         return scale, ""
-    return largest, f"Intensities go from {low:g} to {high:g}; of full scale is what is {largest:g}."
+    return largest, f"Intensities go from {low:g} to {high:g}; {largest:g} is taken as full scale."
 
 
 def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:
@@ -93,7 +93,7 @@ def _scale_of_whole(values: Float64s, scales: Sequence[float]) -> float | None:
 
 
 def opacity(alpha: Array, scale: float) -> Float32s:
-    """Return opacity in [0, 1]; beside colours of 0..255 it may still be of 0..1."""
+    """Return opacity in [0, 1]; with colours of 0..255 it may still be of 0..1."""
     values: Float64s = np.nan_to_num(alpha.astype(np.float64))
     values /= scale if _usual_largest(values) > 1 else 1
     return np.clip(values, 0, 1).astype(np.float32)

@@ -6,7 +6,7 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   standard input) and the `Access`, and calls `_open` with the folder. Files may be parsed lazily, and every count is
   held against the length of the data before anything is allocated.
 - `_mesh` (or `_painted` and `contents`), `_patched` and `facts` are required; the others have defaults for a format
-  without textures, files beside it, range images, further attributes or movable vertices. With textures, `slots` and
+  without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots` and
   `_gathered` are required, too; `formats/textured_mesh.py` collects their images.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
@@ -39,24 +39,26 @@ PlannedImages = Mapping[tuple[records.Slot, str], records.PlannedImage]
 
 Bytes = bytes | bytearray | memoryview
 NO_IMAGES: NewImages = {}
-# What references in some format cannot spell, or readers take for something else than the name of a file beside.
+# Characters that references in some format cannot spell, or that readers do not take for part of a file name.
 _UNFIT = re.compile(r'[\x00-\x1f\x7f"\\:<>\ud800-\udfff]|^[\s.-]+|\s+$|(?<=\s)#')
 
 
 @dataclass(frozen=True)
 class Naming:
-    """How the files beside an output are named."""
+    """How the sidecar files of an output are named."""
 
     stem: str  # of the output, without folder and extension
-    keeps: bool = False  # the output replaces its source, and new files those of the source
+    keeps: bool = False  # the output and its sidecar files replace the source's files
     copies: bool = False  # the output lies in another folder, where it needs copies of unchanged files
-    is_taken: Callable[[str], bool] = lambda _: False  # whether a path beside the output is of something else
+    is_taken: Callable[[str], bool] = lambda _: (
+        False
+    )  # whether a path in the output's folder belongs to another model
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))
 
     def free_stem(self, sidecars: Callable[[str], Iterable[str]]) -> str:
-        """Return a stem, numbered from 2 on if need be, with which no file beside the output is of something else."""
+        """Return a stem, numbered from 2 on if need be, such that no sidecar file belongs to another model."""
         stems = chain([self.stem], (f"{self.stem}-{number}" for number in count(2)))
         return next(stem for stem in stems if not any(self.is_taken(name) for name in sidecars(stem)))
 
@@ -70,7 +72,7 @@ class Written:
     sidecars: Mapping[str, Bytes] = field(default_factory=dict)
     # For the user, one sentence each: what the format cannot hold, what was rounded.
     notices: tuple[str, ...] = ()
-    # New paths relative to the main file of unchanged files beside the source, by which they are named there.
+    # New paths, relative to the main file, of unchanged files, by their names in the source.
     copies: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -95,7 +97,7 @@ def not_converted(
 
 @dataclass(frozen=True)
 class Changes:
-    """What is to be new in a document; every entry that equals the present one keeps its stored bytes."""
+    """Replacements in a document; every entry that equals the present one keeps its stored bytes."""
 
     # Rows as in `painted().colours`, shape (V, C); None: unchanged. They are clipped to the range of the stored type
     # and rounded to it once, to the nearest.
@@ -143,7 +145,7 @@ class Document(ABC):
 
     def _open(self, folder: Path | None) -> None:
         """Read what must be sound in every file of the format."""
-        del folder  # for formats that refer to files beside them
+        del folder  # for formats with sidecar files
 
     def painted(self) -> PaintedVertices:
         """Return the vertex colours and their surface, always the same record; InputError without usable ones."""
@@ -206,7 +208,7 @@ class Document(ABC):
         fits = [known for known in self.attributes() if known.lower() == name.lower()]
         if not fits:
             known = ", ".join(self.attributes()) or "nothing"
-            raise InputError(self.name, f"its vertices have no {name}, but {known} beside their colours")
+            raise InputError(self.name, f"its vertices have no {name}, but {known} besides colours")
         return self._attribute(fits[0])
 
     def _attribute(self, name: str) -> Float64s:
@@ -271,7 +273,7 @@ class Document(ABC):
         return []
 
     def references(self) -> Sequence[str]:
-        """Return relative paths of existing unchanged files that the model needs beside it ("/" separates)."""
+        """Return relative paths of existing unchanged files that the model refers to ("/" separates)."""
         return ()
 
     def contents(self) -> records.MeshContents:

@@ -1,4 +1,4 @@
-"""Files beside a model that it names: which names are followed, where they lead, and what new files are called.
+"""Files that a model refers to: which names are followed, where they lead, and the names of new files.
 
 The name of a set of tiles has a token, in whose place the files have the number of the tile at column u and row v:
 
@@ -32,7 +32,7 @@ _NETWORK = re.compile(r"[a-z][a-z0-9+.-]+:|//", re.IGNORECASE)
 _HERE = PurePosixPath()
 _ENCODINGS = ("gbk", "cp932", "cp1252")  # in China, in Japan and in the West
 _MISSING, _TILES = "is missing", "stands for a set of tiles (UDIM), which are not read"
-_NOWHERE = "is a file beside the model, whose folder is not known"
+_NOWHERE = "is a file in the folder of the model, which is not known"
 _REMEDIES = {
     _MISSING: "keep the model's files together, under the names that it has for them",
     _TILES: "give each tile a material and a name of its own",
@@ -95,8 +95,8 @@ class ModelFolder:
             is_file = stat.S_ISREG(self.access.found_at(self._folder / path).stat().st_mode)
             there = (self._folder / path).resolve()
         except (FileNotFoundError, NotADirectoryError):
-            alike = None if is_outside(path) else self._like_named(path)
-            hint = f" (there is '{alike}', but capitals and accents count)" if alike else ""
+            similar = None if is_outside(path) else self._like_named(path)
+            hint = f" (there is '{similar}', but capitals and accents count)" if similar else ""
             raise UnfitReferenceError(f"{_MISSING}{hint}") from None
         except (OSError, ValueError, RuntimeError):  # Names that no file can have: too long, or with a NUL.
             raise UnfitReferenceError("cannot be the name of a file") from None
@@ -149,7 +149,7 @@ class ModelFolder:
         return path
 
     def files(self, path: str) -> list[str]:
-        """Return the file of a path, or those of a set of tiles."""
+        """Return the file of a path, or all files of a set of tiles."""
         return list(self.tiles[path].values()) if path in self.tiles else [path]
 
     def _like_named(self, path: str) -> str | None:
@@ -209,7 +209,7 @@ def checked_path(name: str, within: PurePosixPath = _HERE, *, outside: bool, til
     if not name:
         raise UnfitReferenceError("is empty")
     if _NETWORK.match(plain) or (_SCHEME.match(plain) and not outside):
-        raise UnfitReferenceError("is not a relative path; only files beside the model are read")
+        raise UnfitReferenceError("is not a relative path; only files in the model's folder are read")
     if has_token(name) and not tiles:
         raise UnfitReferenceError(_TILES)
     path = within / plain
@@ -280,7 +280,7 @@ _LONGEST = 255  # bytes of a name, on all usual file systems
 
 
 class NewFiles:
-    """Gives the files beside one output their names, each once, and collects them."""
+    """Names the sidecar files of one output, each once, and collects them."""
 
     def __init__(self, naming: Naming, source: str, present: Iterable[str], missing: Iterable[str]) -> None:
         """`source` is the model's own name; `present` and `missing` are the files that it refers to."""
@@ -289,7 +289,7 @@ class NewFiles:
         self.sidecars: dict[str, Bytes] = {}  # and copies, as in `Written`
         self.copied: dict[str, str] = {}
         self._naming, self._source = naming, Path(source).stem
-        # In another folder what is present gets other names, and references to what is missing stay.
+        # In another folder present files get other names, and references to missing files stay.
         self._taken = {path.casefold() for path in (*missing, *(() if naming.copies else present))}
 
     def image(
@@ -320,7 +320,7 @@ class NewFiles:
             self.notices[f"'{name}' {_STAYS}"] = None
 
     def written(self, main: Sequence[Bytes] = (), notices: Iterable[str] = ()) -> Written:
-        """Return what was collected beside a main file, or without it."""
+        """Return the collected files with a main file, or without it."""
         return Written(main, self.sidecars, (*notices, *self.notices), self.copied)
 
     def _reserve(self, path: str, *, may_stay: bool = False, tiles: tuple[Tile, ...] = ()) -> str:

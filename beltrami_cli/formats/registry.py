@@ -1,6 +1,6 @@
 """Which formats there are: how the bytes of each are recognised, and which module reads and writes it.
 
-A new mesh format is a folder beside this file and a line of `FORMATS`. Nothing of a format is imported before a file
+A new mesh format is a folder in this package and a line of `FORMATS`. Nothing of a format is imported before a file
 needs it, so that the command line starts fast.
 """
 
@@ -69,7 +69,7 @@ _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 @dataclass(frozen=True)
 class Format:
-    """A line of the registry. Classes and functions are those of `module`, which is relative to this package."""
+    """A line of the registry. Classes and functions are found in `module`, relative to this package."""
 
     name: str  # `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say
     mark: (
@@ -79,7 +79,7 @@ class Format:
     reader: str  # a `Document`; of volumes a function that returns a `Volume`
     writer: str = ""  # (MeshContents, stem) -> Written; empty: there is none
     textured_writer: str = ""  # (TexturedMesh, stem) -> Written
-    sidecars: str = ""  # suffixes of the files that the writers put beside the main one
+    sidecars: str = ""  # suffixes of the sidecar files that the writers make
     textured_sidecars: str = ""  # as well; ".*" is that of the texture
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
     slots: tuple[Slot, ...] = ()  # of whose maps a new file can be written; empty: any
@@ -264,7 +264,7 @@ def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
 
 
 def textured_sidecars(mesh: TexturedMesh, name: str, stem: str) -> list[str]:
-    """Return the files that `write_textured` puts beside the main one, of images as `with_suffixes` has them."""
+    """Return the sidecar files of `write_textured`, with images as `with_suffixes` has them."""
     from beltrami_cli.formats.textured_mesh import image_names
 
     line = _with_textures(name)
@@ -280,7 +280,7 @@ def held_images(name: str) -> tuple[str, ...] | None:
 
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the files that `write_textured`, or without an image `write_contents`, puts beside the main one."""
+    """Return the sidecar files of `write_textured`, or without an image of `write_contents`."""
     suffixes = _WRITERS[name].sidecars if image_suffix is None else _with_textures(name).textured_sidecars
     return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 

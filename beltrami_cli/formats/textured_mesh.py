@@ -193,7 +193,7 @@ def image_names(mesh: TexturedMesh, stem: str, held: Collection[str] = ()) -> li
     """Return names for the files of the images, after the model, all different, as `with_suffixes` has them."""
     names, found = NewFiles(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
-        # A reference in MTL and PLY is the rest of a line, of which programs cut the blanks at the ends.
+        # A reference in MTL and PLY is the rest of a line, whose blanks at the ends programs cut off.
         plain = plain_name(PurePosixPath(image.name).stem)
         suffix = image.file.suffix if not held or image.file.suffix in held else _FIT
         found.append(names.image(plain + suffix) if plain else names.new(suffix))
@@ -222,7 +222,7 @@ def plain_name(name: str) -> str:
 
 
 def usable_coordinates(uv: Float64s) -> Float64s:
-    """Return texture coordinates, NaN in place of those that single precision does not hold."""
+    """Return texture coordinates, NaN where single precision does not hold them."""
     return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
 
 
@@ -246,7 +246,7 @@ def with_images(mesh: TexturedMesh, images: NewImages) -> TexturedMesh:
 
 
 def with_slots(mesh: TexturedMesh, slots: Collection[Slot]) -> TexturedMesh:
-    """Return a mesh with the maps of some slots alone, and the others among what is left out."""
+    """Return a mesh with the maps of some slots only, and notices of the others."""
     lost = {slot for material in mesh.materials for slot in material.maps if slot not in slots}
     materials = tuple(
         dataclasses.replace(each, maps={slot: shown for slot, shown in each.maps.items() if slot in slots})

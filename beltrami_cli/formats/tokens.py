@@ -59,10 +59,10 @@ def without_comments(text: bytes, *marks: bytes) -> bytes:
 
 
 class Lines:
-    """The tokens of a file by lines: line l, of those that have any, has the tokens `heads[l]` to `stops[l]`."""
+    """The tokens of a file by lines: line l, not counting empty ones, has the tokens `heads[l]` to `stops[l]`."""
 
     def __init__(self, data: bytes, text: bytes, name: str) -> None:
-        """Find them in `text`, which is the data but for blanks in place of what is no token."""
+        """Find them in `text`, which is the data with blanks in place of comments."""
         require_short_lines(text, name)
         self.data, self.name = data, name
         self.characters = np.frombuffer(text, np.uint8)
@@ -70,7 +70,7 @@ class Lines:
         line_ends = np.flatnonzero(self.characters == ord("\n"))
         if b"\r" in text:
             line_ends = np.union1d(line_ends, np.flatnonzero(self.characters == ord("\r")))
-        # The tokens before a line end are those that start before it.
+        # The tokens before a line end start before it.
         stops = np.append(np.searchsorted(self.starts, line_ends), len(self.starts))
         heads = np.append(0, stops[:-1])
         self.heads, self.stops = heads[heads < stops], stops[heads < stops]
@@ -147,7 +147,7 @@ def _parse(text: bytes) -> Float64s | None:
 def exchange_tokens(
     text: bytes, starts: Int64s, ends: Int64s, spell: Callable[[slice], Sequence[bytes]]
 ) -> list[bytes | memoryview]:
-    """Return a text, in pieces, in which the T tokens at ascending places are those that `spell` gives for a slice."""
+    """Return a text, in pieces, whose T tokens at ascending places are replaced; `spell` gives a slice of new ones."""
     whole = memoryview(text)
     pieces: list[bytes | memoryview] = []
     done = 0

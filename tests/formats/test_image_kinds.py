@@ -109,7 +109,7 @@ def test_full_colours_and_greys_are_no_palette(kind, suffix):
         (
             "RGB",
             {"compression": "jpeg"},
-            ["compressed by jpeg; what is written as TIFF is compressed by zip"],
+            ["compressed by jpeg; TIFF files are written with zip compression"],
         ),
         ("YCbCr", {"compression": "jpeg"}, ["(YCbCr)", "compressed by jpeg"]),
         (

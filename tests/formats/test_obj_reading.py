@@ -99,7 +99,7 @@ def test_uncoloured_vertices_and_their_faces_take_no_part():
         (THREE + b"v 1 x2 3 1 1 1\n", "line 4: 'x2' is no number"),
         (THREE + b"v 1 2 3 1 nan 1\n", "line 4: 'nan' is not a finite number"),
         (THREE + b"v 1 2 3 1 inf 1\n", "line 4: 'inf' is not a finite number"),
-        (THREE + b"\nf 1 2 4\n", "line 5: '4' refers to no vertex, of which there are 3"),
+        (THREE + b"\nf 1 2 4\n", "line 5: '4' refers to no vertex; there are 3"),
         (THREE + b"f 1 2 0/1\n", "line 4: '0/1' refers to no vertex"),
         (THREE + b"f 1 2 -4\n", "line 4: '-4' refers to no vertex"),
         (b"v 0 0 0 1 0 0\nf -1 -1 -2\n" + THREE, "line 2: '-2' refers to no vertex"),

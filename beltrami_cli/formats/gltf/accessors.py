@@ -77,7 +77,7 @@ class Accessors:
         self.buffers = buffers
         self.views = read_views(root, buffers)
         self.all = [_accessor(entry, self.views) for entry in root.entries("accessors")]
-        self._added: list[Accessor] = []  # those decoded by Draco; their indices follow those of the JSON
+        self._added: list[Accessor] = []  # decoded by Draco; their indices follow the JSON's
         self._decoded: dict[Hashable, int] = {}
         self._meshes: dict[int, Any] = {}
         self._drawn = 0

@@ -1,4 +1,4 @@
-"""The buffers of a glTF file and the views into them, the URIs of files beside it: bytes are read when needed."""
+"""The buffers of a glTF file and the views into them, the URIs of sidecar files: bytes are read when needed."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _checked(uri: str, name: str, check: Callable[[str], str]) -> str:
 
 
 def read(uri: str, folder: model_folder.ModelFolder) -> bytes:
-    """Return the bytes that a URI stands for, its own or those of a file; UnfitReferenceError if there are none."""
+    """Return the bytes that a URI stands for, its own or a file's; UnfitReferenceError if there are none."""
     if is_data(uri):
         return _embedded(uri)
     try:
@@ -106,7 +106,7 @@ def named_files(root: Entry, folder: model_folder.ModelFolder) -> set[str]:
         try:
             names.add(relative_name(uri, folder))
         except model_folder.UnfitReferenceError:
-            continue  # not a name beside the file, so no output can overwrite it
+            continue  # not a name in the file's folder, so no output can overwrite it
     return names
 
 
@@ -133,7 +133,7 @@ Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
 
 
 class Buffers:
-    """All buffers of one file, and after them those that are decoded; missing bytes are an error when asked for."""
+    """All buffers of one file, then decoded ones; missing bytes are an error when asked for."""
 
     def __init__(self, container: Container, folder: model_folder.ModelFolder) -> None:
         self._container, self._folder = container, folder
@@ -150,7 +150,7 @@ class Buffers:
         return len(self._entries)
 
     def add(self, length: int, decode: Callable[[], Bytes]) -> int:
-        """Add a buffer whose bytes are made when they are asked for; its number is beyond those of the JSON."""
+        """Add a buffer whose bytes are made when they are asked for; its number is beyond the JSON's."""
         self._decoded.append((length, decode))
         return len(self) + len(self._decoded) - 1
 

@@ -3,8 +3,8 @@
 Numbers are overwritten where they are if nothing else uses their bytes. Otherwise a new bufferView at the end of
 the buffer takes them, and only their accessor is pointed at it; no other view ever moves.
 
-Those that Draco has compressed always get a view of their own, in the order in which decoders give the vertices:
-encoding a mesh anew would move its vertices and change their order. The compressed data stays as it is; the primitive
+Attributes that Draco has compressed always get a view of their own, in the order in which decoders give the vertices:
+encoding a mesh again would move its vertices and change their order. The compressed data stays as it is; the primitive
 just does not name these numbers in it any more. Views that meshoptimizer has compressed are compressed again, which
 loses nothing.
 """
@@ -130,7 +130,7 @@ def _require_same_order(edit: Edit, primitive: Entry, attribute: str) -> None:
         return
     plain, decoded = accessors.stored(index), accessors.stored(accessors.decoded_indices(packed, index))
     if not np.array_equal(plain, decoded):
-        cause = "holds vertices in another order than the uncompressed geometry beside it"
+        cause = "holds vertices in another order than its uncompressed fallback"
         raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
 
 
@@ -198,7 +198,7 @@ def _alone(tree: Tree, accessors: Accessors, columns: Sequence[Column]) -> list[
     # accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
     # serve images, extensions, or nothing that we know.
     otherwise = used_otherwise(tree, columns[0].attribute)
-    # Plain elements, and those that replace some of them.
+    # Plain elements, and sparse ones that replace some of them.
     found = [accessors[column.accessor] for column in columns]
     parts = [[each.layout, each.sparse.values if each.sparse else None] for each in found]
     own = [[_canonical(accessors, part) for part in both if part is not None] for both in parts]

@@ -58,7 +58,7 @@ class Packed:
 
 
 def read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | None:
-    """Read how a bufferView of `length` bytes is compressed, None if it is not; `lengths` are those of buffers."""
+    """Read how a bufferView of `length` bytes is compressed, None if it is not; `lengths` of all buffers."""
     extensions = view.entry("extensions")
     extension = next((name for name in MESHOPT if name in extensions), None)
     if extension is None:
@@ -84,7 +84,7 @@ def read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | No
 
 
 def unpacked(packed: Packed, stored: Callable[[int], Bytes]) -> bytes:
-    """Decompress the bytes of a view; `stored` gives those of a buffer."""
+    """Decompress the bytes of a view; `stored` gives the bytes of a buffer."""
     library, data = _library(packed), stored(packed.buffer)
     source = bytes(data[packed.offset : packed.offset + packed.length])
     try:

@@ -1,7 +1,7 @@
 """The container of a glTF file, GLB chunks or plain JSON text: taken apart and put together again.
 
-Encoding the JSON anew would change spacing, escapes and digits of numbers. So the text of the source is walked along
-the new tree, and only members that differ are written anew, in the source's style.
+Encoding the JSON again would change spacing, escapes and digits of numbers. So the text of the source is walked along
+the new tree, and only members that differ are rewritten, in the source's style.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A glTF 2.0 file, text or binary, of which only vertex colours, their places and images are replaced."""
+"""A glTF 2.0 file, text or binary; only vertex colours, their positions and images are replaced."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Edit:
     container: Container  # the file
     accessors: Accessors  # its accessors and buffers, as they were
     tree: Tree  # the JSON with all changes but the URIs of buffers, which depend on where they are written
-    buffers: dict[int, bytearray] = field(default_factory=dict)  # new bytes of those that change, or grow
+    buffers: dict[int, bytearray] = field(default_factory=dict)  # new bytes of buffers that change or grow
     images: dict[int, ImageFile] = field(default_factory=dict)  # new images that are files of their own
     notices: list[str] = field(default_factory=list)
 
@@ -130,7 +130,7 @@ class _Blob:
 
 
 class ImageStorage:
-    """New images while they are collected; `finish` puts those of buffers into place together."""
+    """New images while they are collected; `finish` puts images in buffers into place together."""
 
     def __init__(self, edit: Edit, images: Images) -> None:
         self._edit, self._images = edit, images
@@ -138,7 +138,7 @@ class ImageStorage:
         self._blobs: dict[int, list[_Blob]] = defaultdict(list)  # by buffer
 
     def replace(self, image: int, file: ImageFile) -> int:
-        """Give an image, and those that are the same, other bytes; return its index."""
+        """Give an image and its duplicates other bytes; return its index."""
         group = self._images.same(image)
         view = self._edit.tree["images"][image].get("bufferView")
         alone = view is not None and self._named[view] == len(group)
@@ -183,7 +183,7 @@ class ImageStorage:
 def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
     """Put images into one buffer: first where the old ones were as far as they fit, the others at the end."""
     views, data = edit.tree["bufferViews"], edit.open(buffer)
-    # A view that an image alone has may be overwritten, if its bytes are those of nothing else.
+    # A view that only an image uses may be overwritten, if no other view shares its bytes.
     own = {
         blob.view: blob
         for blob in blobs

@@ -130,7 +130,7 @@ def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]
 
 
 def _view(view: Tree) -> Tree:
-    """Return a view, without where its bytes are compressed, for they are compressed anew with their colours."""
+    """Return a view without the place of its compressed bytes, as they are compressed again with new colours."""
     extensions = dict(view.get("extensions", {}))
     for name, holder in extensions.items():
         if isinstance(holder, dict):

@@ -133,7 +133,7 @@ def _rotation(node: Entry) -> Float64s:
 def in_world(
     placement: Placement, accessors: Accessors, index: int, used: slice | Bools = slice(None)
 ) -> Float64s:
-    """Return positions of an accessor, or those that are used, shape (n, 3), in the common space."""
+    """Return all or the used positions of an accessor, shape (n, 3), in the common space."""
     positions, matrix = accessors.values(index)[used], placement.matrix
     with np.errstate(over="ignore", invalid="ignore"):
         moved: Float64s = positions @ matrix[:3, :3].T + matrix[:3, 3]
@@ -143,7 +143,7 @@ def in_world(
 
 
 def turned(normals: Float64s, matrix: Float64s) -> Float64s:
-    """Return unit normals, shape (n, 3), in the common space; those of length zero stay zero."""
+    """Return unit normals, shape (n, 3), in the common space; zero vectors stay zero."""
     a, b, c = matrix[:3, :3].T
     # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)

@@ -1,6 +1,6 @@
 """The JSON of a glTF file as objects that know their place, for errors.
 
-Readers check what they use through `Entry`, and `require_structure` what is only looked through.
+Readers check the members that they use through `Entry`, and `require_structure` checks the others.
 """
 
 from __future__ import annotations

@@ -169,7 +169,7 @@ class Surface:
         return opaque
 
     def normals(self) -> Float32s | None:
-        """Return unit normals in world space if every block has them; those of length zero stay zero."""
+        """Return unit normals in world space if every block has them; zero vectors stay zero."""
         parts = []
         for block in self.blocks:
             if block.normal is None:
@@ -274,7 +274,7 @@ def _exchange_shared(
     rows: Array,
     renew: Callable[[Block, Stored, Array], Stored],
 ) -> None:
-    """Exchange an attribute of all blocks, which may share its numbers; it is renewed by what is new of their rows."""
+    """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
     accessors = edit.accessors
     # By primitives, painted or not.
     named = {

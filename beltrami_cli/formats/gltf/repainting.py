@@ -86,7 +86,7 @@ def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int]
 
 
 def _changes(tree: Tree, images: Images, wanted: Mapping[tuple[Slot, int], ImageFile]) -> list[_Change]:
-    """Decide which textures show the new files; copy those that others use too, and point infos at the copies."""
+    """Decide which textures show the new files; copy textures that others use, and point infos at the copies."""
     users: dict[int, list[tuple[Tree, ImageFile | None]]] = defaultdict(list)
     shown = {index: _shown(images, index) for index in range(len(images.textures))}
     for info, slot in _infos(tree):
@@ -121,7 +121,7 @@ def _shown(images: Images, texture: int) -> int | None:
 
 
 def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
-    """Find all textureInfos, those of extensions too, each with the slot that it belongs to if any."""
+    """Find all textureInfos, also in extensions, each with the slot that it belongs to if any."""
     slots: dict[int, Slot] = {}
     for material in objects(tree.get("materials")):
         for slot, paths in SLOT_PATHS.items():
@@ -190,8 +190,8 @@ def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | Non
         return replace(shown, suffix=suffix_for(images.data(image), name) or shown.suffix)
     try:
         old, new = read_image(images.data(image), name), read_image(shown.data, name)
-        alike = old.pixels.dtype == new.pixels.dtype and old.pixels.shape[:2] == new.pixels.shape[:2]
-        if not alike or len(old.channels) > len(new.channels) or old.colour != new.colour:
+        same_layout = old.pixels.dtype == new.pixels.dtype and old.pixels.shape[:2] == new.pixels.shape[:2]
+        if not same_layout or len(old.channels) > len(new.channels) or old.colour != new.colour:
             return None
         return write_image(old, new.pixels[..., : len(old.channels)])
     except (BeltramiError, UnfitReferenceError):

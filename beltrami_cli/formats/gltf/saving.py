@@ -1,4 +1,4 @@
-"""The files of an edited glTF in either form, binary or text, and the names of those beside it.
+"""The files of an edited glTF in either form, binary or text, and the names of its sidecar files.
 
 A new image or buffer never takes the name of a file that the source uses, unless the output replaces the source.
 """
@@ -39,7 +39,7 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
 
 
 def placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFiles:
-    """Name the files beside an edited glTF, and put their names into the tree."""
+    """Name the sidecar files of an edited glTF, and put their names into the tree."""
     used = named_files(edit.container.root, folder)
     names = NewFiles(naming, edit.container.name, used, [name for name in used if folder.find(name) is None])
     if form != edit.container.kind:
@@ -151,7 +151,7 @@ def _merge_buffers(edit: Edit) -> bytearray:
         numbers = dict.fromkeys(starts, 0) | {index: 1 + rank for rank, index in enumerate(kept)}
         _renumber_buffers(tree, starts, numbers)
         merged = {key: value for key, value in tree["buffers"][next(iter(starts))].items() if key != "uri"}
-        if "extensions" in merged:  # it is more than a substitute for what is compressed
+        if "extensions" in merged:  # it is more than a fallback for compressed data
             rest = {key: value for key, value in merged.pop("extensions").items() if key not in MESHOPT}
             merged |= {"extensions": rest} if rest else {}
         tree["buffers"] = [merged, *(tree["buffers"][index] for index in kept)]

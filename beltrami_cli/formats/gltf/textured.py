@@ -326,7 +326,7 @@ class _MeshReading:
         )
 
     def _vertex_colours(self, stored: str) -> records.VertexColours | None:
-        """Return the colours of all vertices; those of parts without any are white, as glTF has it."""
+        """Return the colours of all vertices; white for parts without colours, as glTF has it."""
         if all(part.colours is None for part in self.parts):
             return None
         rows, row = np.ones((self._rows, 4), np.float32), 0

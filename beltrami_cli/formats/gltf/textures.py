@@ -28,7 +28,7 @@ IMAGE_EXTENSIONS = {
 }
 """Extensions of textures that name an image of another type than core glTF has."""
 
-UNREAD = ("MSFT_texture_dds",)  # those of them whose images are not read
+UNREAD = ("MSFT_texture_dds",)  # whose images are not read
 SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
     "baseColor": (
         ("pbrMetallicRoughness", "baseColorTexture"),
@@ -95,7 +95,7 @@ class Images:
 
     def shown(self, texture: int) -> int:
         """Return the image that a texture shows; UnfitReferenceError if there is none that is read."""
-        # WebP comes before plain images; of those that lose more a plain one is the better source.
+        # WebP comes before plain images; a plain one is the better source where the other loses more.
         entry = self.textures[texture]
         extensions = entry.entry("extensions")
         readable = [name for name in IMAGE_EXTENSIONS if name not in (WEBP, *UNREAD)]
@@ -217,7 +217,7 @@ def present_slots(root: Entry) -> tuple[Slot, ...]:
 
 
 def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
-    """Return what each material has in a slot: none, one, or several of which a viewer shows one."""
+    """Return the images of each material in a slot: none, one, or several alternatives."""
     count = len(root.entries("textures"))
     found: list[list[TextureUse]] = []
     for index, material in enumerate(root.entries("materials")):

@@ -57,7 +57,7 @@ def _binary(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh
 
 
 def _text(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh, stem: str) -> Written:
-    """Write a mesh as JSON text, with its numbers in the sidecar ``stem.bin``, and its images in files beside it."""
+    """Write a mesh as JSON text, with its numbers and its images in sidecar files, ``stem.bin`` and others."""
     tree, arrays, images = make(mesh, stem)
     if images:
         tree["images"] = [{"uri": quote(name), "name": name.rpartition(".")[0]} for name in images]
@@ -68,7 +68,7 @@ def _text(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh, 
 
 
 class Arrays:
-    """Accessors, their views, and the bytes behind them, while they are put together, with what users are told."""
+    """Accessors, their views, and the bytes behind them, while they are put together, with notices for users."""
 
     def __init__(self) -> None:
         self.notices: list[str] = []
@@ -189,7 +189,7 @@ def _unit_normals(normals: Float32s) -> Stored:
 
 
 OWN_COLOURS = "_COLOR_0"
-"""The attribute of vertex colours beside a texture: COLOR_0 would be multiplied with it."""
+"""The attribute of vertex colours of textured meshes: COLOR_0 would be multiplied with the texture."""
 
 _LINEAR, _MIPMAPS = 9729, 9987
 _MODES = {"mask": "MASK", "blend": "BLEND"}
@@ -260,9 +260,9 @@ class _Parts:
         for name, table in tables.items():
             attributes[name] = arrays.add(_unit_normals(table[first]) if name == "NORMAL" else table[first])
         if self._colours is not None:
-            beside = "baseColor" in mesh.materials[material].maps
-            attributes[OWN_COLOURS if beside else "COLOR_0"] = arrays.add(self._colours[corners[first]])
-            if beside:
+            is_textured = "baseColor" in mesh.materials[material].maps
+            attributes[OWN_COLOURS if is_textured else "COLOR_0"] = arrays.add(self._colours[corners[first]])
+            if is_textured:
                 self._note(_BESIDE)
         indices = arrays.add_faces(vertex_of.reshape(-1, 3), len(first))
         return {"attributes": attributes, "indices": indices, "material": material}
@@ -279,7 +279,7 @@ def _index(entry: Tree, entries: list[Tree]) -> int:
 
 
 def _material(material: Material, painting: Tree, stem: str) -> Tree:
-    """Return a material, whose textures and samplers are added to what is painted with."""
+    """Return a material, whose textures and samplers are added to the tree."""
     has_metal = "metallicRoughness" in material.maps
     base: Tree = {}
     name = plain_name(material.name) or stem

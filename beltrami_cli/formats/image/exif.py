@@ -24,7 +24,7 @@ _LONGEST_EXIF = 0xFFFF - 2 - len(_EXIF_START)  # bytes in a segment of JPEG, who
 
 
 def carry_exif(source: bytes, source_format: str, encoded: bytes, known: str, made: bytes) -> bytes:
-    """Add the EXIF data of a file to an image of another format, and those that were made for it."""
+    """Add the EXIF data of a file to an image of another format, and the fields that were made for it."""
     exif = exif_of(source, source_format)
     with suppress(*DAMAGED):
         made = tiff_tags.with_exif(exif, made) if tiff_tags.exif_tags(exif) else made

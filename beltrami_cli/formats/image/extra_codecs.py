@@ -80,7 +80,7 @@ def decoded(data: bytes, known: str, name: str) -> tuple[Uint8s, tuple[str, ...]
             raise _damaged(name, "AVIF", error) from None
         notices, bits = [], _avif_bits(data)
         if getattr(image, "n_frames", 1) > 1:
-            notices.append(f"{name} holds several images, of which only the first is read and kept.")
+            notices.append(f"{name} holds several images; only the first is read and kept.")
         if bits > 8:
             notices.append(f"{name} has {bits}-bit samples, which become 8-bit ones.")
         return pixels, tuple(notices), image.info.get("icc_profile")
@@ -100,7 +100,7 @@ def encoding_cost(known: str, pixels: Uint8s, again: Uint8s, name: str) -> str:
     error = float(np.square(differences).mean())
     psnr = 10 * math.log10(255**2 / error) if error else math.inf
     inexact = f"{name}: {known.upper()} is not exact, so untouched colours change slightly as well"
-    return f"{inexact}: what is written has a PSNR of {psnr:.1f} dB."
+    return f"{inexact}: the written image has a PSNR of {psnr:.1f} dB."
 
 
 def _require_memory(size: int) -> None:

@@ -30,7 +30,12 @@ PNG_START, _JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
 _OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # PNG chunks that depend on the type of the samples
 _OF_OLD_ENTRIES = (b"tRNS", b"hIST")  # which come with a new palette, or fit the old one alone
-_OF_THE_ENCODER = (b"sRGB", b"gAMA", b"cHRM", b"oFFs")  # which OpenImageIO adds, even beside a profile
+_OF_THE_ENCODER = (
+    b"sRGB",
+    b"gAMA",
+    b"cHRM",
+    b"oFFs",
+)  # which OpenImageIO adds, even to images with a profile
 _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
@@ -186,7 +191,7 @@ def _carry_png(source: bytes, encoded: bytes) -> bytes:
     elif not same_samples:
         unwanted += _OF_SAMPLES
     before, of_entries, behind = list[memoryview](), list[memoryview](), list[memoryview]()
-    chunks = before  # those of entries stand behind the palette
+    chunks = before  # chunks of palette entries follow the palette
     for kind, chunk in png_chunks(source):
         if kind == b"IDAT":
             chunks = behind
@@ -380,7 +385,7 @@ def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
         found = _of_frame(frame, tables, transform)
     except (IndexError, KeyError, ValueError):
         return None
-    # Decoders let steps of 0 pass, of which nothing can be a multiple.
+    # Decoders let steps of 0 pass, which have no multiples.
     return None if found is None or found.steps.min() < 1 or min(found.span) < 1 else found
 
 

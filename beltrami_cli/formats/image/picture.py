@@ -159,9 +159,7 @@ class Picture:
     # Layer of an EXR file that holds the colours: "" outside of layers, None if it is ambiguous.
     layer: str | None = ""
     parts: tuple[str, ...] = ()  # names of the parts of an EXR file, which are images of their own
-    part: int | None = (
-        0  # the one with the colours; None if it is ambiguous, and the pixels are those of the first
-    )
+    part: int | None = 0  # the one with the colours; None if it is ambiguous, and the pixels are of the first
 
     @property
     def is_layered(self) -> bool:
@@ -205,13 +203,13 @@ def with_colours_of(picture: Picture, layer: str) -> Picture:
 def require_colours(picture: Picture, remedy: str) -> None:
     """Raise InputError if it is ambiguous which layer or part of an EXR file holds the colours."""
     if picture.part is None:
-        cause = f"it has the parts {', '.join(picture.parts)}, of which several could be the colours"
+        cause = f"it has the parts {', '.join(picture.parts)}, and several could be the colours"
         raise InputError(picture.name, cause, "save the one to be smoothed as a file of its own")
     if picture.layer is not None:
         return
     coloured = coloured_layers(picture.channels)
     if coloured:
-        cause = f"its colours could be those of the layers {' and '.join(coloured)}"
+        cause = f"its colours could be the layers {' or '.join(coloured)}"
     else:
         named = [layer for layer in layers_of(picture.channels) if layer]
         cause = f"none of its layers {', '.join(named)} has red, green and blue"
@@ -251,7 +249,7 @@ def without_alpha(picture: Picture, values: Float32s) -> Float32s:
 
 
 def supplies_colour(picture: Picture, opacity: Array) -> Bools:
-    """Return from their stored opacity which pixels have a colour: not those that are transparent."""
+    """Return from their stored opacity which pixels have a colour: all but transparent ones."""
     if not is_associated(picture):
         return np.asarray(opacity != 0)
     steps = np.inf if opacity.dtype.kind == "f" else np.iinfo(opacity.dtype).max

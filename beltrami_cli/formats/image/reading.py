@@ -226,12 +226,12 @@ def _damaged(name: str, known: str, error: str, path: Path) -> InputError:
 
 
 def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[str, ...]:
-    """Return notices of what is not kept of an OpenImageIO.ImageInput of which an image has been read."""
+    """Return notices of the parts of an OpenImageIO.ImageInput that are not kept."""
     notices, spec = list[str](), file.spec().copy()
     if known == "psd":  # whose first image is all its layers together
         notices.append(f"{name} is taken as it is shown, its layers together.")
     elif known != "openexr" and (is_animated(data, known) or file.seek_subimage(1, 0)):
-        notices.append(f"{name} holds several images, of which only the first is read and kept.")
+        notices.append(f"{name} holds several images; only the first is read and kept.")
     if file.seek_subimage(part, 1):
         notices.append(f"{name} holds smaller copies of itself (mip levels), which are left out.")
     in_tiff = spec.get_int_attribute("tiff:PhotometricInterpretation") == _PALETTE_IN_TIFF
@@ -251,7 +251,7 @@ def _changes(file: Any, part: int, data: bytes, known: str, name: str) -> tuple[
     compression = spec.get_string_attribute("compression")
     if compression not in _COMPRESSIONS_OF_TIFF:
         by = f"{name} is compressed by {compression}"
-        notices.append(f"{by}; what is written as TIFF is compressed by zip.")
+        notices.append(f"{by}; TIFF files are written with zip compression.")
     return tuple(notices)
 
 

@@ -158,7 +158,7 @@ class _Directories:
     def __init__(self, data: bytes) -> None:
         self._data, self._form = data, _form(data)
         self._seen = set[int]()
-        self._left = len(data)  # bytes of values, none of which needs to be read twice
+        self._left = len(data)  # bytes of values that may still be read, each once
         self.unreadable = set[int]()  # tags
         (at,) = struct.unpack_from(self._form.address, data, self._form.inline)
         self.first = self._directory(at, 0)

@@ -1,4 +1,4 @@
-"""Writing pixels as the kind of file that they came from, or as another kind, and what is lost by that."""
+"""Writing pixels as the kind of file that they came from, or as another kind, and notices of losses."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show pictures obey
 
 
 def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
-    """Return notices of what is lost or changed when a picture is written with the suffix of another format."""
+    """Return notices of losses and changes when a picture is written with the suffix of another format."""
     known = format_of_suffix(suffix)
     if known is None or known == picture.format:
         return ()
@@ -72,7 +72,7 @@ def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
     elif _BITS[stored] < _BITS[source]:
         found.append(f"{name}: {_BITS[source]}-bit samples become {_BITS[stored]}-bit ones in {label}.")
     if stored.startswith("uint") and picture.pixels.dtype.kind == "f" and np.isnan(picture.pixels).any():
-        found.append(f"{name}: what is no number becomes 0 in {label}.")
+        found.append(f"{name}: NaN becomes 0 in {label}.")
     if known in _INEXACT:
         found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
     return tuple(found)
@@ -202,14 +202,14 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     return spec
 
 
-# Single fields of the profile would be kept beside it; samples of fewer bits would lose what is new in them. One image
-# is written; announced as more it would count as cut off, and the means are those of the old one.
+# Single fields of the profile would be kept as well; samples of fewer bits would lose the new values. One image is
+# written; announced as more it would count as truncated, and the means belong to the old one.
 _NOT_KEPT = (
     "ICCProfile:", "oiio:BitsPerSample", "textureformat", "openexr:levelmode", "openexr:roundingmode",
     "oiio:AverageColor", "oiio:ConstantColor",
 )  # fmt: skip
 _STORAGE_IN_TIFF = ("tiff:", "oiio:", "compression", "planarconfig")
-_LEAST_JPEG_2000 = 32  # what is halved five times; of smaller ones nobody reads what OpenImageIO writes
+_LEAST_JPEG_2000 = 32  # pixels: images are halved five times, and readers reject smaller ones
 _NEEDS_SUFFIX = ("jpeg2000",)  # which OpenImageIO writes in two ways, by the name
 _CHOICES = f"{', '.join(WRITABLE)} as the ending of OUTPUT or, of textures, with --texture-format"
 _PNG_FILTER_UP = 0x20  # as libpng numbers them
@@ -224,7 +224,7 @@ def write_image(
     small: bool = False,  # spend time on a smaller file
     as_data: bool = False,  # normals and the like, whose numbers no change of encoding may touch
 ) -> ImageFile:
-    """Encode pixels like those of a picture as the file that it came from, or in another format."""
+    """Encode new pixels of a picture as the file that it came from, or in another format."""
     # PNG, TIFF, TGA, BMP, lossless WebP and floats keep every value, also under an alpha of 0. What came as lossy WebP
     # stays so, since lossless files are several times as large.
     known = check_writable(picture, suffix)
@@ -234,7 +234,7 @@ def write_image(
         values, spec = converted(picture, pixels, known, as_data=as_data)
         data = _encode(spec, values, known, picture.name, jpeg_quality, small=small)
         data = metadata.without_additions(data, known)
-        if known in FORMATS_WITH_EXIF:  # of which OpenImageIO writes some, to WebP files none
+        if known in FORMATS_WITH_EXIF:  # OpenImageIO writes some fields of it, to WebP files none
             is_webp = known == "webp"
             made = exif_of(_one_pixel(spec, picture.name), "jpeg") if is_webp else exif_of(data, known)
             data = carry_exif(picture.source, picture.format, data, known, made)
@@ -251,7 +251,7 @@ def write_image(
     if not exact:
         again = read_image(data, picture.name).pixels
         if _square_error(again, pixels) > _square_error(picture.pixels, pixels) > 0:
-            what = f"coded as {label_of(known)} anew, it would be further from the result than it is"
+            what = f"coded as {label_of(known)} again, it would be further from the result than it is"
             notice = f"{picture.name} stays as it is: {what}; a format without loss would hold the result."
             return ImageFile(picture.source, picture.suffix, (notice,))
         if known == "webp":

@@ -106,7 +106,7 @@ class ObjDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places
-        beside, spans = _repainted(self._materials, new.images, self.name, naming)
+        sidecars, spans = _repainted(self._materials, new.images, self.name, naming)
         data = exchange_spans(self.data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -123,7 +123,7 @@ class ObjDocument(Document):
             parts.append(new_positions(data, starts[:, :3], ends[:, :3], places.positions, changed))
         notices = (_STALE,) if places is not None and "normal" in self.attributes() else ()
         main = renumbered(data, parts) if parts else [data]
-        return dataclasses.replace(beside, main=main, notices=(*beside.notices, *notices))
+        return dataclasses.replace(sidecars, main=main, notices=(*sidecars.notices, *notices))
 
     def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
         return _repainted(self._materials, images, self.name, naming)[0].names_beside
@@ -254,7 +254,7 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
 
 
 def _repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
-    """Return the files beside an OBJ file, without the file itself, and the new names in it."""
+    """Return the sidecar files of an OBJ file, and the new names in it."""
     missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
     names = NewFiles(naming, source, materials.paths, missing)
     edits = _take_images(materials, images, names)
@@ -282,7 +282,7 @@ def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> di
     """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
     edits: dict[str, Spans] = {}
     for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
-        # What two slots show alike is one file; with the base colour go maps that are of other slots, too.
+        # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
         maps = [each for slot in slots for each in materials.affected(slot, path)]
         affected = list({id(found): (library, found) for library, found in maps}.values())
         # Its name is free only if no map that keeps the old image has it.

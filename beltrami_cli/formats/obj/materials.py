@@ -23,7 +23,7 @@ SLOTS: dict[str, Slot] = {
     "map_bump": "normal",
     "bump": "normal",
 }
-"""What is painted by the maps of a keyword; the first keyword that a material has is the one that counts."""
+"""The slot of each map keyword; the first keyword that a material has counts."""
 
 PAINTED = tuple(dict.fromkeys(SLOTS.values()))  # the slots that maps are painted in
 ALONG = ("map_ka", "map_d")  # keywords of maps that go along with the base colour where they show its image
@@ -146,7 +146,7 @@ class Materials:
         return self._reasons.get(name, "cannot be read").rstrip(".")
 
     def named(self, file: str) -> list[str]:
-        """Return the paths by which maps name a file: its own, and those of sets that it is a tile of."""
+        """Return the paths by which maps name a file: its own, and the sets that it is a tile of."""
         sets = [path for path, tiles in self.folder.tiles.items() if file in tiles.values()]
         return [*([file] if self.uses(file) or not sets else []), *sets]
 

@@ -20,7 +20,7 @@ _INDICES = {
     b"vt": (1, "texture coordinates", "has no index of texture coordinates behind its first '/'"),
     b"vn": (2, "normal", "has no index of a normal behind its second '/'"),
 }
-"""How many "/" stand before the index of each kind in a corner, what it refers to, and what is wrong without it."""
+"""By kind of index: the number of "/" before it in a corner, its target, and the error without it."""
 
 _DIGITS = 18  # of an index, no more than an int64 can hold
 _LINE_END = re.compile(rb"[\r\n]")
@@ -69,7 +69,7 @@ class Statements(Lines):
             outside &= index != 0
         if outside.any():
             wrong = tokens[int(np.argmax(outside))]
-            raise self.error(wrong, f"refers to no {what}, of which there are {len(targets)}")
+            raise self.error(wrong, f"refers to no {what}; there are {len(targets)}")
         return np.where(index == 0, -1, rows), tokens, offsets
 
     def _indices(self, tokens: Int64s, slash: int, cause: str) -> Int64s:

@@ -243,10 +243,10 @@ def _material(
     maps: dict[records.Slot, records.MaterialMap],
     alpha: records.AlphaMode,
 ) -> records.Material:
-    """Return a material; beside a map its colour counts as white, as programs have it whatever exporters write."""
+    """Return a material; with a map its colour counts as white, as in other programs."""
     dark = [0.0, 0.0, 0.0]
     transparency = values.get("tr", [0.0])[0]
-    # Some exporters write "Tr 1" for what is opaque; nobody exports what cannot be seen.
+    # Some exporters write "Tr 1" for opaque materials; fully transparent ones are not exported.
     opacity = min(max(values.get("d", [1 - transparency])[0], 0.0), 1.0) or 1.0
     return records.Material(
         name=name,
@@ -293,7 +293,7 @@ def _normals(statements: Statements) -> Float32s:
 
 
 def _groups(statements: Statements, polygon: Int64s) -> tuple[tuple[str, ...], Int32s, list[str]]:
-    """Return the names of objects, or else of groups, which of them each triangle is in, and what is left out."""
+    """Return the names of objects, or else of groups, which of them each triangle is in, and notices of losses."""
     polygons = statements.select(b"f")
     given = {keyword: statements.select(keyword) for keyword in (b"o", b"g")}
     chosen = given[b"o"] if given[b"o"].size else given[b"g"]

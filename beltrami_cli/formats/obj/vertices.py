@@ -41,7 +41,7 @@ _MOST_DECIMALS = 17
 class Vertices:
     """The vertices of a file."""
 
-    positions: Float64s  # (N, 3) of all vertices; 0 of those that are not finite
+    positions: Float64s  # (N, 3) of all vertices; 0 in place of values that are not finite
     finite: Bools  # (N,) which of them have a position
     coloured: Int64s  # (V,) which of these have colours, in file order
     colours: Float64s  # (V, 3) the numbers in the file
@@ -118,7 +118,7 @@ def _read_polypaint(data: bytes, vertices: int, name: str) -> Polypaint | None:
 
 
 def _painted_by(paint: Polypaint, vertices: Vertices, statements: Statements) -> Vertices:
-    """Return vertices without colours of their own with those of the polypaint; only positions have tokens."""
+    """Return vertices without colours on their lines with the polypaint colours; only positions have tokens."""
     tokens, offsets = statements.arguments(statements.select(b"v"))
     kept = np.flatnonzero(vertices.finite)
     places = tokens[offsets[kept, None] + np.arange(3)]
@@ -167,7 +167,7 @@ _TWICE = "Vertices have colours on their own lines and in #MRGB lines; these are
 
 @dataclass(frozen=True)
 class Scan:
-    """What is in an OBJ file, texture coordinates and normals apart."""
+    """The content of an OBJ file, except for texture coordinates and normals."""
 
     vertices: Vertices
     polypaint: Polypaint | None  # where the colours stand if they are not on the lines of the vertices

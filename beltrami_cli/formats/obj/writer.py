@@ -61,7 +61,7 @@ def _polygon_lines(corners: Int32s, offsets: Int64s, style: str) -> Iterator[byt
 
 
 def write_textured_obj(mesh: TexturedMesh, stem: str) -> Written:
-    """Write a mesh with its materials, with a library and images beside it that are named after `stem`."""
+    """Write a mesh with its materials, with a library and images that are named after `stem`."""
     names, images = material_names(mesh.materials, _MATERIAL), image_names(mesh, stem)
     positions, notices = shortest_type(mesh.positions), list[str]()
     vertices = number_lines("v %s %s %s\n", positions)

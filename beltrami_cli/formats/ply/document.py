@@ -42,7 +42,7 @@ class PlyDocument(Document):
         if self._paints_faces:
             positions, corners = dual(positions, *self._coloured_faces)
             offsets, corners = 3 * np.arange(len(corners) + 1), corners.ravel()
-            self.notices.append("Its colours are those of faces; each is a sample at the centre of its face.")
+            self.notices.append("Its faces carry the colours; each is a sample at the centre of its face.")
         return MeshContents(positions, corners, offsets, self._colours.values, "srgb", self._stored)
 
     @property
@@ -81,7 +81,7 @@ class PlyDocument(Document):
         return surface
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        beside, spans = patching.renamed_images(self._images, new.images, self.name, naming)
+        sidecars, spans = patching.renamed_images(self._images, new.images, self.name, naming)
         header = exchange_spans(self.data[: self._header.end], spans)
         changes = [] if new.colours is None else self._recoloured(new.colours)
         if new.places is not None:
@@ -90,7 +90,7 @@ class PlyDocument(Document):
             pieces = [header, *patching.patch_body(self.data, self._header, changes)]
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
-        return dataclasses.replace(beside, main=pieces)
+        return dataclasses.replace(sidecars, main=pieces)
 
     def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
         return patching.renamed_images(self._images, images, self.name, naming)[0].names_beside
@@ -270,7 +270,7 @@ class PlyDocument(Document):
 
 
 def _left_out(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:
-    """Return what is in a file but some properties of the vertices, and the vertices and others of faces."""
+    """Name what a conversion loses: elements, and properties of vertices and faces, that are not used."""
     dropped = []
     used, of_faces = ({name.partition(" ")[0] for name in names} for names in (used, of_faces))
     for element in header.elements:

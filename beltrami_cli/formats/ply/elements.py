@@ -56,7 +56,7 @@ class Paint:
     alpha: str  # the property of the opacity, or empty
     type: str  # NumPy code of the type that all colours have
     element: str = "vertex"
-    any_range: bool = False  # whether they are intensities, of which any number may be full scale
+    any_range: bool = False  # whether they are intensities, whose full scale may be any number
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -127,7 +127,7 @@ class Colours(NamedTuple):
 
 
 def read_colours(vertices: Table, paint: Paint) -> Colours:
-    """Read the colours of all vertices, of which there is one at least."""
+    """Read the colours of all vertices, at least one."""
     values = np.empty((vertices.element.count, len(paint.names)), np.float32)
     if paint.any_range or paint.type[0] == "f":
         stored = finite_columns(vertices, paint.names, "colour")

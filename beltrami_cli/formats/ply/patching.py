@@ -1,4 +1,4 @@
-"""What is new in a PLY file put into it, and a PLY file taken apart for comparison: what may be new, and all else."""
+"""New colours and image names for a PLY file, and its division into replaceable and fixed parts for comparison."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def moved_changes(vertices: Table, kinds: Mapping[str, str], places: MovedVertic
 def renamed_images(
     comments: Sequence[TextureComment], images: NewImages, source: str, naming: Naming
 ) -> tuple[Written, tokens.Spans]:
-    """Return the files beside a PLY file, without the file itself, and new names by their place in the header."""
+    """Return the sidecar files of a PLY file, and new names by their place in the header."""
     present = [comment.path for comment in comments if comment.path is not None]
     missing = [comment.name for comment in comments if comment.path is None]
     names = NewFiles(naming, source, present, missing)

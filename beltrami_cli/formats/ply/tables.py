@@ -100,7 +100,7 @@ class Table:
     body: Body
     element: Element
     start: int  # unit of the first row
-    # (N, L): lengths of the L lists of every row; a broadcast view if all rows are alike, one row if L is 0.
+    # (N, L): lengths of the L lists of every row; a broadcast view if all rows are equal, one row if L is 0.
     counts: Int64s
 
     @cached_property
@@ -113,7 +113,7 @@ class Table:
 
     @cached_property
     def _row_size(self) -> Int64s:
-        """Units of every row, or of any row if all are alike: shape (N,) or (1,)."""
+        """Units of every row, or of any row if all are equal: shape (N,) or (1,)."""
         items = np.array([self.body.size(known.type) for known in self._lists], np.int64)
         counts = self.counts[:1] if self._alike else self.counts
         return counts @ items + sum(self.body.size(p.count or p.type) for p in self.element.properties)
@@ -127,7 +127,7 @@ class Table:
         return self.start + int(self._row_size.sum())
 
     def places(self, name: str) -> Places:
-        """Return the units of a scalar, or of the counts of a list: a slice if all rows are alike."""
+        """Return the units of a scalar, or of the counts of a list: a slice if all rows are equal."""
         row_size = self._row_size
         if self._alike:
             first = self.start + int(self._offset(name, self.counts[:1])[0])
@@ -212,12 +212,12 @@ def _list_lengths(body: Body, element: Element, start: int) -> Int64s:
     if lists == 0 or element.count == 0:
         return np.empty((0 if lists else 1, lists), np.int64)
     first = _walk(body, element, start, 1)
-    alike = Table(body, element, start, np.broadcast_to(first, (element.count, lists)))
-    if alike.stop <= body.stop and all(
-        (body.view(known.count)[alike.places(known.name)] == first[0, number]).all()
+    uniform = Table(body, element, start, np.broadcast_to(first, (element.count, lists)))
+    if uniform.stop <= body.stop and all(
+        (body.view(known.count)[uniform.places(known.name)] == first[0, number]).all()
         for number, known in enumerate(element.lists)
     ):
-        return alike.counts
+        return uniform.counts
     return _walk(body, element, start, element.count)
 
 

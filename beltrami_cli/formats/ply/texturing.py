@@ -140,7 +140,7 @@ def _numbers(
 def _load(
     comments: Sequence[TextureComment], folder: model_folder.ModelFolder
 ) -> tuple[tuple[records.Texture, ...], Int64s, list[str]]:
-    """Return each image once, which of them every number means (the last row: -1), and those that are unreadable."""
+    """Return each image once, which of them every number means (the last row: -1), and the unreadable ones."""
     textures: dict[str, records.Texture] = {}
     unreadable = []
     of_number = np.full(len(comments) + 1, -1, np.int64)

@@ -68,7 +68,7 @@ def write_textured_ply(mesh: TexturedMesh, stem: str) -> Written:
 
 
 def _normals_by_vertex(mesh: TexturedMesh) -> tuple[Float32s | None, list[str]]:
-    """Return the normals of vertices, shape (V, 3), if all corners of a vertex have the same, and what is left out."""
+    """Return the normals of vertices, shape (V, 3), if all corners of a vertex agree, and notices of other ones."""
     if mesh.normals is None:
         return None, []
     normals = np.zeros((len(mesh.positions), 3), np.float32)

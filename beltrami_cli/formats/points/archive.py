@@ -52,7 +52,7 @@ _NORMAL_KEYS = ("normals", "normal")
 _FACE_KEYS = ("faces", "triangles")
 
 _CHANNELS = 4
-_COPIES = 3  # what is held at a time of each array: as stored, as doubles, and as it is worked with
+_COPIES = 3  # of each array at a time: as stored, as doubles, and in working units
 _NAMES = "save them as positions and colours"
 
 
@@ -268,7 +268,7 @@ def _goes_along(archive: NpzArchive, key: str, points: tuple[int, ...]) -> bool:
     try:
         shape = archive.header(key).shape
     except InputError:
-        return False  # what is no array of numbers stays as it is
+        return False  # other objects than arrays of numbers stay unchanged
     return shape[: len(points)] == points and len(shape) <= len(points) + 1
 
 

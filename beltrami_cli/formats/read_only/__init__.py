@@ -1,1 +1,1 @@
-"""Mesh formats that are read only: what is coloured in them is written as PLY, OBJ or glTF."""
+"""Mesh formats that are read only: their coloured parts are written as PLY, OBJ or glTF."""

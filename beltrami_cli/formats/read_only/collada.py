@@ -44,7 +44,7 @@ def read_dae(data: bytes, name: str, access: Access) -> ColouredPolygons:
 
 
 def _check(data: bytes, name: str) -> None:
-    """Refuse what is not XML to its end, which pycollada would read as far as it goes, and what may grow in it."""
+    """Refuse truncated XML, which pycollada would read as far as it goes, and entities that expand."""
     parser = expat.ParserCreate()
     parser.StartDoctypeDeclHandler = _refuse
     try:
@@ -58,7 +58,7 @@ def _refuse(*_: object) -> None:
 
 
 def _answer(_: object, question: dict[str, Array]) -> tuple[list[str], dict[str, Array]]:
-    """Return what is left out, and the places and colours of the corners of all triangles, where nodes place them."""
+    """Return notices of losses, and the places and colours of the corners of all triangles, where nodes place them."""
     import collada
 
     document = collada.Collada(io.BytesIO(question["data"].tobytes()), ignore=[collada.common.DaeError])

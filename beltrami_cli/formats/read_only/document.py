@@ -94,7 +94,7 @@ class ReadOnlyDocument(Document):
         raise InputError(self.name, f"a {self._kind.upper()} file is not written", remedy)
 
     def require_movable(self) -> None:
-        """Check nothing: the output is written anew."""
+        """Check nothing: the output is a new file."""
 
     def facts(self) -> dict[str, object]:
         contents = self._mesh

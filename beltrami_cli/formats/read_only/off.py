@@ -41,7 +41,7 @@ def read_off(data: bytes, name: str) -> ColouredPolygons:
     corners, sizes = _corners(lines, rows)
     if extra.shape[1] in _COLOUR and vertices:
         scaled, scale = _scaled(extra, name)
-        inside = (corners >= 0) & (corners < vertices)  # what is outside is refused later
+        inside = (corners >= 0) & (corners < vertices)  # other corners are refused later
         colours = scaled[np.where(inside, corners, 0)]
     else:
         painted, scale = _of_faces(lines, rows, sizes)
@@ -115,6 +115,6 @@ def _scaled(colours: Float64s, name: str) -> tuple[Float32s, float]:
         raise InputError(name, "a colour is not finite", "export it again")
     scale, _ = full_scale(colours[:, :3], name)
     values = colours / scale
-    if colours.shape[1] == 4 and colours[:, 3].max() <= 1:  # beside colours of 0..255, opacity of 0..1
+    if colours.shape[1] == 4 and colours[:, 3].max() <= 1:  # colours of 0..255 with opacity of 0..1
         values[:, 3] = colours[:, 3]
     return values.astype(np.float32), scale

@@ -65,7 +65,7 @@ class _Object:
 
 @dataclass
 class _Model:
-    """What is in one model file; colours are of 0 to 255, with opacity."""
+    """The content of one model file; colours are of 0 to 255, with opacity."""
 
     objects: dict[str, _Object] = field(default_factory=dict)
     colours: dict[str, list[Rgba]] = field(default_factory=dict)
@@ -222,7 +222,7 @@ class _Building:
         positions = np.array(thing.vertices, np.float64).reshape(-1, 3)
         if triangles.size and (triangles.min() < 0 or triangles.max() >= len(positions)):
             raise InputError(self._name, f"a triangle names a vertex that is none of the {len(positions)}")
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
+        with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused later
             self._positions.append(positions @ matrix[:3, :3] + matrix[3, :3])
         self._corners.append(triangles.ravel() + self._vertices)
         self._colours.append(_colours_of(model, thing).reshape(-1, 4))

@@ -1,4 +1,4 @@
-"""USD scenes, as layers or as a package, of which only vertex colours and images are replaced."""
+"""USD scenes, as layers or as a package; only vertex colours and images are replaced."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class UsdDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, form, package = new.colours, new.form or self.format, self._layers.package
-        beside, renamed = self._new_images(new.images, naming)
+        sidecars, renamed = self._new_images(new.images, naming)
         if colours is not None and np.array_equal(colours, self._painted.colours):
             colours = None
         root = {}
@@ -139,8 +139,8 @@ class UsdDocument(Document):
             order = {"task": "edit", "blocks": blocks, "files": renamed, "suffix": suffix, "same": same}
             root = {self._layers.root: self._layers.ask(order, arrays)[1]["layer"].tobytes()}
         if package is None:
-            return dataclasses.replace(beside, main=[*root.values()] or [self.data])
-        files = {**root, **beside.sidecars}
+            return dataclasses.replace(sidecars, main=[*root.values()] or [self.data])
+        files = {**root, **sidecars.sidecars}
         return Written(package.packed(files) if files else [self.data])
 
     def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
@@ -148,7 +148,7 @@ class UsdDocument(Document):
         return written.names_beside if self._layers.package is None else []
 
     def _new_images(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
-        """Return the files beside the root layer, or in its package, and the attributes that name others with these."""
+        """Return the new files of the root layer or package, and the attributes with the new names."""
         shown, kept = self._textures, list[str]()
         if naming.copies and self._layers.package is None:
             kept = [*self._other_layers(), *shown.kept(images)]

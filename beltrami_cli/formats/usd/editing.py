@@ -96,7 +96,7 @@ def _stored(stage: Any, order: dict[str, Any]) -> tuple[list[Array], list[str]]:
 
 
 def _recolour(stage: Any, block: dict[str, Any], colours: Float32s) -> None:
-    """Give a mesh other colours; those that are named by an index stay so where they can."""
+    """Give a mesh other colours; indexed ones stay indexed where possible."""
     attribute = stage.GetAttributeAtPath(block["attribute"])
     primvar = UsdGeom.Primvar(attribute)
     old = np.array(primvar.ComputeFlattened(), np.float64)

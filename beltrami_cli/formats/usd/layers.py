@@ -1,6 +1,6 @@
 """The files that a USD scene is made of, in a package or in a folder, and asking usd-core about them.
 
-A USDZ package is a ZIP archive of stored files, each of which starts at a multiple of 64 bytes.
+A USDZ package is a ZIP archive of stored files that start at multiples of 64 bytes.
 
 References
 ----------
@@ -123,7 +123,7 @@ _UNFIT = re.compile(r"[^\w .()+-]")
 
 @dataclass
 class Layers:
-    """The layers of a scene; those of a folder are found one by one, as others name them."""
+    """The layers of a scene; layers in a folder are found one by one, as other layers name them."""
 
     name: str
     access: Access
@@ -137,14 +137,14 @@ class Layers:
     @classmethod
     def of(cls, data: bytes, name: str, folder: Path | None, access: Access) -> Layers:
         """Take a package, or a root layer with a folder for the others."""
-        beside = ModelFolder(folder, access)
+        around = ModelFolder(folder, access)
         if data.startswith(b"PK"):
             package = Package(data, name, access)
             contents = {layer: package.read(layer) for layer in package.layers}
-            return cls(name, access, package, beside, package.layers[0], contents)
+            return cls(name, access, package, around, package.layers[0], contents)
         suffix = ".usd" if name.lower().endswith(".usd") else ".usdc" if data.startswith(_CRATE) else ".usda"
         root = _UNFIT.sub("_", Path(name).stem).strip(". ") + suffix
-        return cls(name, access, None, beside, root, {root: data})
+        return cls(name, access, None, around, root, {root: data})
 
     def scene(self, *, text: bool = False) -> Message:
         """Read the scene, with all layers that it needs; `text`: with the text of the root layer for fingerprints."""
@@ -188,9 +188,9 @@ class Layers:
                 raise UnfitReferenceError("lies outside the model's folder, and USD files there are not read")
             return found
         if has_token(path):
-            beside, names = PurePosixPath(path), map(PurePosixPath, self.package.members)
-            tiles = found_tiles(beside.name, [each.name for each in names if each.parent == beside.parent])
-            self.folder.tiles[path] = {tile: str(beside.with_name(file)) for tile, file in tiles.items()}
+            pattern, names = PurePosixPath(path), map(PurePosixPath, self.package.members)
+            tiles = found_tiles(pattern.name, [each.name for each in names if each.parent == pattern.parent])
+            self.folder.tiles[path] = {tile: str(pattern.with_name(file)) for tile, file in tiles.items()}
         if path not in self.package.members and not self.folder.tiles.get(path):
             raise UnfitReferenceError("is not in the package")
         return path

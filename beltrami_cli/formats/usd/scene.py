@@ -18,7 +18,7 @@ from beltrami_cli.arrays import Array, Float64s, Int64s
 from beltrami_cli.formats.usd.shading import INPUTS, placed, read_material
 
 _SMOOTH = ("vertex", "varying")
-_OPEN: list[Any] = []  # layers, which are read anew where nobody holds them
+_OPEN: list[Any] = []  # layers, which USD would read again without a reference
 
 
 class NeedsLayersError(Exception):
@@ -66,7 +66,7 @@ def _without_clips(layer: Any) -> None:
 
 @dataclass
 class Scene:
-    """What is shown, put together mesh by mesh; lists of arrays are joined at last."""
+    """The visible geometry, collected mesh by mesh; lists of arrays are joined in the end."""
 
     arrays: dict[str, list[Array]] = field(default_factory=dict)
     uses: list[dict[str, Any]] = field(default_factory=list)  # textures of materials in slots
@@ -121,7 +121,7 @@ class Scene:
         self._vertices += len(points)
 
     def _take_materials(self, prim: Any, polygons: _Polygons, points: int) -> None:
-        """Take what is bound to a mesh or to parts of it, with the texture coordinates of every slot."""
+        """Take the materials bound to a mesh or its subsets, with the texture coordinates of every slot."""
         binding = UsdShade.MaterialBindingAPI(prim)
         parts = [(self._material(binding.ComputeBoundMaterial()[0]), np.arange(polygons.total))]
         for subset in binding.GetMaterialBindSubsets():
@@ -224,7 +224,7 @@ class _Polygons:
         return len(self.all_vertices)
 
     def spread(self, values: Float64s, kind: str, points: int) -> Float64s | None:
-        """Return values at the corners, from those of a kind of interpolation; None if they do not fit."""
+        """Return values at the corners, by the kind of interpolation; None if they do not fit."""
         if kind == "faceVarying" and len(values) == self.all_corners:
             return values[self.corner]
         return values[self.vertex] if kind in _SMOOTH and len(values) == points else None

@@ -17,7 +17,7 @@ from pxr import UsdShade
 
 from beltrami_cli.arrays import Float64s
 
-# The inputs of a UsdPreviewSurface by slot; those of the last are one image's green and blue.
+# The inputs of a UsdPreviewSurface by slot; the last ones are one image's green and blue.
 INPUTS = {
     "baseColor": ("diffuseColor",),
     "emissive": ("emissiveColor",),

@@ -119,7 +119,7 @@ class Textures:
 
     @property
     def _triangles(self) -> tuple[Float64s, Int64s, Int64s]:
-        """Positions, and for each triangle its corners among those of polygons, and its polygon."""
+        """Positions, and for each triangle its corners among the polygons' corners, and its polygon."""
         if not len(self._arrays.get("sizes", ())):
             raise InputError(self._name, "it has no polygons, so there is nothing to show a texture")
         positions = self._arrays["positions"]

@@ -75,7 +75,7 @@ def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
         text += [b"    }\n"]
     if shown and len(set(group_of.tolist())) > 1:
         parts = "since the mesh is in several parts"
-        notices.append(f"Colours of vertices beside textures are left out, {parts}.")
+        notices.append(f"Vertex colours are left out where there are textures, {parts}.")
     for name, material in zip(names, mesh.materials, strict=True):
         text += [_material(name, material, files, f"/{root}/{name}").encode()]
     text += [b"}\n"]

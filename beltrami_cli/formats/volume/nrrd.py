@@ -111,7 +111,7 @@ def _header(nrrd: Any, data: bytes, name: str) -> tuple[dict[str, Any], bytes]:
 
 
 def _data(header: dict[str, Any], rest: bytes, name: str, folder: ModelFolder) -> bytes:
-    """Return the data behind the header, or those of the file beside it that it names."""
+    """Return the data behind the header, or the content of the file that it names."""
     named = header.pop("data file", None) or header.pop("datafile", None)
     if named is None:
         return rest
@@ -178,7 +178,7 @@ def _list_axis(header: Mapping[str, Any], name: str) -> int | None:
     if count == 4 and not found:
         found = {axis for axis, size in enumerate(header["sizes"]) if size == min(header["sizes"])}
     if len(found) != 1 or count == 3:
-        cause = "it is not clear which three of its axes are those of space"
+        cause = "it is not clear which three of its axes are spatial"
         raise InputError(name, cause, "set the kinds of these to domain")
     return found.pop()
 
@@ -231,7 +231,9 @@ def checked_lattice(axes: Float64s, origin: Float64s, name: str) -> Lattice:
     longest = np.abs(axes).max(axis=1)
     if longest.min() < _SMALLEST or longest.max() > _LARGEST or longest.max() > _UNLIKE * longest.min():
         steps = ", ".join(f"{step:g}" for step in longest)
-        cause = f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and much alike"
+        cause = (
+            f"its spacings are {steps}, but must be from {_SMALLEST:g} to {_LARGEST:g} and of similar size"
+        )
         raise InputError(name, cause, "choose another unit")
     if np.abs(origin).max() > _FURTHEST * longest.min():
         raise InputError(name, "its origin is too far away for its spacing", "move it")
