@@ -131,7 +131,7 @@ def test_colours_without_a_layer_are_those_outside_of_layers(chosen, changed, tm
     ("channels", "cause"),
     [
         (TWO, "its colours could be the layers View.Diffuse or View.Glossy"),
-        (layer("A.Combined", "RGB") | layer("B.Combined", "RGB"), "the layers A.Combined and B.Combined"),
+        (layer("A.Combined", "RGB") | layer("B.Combined", "RGB"), "the layers A.Combined or B.Combined"),
         (DEPTH, "none of its layers View.Depth, View.Mist, View.Normal has red, green and blue"),
     ],
 )

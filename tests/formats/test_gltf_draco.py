@@ -171,7 +171,7 @@ def test_an_uncompressed_substitute_gets_the_same_colours():
 def test_a_substitute_in_another_order_is_refused_rather_than_painted_wrong():
     opened = document(with_fallback(turned=True))
     colours = opened.painted().colours
-    with pytest.raises(InputError, match="another order than the uncompressed geometry"):
+    with pytest.raises(InputError, match="another order than its uncompressed fallback"):
         opened.patch(1 - colours, Naming("out"))
 
 
