@@ -59,7 +59,7 @@ class Texels:
         return with_noise(self.clean, sigma)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Vertices:
     """Coloured vertices, with the noise the same where they coincide."""
 
