@@ -10,6 +10,7 @@ from typing import cast
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import open_input
+from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.levelled_charts import describe_exposure, photograph_attribute, photographs_of
 from beltrami_cli.layers.memory_check import checked_memory, memory_beside, too_many_together
 from beltrami_cli.layers.selection import layers_of, require_scale, select, vertex_layer
@@ -83,7 +84,8 @@ def inspect_file(
                 facts |= samples.describe()
                 if samples.part == "vertices" and photograph_attribute(document) is not None:
                     facts["exposure"] = describe_exposure(samples, photographs_of(document))
-            notices += samples.notices
+            if isinstance(samples, ImageLayer):
+                notices += [*samples.picture.notices, *samples.remarks]
         for slot in rest:
             groups = [each for each in textures if each["slot"] == slot]
             if len(groups) > 1:  # exposures belong to all groups together

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -46,6 +46,7 @@ class ImageLayer(Layer):
     part: ClassVar[Part] = "image"
     label = "image"
 
+    names: tuple[str, ...]
     picture: Picture
     settings: SmoothSettings
     colours: PictureColours
@@ -92,20 +93,12 @@ class ImageLayer(Layer):
             remedy = "" if visible.any() else "; --alpha smooth takes what is transparent, too"
             remarks.append(f"{picture.name} has no pixel but holes, so nothing was smoothed{remedy}.")
         return cls(
-            picture=picture, settings=settings, colours=colours,
+            names=colours.names, picture=picture, settings=settings, colours=colours,
             surface=dataclasses.replace(surface, valid=valid), valid=valid,
             guides=read_guide_images(picture, valid, settings, access),
             noise=noise_of_pixels(settings.kernel, [picture], valid.reshape(-1), access),
             tables=read_jpeg_tables(document.data), suffix=suffix, remarks=tuple(remarks),
         )  # fmt: skip
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        return self.colours.names
-
-    @cached_property
-    def notices(self) -> tuple[str, ...]:
-        return (*self.picture.notices, *self.remarks)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         return plan_on_image(

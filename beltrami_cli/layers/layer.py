@@ -104,23 +104,10 @@ class Layer(ABC):
     """Coloured samples of a document, immutable; UsageError if settings name absent channels or contradict them."""
 
     part: ClassVar[Part]  # of the document, that they belong to
+    label: str  # their name in messages
+    names: tuple[str, ...]  # of the sampled channels: those that change, and those that only enter the metric
     settings: SmoothSettings
     level_report: LevelReport | None = None  # what was done to exposure steps, if they were looked for
-
-    @property
-    @abstractmethod
-    def label(self) -> str:
-        """Their name in messages."""
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """The names of the sampled channels: those that change, and those that only enter the metric."""
-
-    @property
-    def notices(self) -> tuple[str, ...]:
-        """What users should know of them."""
-        return ()
 
     @abstractmethod
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:

@@ -43,6 +43,7 @@ class PictureColours:
     written: list[int]  # which of the N change
     metric_channels: list[int] | None  # which of the N enter the metric; None: all
     space: Space  # of the samples: the working space, or data as stored
+    shows_all: bool  # whether samples have all channels of the colours, as they are stored
     light_space: Space | None  # the same if they stand for light, as pictures of floats do; None: they do not
     width: int  # colour channels of the pictures; in grey ones among coloured ones red = green = blue
     kept: list[int]  # which of these are sampled
@@ -86,20 +87,16 @@ class PictureColours:
             cause = f"no chosen channel belongs to the slot {slot}, which uses {' and '.join(sorted(used))}"
             raise UsageError(cause)
         sampled = tuple((*names, *further, "alpha")[i] for i in chosen.sampled)
+        kept = [i for i in chosen.sampled if i < width]
+        others = {name: further[name] for name in sampled if name in further}
+        is_plain = space in ("srgb", "data") and not (has_alpha or others or slot == "normal")
         is_light = space != "data" and all(picture.encoding == "linear" for picture in pictures)
         return cls(
             names=sampled, written=chosen.written, metric_channels=chosen.metric, space=space,
-            light_space=space if is_light else None, width=width,
-            kept=[i for i in chosen.sampled if i < width], changing=changing,
-            others={name: further[name] for name in sampled if name in further}, has_alpha=has_alpha,
+            shows_all=is_plain and len(kept) == width, light_space=space if is_light else None, width=width,
+            kept=kept, changing=changing, others=others, has_alpha=has_alpha,
             hides=slot in COLOUR_SLOTS and not smoothes_alpha, is_normal=slot == "normal",
         )  # fmt: skip
-
-    @property
-    def shows_all(self) -> bool:
-        """Whether samples have the colours of pictures as they are stored, with all of their channels."""
-        is_plain = self.space in ("srgb", "data") and not (self.has_alpha or self.others or self.is_normal)
-        return is_plain and len(self.kept) == self.width
 
     def working(self, picture: Picture, pixels: Int64s) -> Float32s:
         """Return the colours of some pixels (row * width + column) of a picture in the working space, shape (T, N)."""

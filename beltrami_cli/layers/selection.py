@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,7 @@ from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.layers.texture_groups import TextureGroup, separate_groups
-from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.texture_layer import TextureLayer, common_of
 from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
@@ -117,7 +118,7 @@ def layers_of(
         if many is None:
             whole = TextureLayer.read(surface, slot, settings, guided=(document, access), shared=shared)
             if in_groups and len(surface.textures) > 1:
-                groups = separate_groups(surface, whole.atlas, settings.kernel, whole.common)
+                groups = separate_groups(surface, whole.atlas, settings.kernel, partial(common_of, whole))
             if not groups:
                 yield whole
             del whole

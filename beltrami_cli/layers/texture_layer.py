@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -54,6 +54,8 @@ class TextureLayer(layer.Layer):
 
     part: ClassVar[layer.Part] = "textures"
 
+    label: str
+    names: tuple[str, ...]
     slot: Slot
     settings: SmoothSettings
     surface: TexturedSurface
@@ -91,18 +93,11 @@ class TextureLayer(layer.Layer):
             noise = None if noise is None else noise[atlas.owned_texels]
             if settings.embedding.guides:
                 guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
+        label = f"{slot} textures" + ("" if group is None else f", {group.label}")
         return cls(
-            slot=slot, settings=settings, surface=surface, pictures=pictures, tables=tables, atlas=atlas,
-            colours=colours, shared=shared, guided=guides, noise=noise, group=group,
+            label=label, names=colours.names, slot=slot, settings=settings, surface=surface, pictures=pictures,
+            tables=tables, atlas=atlas, colours=colours, shared=shared, guided=guides, noise=noise, group=group,
         )  # fmt: skip
-
-    @cached_property
-    def label(self) -> str:
-        return f"{self.slot} textures" + ("" if self.group is None else f", {self.group.label}")
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        return self.colours.names
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
         is_as_stored = self.levelled is None and self.colours.shows_all
@@ -132,12 +127,6 @@ class TextureLayer(layer.Layer):
             deviations=self.noise,
             whole=whole,
         )
-
-    def common(self) -> Common:
-        """Return what groups of these textures share: noise only if it does not differ from place to place."""
-        manifold = self.manifold()
-        noise = None if manifold.noise.relative is not None else common_noise(manifold.noise)
-        return Common(self.settings, manifold.unit, noise, self.names)
 
     def require_writable(self) -> None:
         for picture in self.pictures:
@@ -244,6 +233,13 @@ def on_canvas(textures: TextureLayer) -> Float32s:
         return painted(atlas, textures.levelled, threads)
     working = partial(texel_colours, textures.colours, textures.pictures, atlas)
     return painted_by(atlas, len(textures.names), working, threads)
+
+
+def common_of(textures: TextureLayer) -> Common:
+    """Return what groups of textures share: noise only if it does not differ from place to place."""
+    manifold = textures.manifold()
+    noise = None if manifold.noise.relative is not None else common_noise(manifold.noise)
+    return Common(textures.settings, manifold.unit, noise, textures.names)
 
 
 def painter_of(textures: TextureLayer, gutter: int | None, *, is_dithered: bool = False) -> Repainting:

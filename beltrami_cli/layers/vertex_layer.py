@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -57,14 +57,13 @@ class PaintedLayer(Layer):
     guides: Sequence[Guide] = ()
     noise: Float32s | None = None  # standard deviations, with a row for each vertex
     in_triangles: bool = False  # vertices in no triangle have no colour
+    channels: ChosenChannels = field(init=False)
+    names: tuple[str, ...] = field(init=False)
 
-    @cached_property
-    def channels(self) -> ChosenChannels:
-        return choose_channels(self.painted.channels, self.settings, "the colours have")
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.painted.channels[channel] for channel in self.channels.sampled)
+    def __post_init__(self) -> None:
+        channels = choose_channels(self.painted.channels, self.settings, "the colours have")
+        object.__setattr__(self, "channels", channels)
+        object.__setattr__(self, "names", tuple(self.painted.channels[each] for each in channels.sampled))
 
     @property
     def joined(self) -> PaintedVertices:
@@ -111,19 +110,19 @@ class VertexLayer(PaintedLayer):
     level_report: LevelReport | None = None
 
     @property
-    def is_cloud(self) -> bool:
+    def _is_cloud(self) -> bool:
         return self.fits_surface and not len(self.painted.faces)
 
     @cached_property
     def joined(self) -> PaintedVertices:
-        return with_surface(self.painted, self.settings) if self.is_cloud else self.painted
+        return with_surface(self.painted, self.settings) if self._is_cloud else self.painted
 
     @cached_property
     def sampling(self) -> VertexSampling:
         return sample_vertices(self.joined)
 
     @cached_property
-    def stored(self) -> Float32s:
+    def _stored(self) -> Float32s:
         """The colours of the samples as the file has them, in the working space, shape (S, N)."""
         colours = to_space(
             self.joined.colours[:, self.channels.sampled], self.joined.encoding, self.settings.space
@@ -132,7 +131,7 @@ class VertexLayer(PaintedLayer):
 
     def surface(self) -> SampledSurface:
         """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
-        surface = self.sampling.surface(self.joined, self.stored)
+        surface = self.sampling.surface(self.joined, self._stored)
         return surface if self.levelled is None else dataclasses.replace(surface, colours=self.levelled)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
@@ -149,7 +148,7 @@ class VertexLayer(PaintedLayer):
 
     def report(self, plan: Plan[MeshManifold], result: FlowResult[MeshManifold]) -> VertexReport:
         counts: dict[str, float] = {"triangles": len(self.painted.faces)}
-        if self.is_cloud:
+        if self._is_cloud:
             counts = dataclasses.asdict(count_cloud(self.joined))
         samples = len(self.sampling.first_vertex)
         counts |= {"samples": samples, "hard_edge_samples": samples - self.sampling.places}
@@ -176,13 +175,13 @@ class VertexLayer(PaintedLayer):
         in_kernel = samples_per_kernel(manifold, _PROBED_KERNELS, plan.step(0))
         planned["smooth"]["samples_per_kernel"] = round(in_kernel, 1)
         where = {"mean_edge_length": manifold.geometry.spacing, "bounds": bounds(painted.positions)}
-        what = "cloud" if self.is_cloud else "surface"
+        what = "cloud" if self._is_cloud else "surface"
         return {"colours": describe_colours(painted), what: counts | where, **planned}
 
     def _counts(self) -> dict[str, object]:
         vertices, samples = len(self.painted.colours), len(self.sampling.first_vertex)
         places, place_of = self.sampling.places, self.sampling.place_of
-        if self.is_cloud:
+        if self._is_cloud:
             counts = {"points": vertices, "samples": samples, "coincident_points": vertices - places}
             return {**counts, **dataclasses.asdict(count_cloud(self.joined))}
         surface = self.surface()
@@ -205,7 +204,7 @@ class VertexLayer(PaintedLayer):
         del is_smoothed
         written, sample_of = self.channels.written, self.sampling.sample_of
         after = new.table()[:, written]
-        changed = np.any(after != self.stored[:, written], axis=1)[sample_of]
+        changed = np.any(after != self._stored[:, written], axis=1)[sample_of]
         vertices = np.flatnonzero(changed)
         positions = None if new.positions is None else new.positions[sample_of]
         return self._repainted(vertices, after[sample_of[vertices]], positions)
