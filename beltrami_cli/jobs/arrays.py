@@ -266,14 +266,14 @@ def smooth_image(
     require_encoding(encoding)
     place = checked_surface(surface, table, shape)
     assert place.valid is not None
-    pixels = np.flatnonzero(place.valid)
-    grid = np.full(shape, -1)
-    grid[place.valid] = np.arange(len(pixels))
+    valid = place.valid.reshape(-1)
+    grid = np.full(shape, -1, np.int32)
+    grid[place.valid] = np.arange(np.count_nonzero(valid))
     layer = GridLayer(
         painted=PaintedVertices(
-            positions=np.empty((len(pixels), 0)),  # which `surface` has
+            positions=np.empty((np.count_nonzero(valid), 0)),  # which `surface` has
             faces=np.empty((0, 3), np.int32),
-            colours=table[pixels],
+            colours=table if valid.all() else table[valid],
             channels=channels,
             encoding=encoding,
             stored="float32",
@@ -281,13 +281,13 @@ def smooth_image(
         grid=grid,
         surface=place,
         settings=settings,
-        guides=[replace(guide, values=guide.values[pixels]) for guide in guides],
-        noise=None if noise is None else noise[pixels],
+        guides=[replace(guide, values=guide.values[valid]) for guide in guides],
+        noise=None if noise is None else noise[valid],
     )
     done = smooth_layer(layer, progress)
     report, smoothed = done.report, table.copy()
     assert isinstance(report, VertexReport)
-    smoothed[pixels] = done.repainted.colours
+    smoothed[valid] = done.repainted.colours
     return ImageResult(
         colours=smoothed.reshape(*shape, -1), beta=report.beta, spacing=report.spacing,
         noise=np.array(list(report.noise.values())), samples=int(report.counts["samples"]),

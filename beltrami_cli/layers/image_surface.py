@@ -27,7 +27,7 @@ from beltrami_cli.layers.coded_pictures import plan_on_pictures
 from beltrami_cli.layers.guides import require_size
 from beltrami_cli.layers.memory_check import MAPPED_PIXEL_BYTES, require_memory
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
-from beltrami_cli.surface.atlas import grid_atlas
+from beltrami_cli.surface.atlas import Indices, grid_atlas
 from beltrami_cli.surface.records import check_scale
 
 Pixels = NDArray[np.int64]
@@ -147,7 +147,7 @@ def plan_on_image(
     metric_channels: Sequence[int] | None = None,
     tick: Callable[[], None] | None = None,
     noise: NDArray[np.float32] | None = None,
-    rows: Pixels | None = None,
+    rows: Indices | None = None,
     coded: tuple[Array, JpegTables | None] | None = None,
     light_in: Space | None = None,
 ) -> Plan[GridManifold]:

@@ -24,6 +24,7 @@ from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.layer import Change, ChosenChannels, Layer, Part, Repainted, choose_channels
 from beltrami_cli.layers.reports import LevelReport, VertexReport
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
 from beltrami_cli.surface.point_triangulation import faces_of_points
@@ -216,7 +217,7 @@ class GridLayer(PaintedLayer):
 
     label = "range image"
 
-    grid: Int64s  # shape (H, W): numbers of the vertices, -1 at holes
+    grid: Indices  # shape (H, W): numbers of the vertices, -1 at holes
     surface: ImageSurface | None = None  # with the same holes; None: at the positions of the vertices
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
