@@ -52,6 +52,7 @@ class Parameter:
     # Makes the value from text; ValueError names the fault.
     parse: Callable[[str], Any] | None = None
     show: Callable[[Any], str] = str  # makes that text from the value
+    words: tuple[str, ...] = ()  # texts that `parse` takes, for completion
     is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
     group: str = ""  # of options in the help: the `group` of the record
     is_file: bool = False  # names files that are read

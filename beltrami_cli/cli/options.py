@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import click
 from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 
 from beltrami_cli.cli.commands import GroupedOption, variable_behind
 from beltrami_cli.cli.console import Messages
@@ -47,6 +48,11 @@ class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newe
         # Errors name the option, which may be called otherwise than the field.
         self._declared = dataclasses.replace(declared, name=_flag(declared), flags=flags_of(declared))
         self.name = {int: "integer", float: "float"}.get(declared.kind, "text")
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        return [CompletionItem(word) for word in self._declared.words if word.startswith(incomplete)]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the value, or its text; UsageError if it is out of its range."""

@@ -175,7 +175,7 @@ class KernelParameters:
         "Smooth less or more than is estimated to be best: gentle is {gentle}, normal {normal:g}, strong "
         "{strong}. Options that are given are kept.".format(**STRENGTHS),
         low=STRENGTHS["gentle"], high=STRENGTHS["strong"], allowed=_STRENGTH_RANGE, metavar="S",
-        parse=_strength_in, show=_strength_shown, is_daily=True,
+        parse=_strength_in, show=_strength_shown, words=tuple(STRENGTHS), is_daily=True,
     )  # fmt: skip
 
     noise: str | None = parameter(

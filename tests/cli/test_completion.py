@@ -43,8 +43,9 @@ SCRIPTS = {"bash": BASH, "zsh": ZSH, "fish": FISH}
         (["beltrami", "sm"], {"smooth"}),
         (["beltrami", "smooth", "--beta-g"], {"--beta-growth"}),
         (["beltrami", "smooth", "--weights", "u"], {"uniform"}),
+        (["beltrami", "smooth", "--strength", "g"], {"gentle"}),
     ],
-    ids=["command", "option", "value"],
+    ids=["command", "option", "value", "word or number"],
 )
 def test_shells_complete_what_is_typed(shell, words, offered, tmp_path):
     if shutil.which(shell) is None:
