@@ -24,6 +24,8 @@ from beltrami_cli.formats.tokens import exchange_spans
 from beltrami_cli.surface.polygons import dual
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
+_MEANS = "Vertices get the mean of the colours of their faces."
+
 
 class PlyDocument(Document):
     """A PLY file, text or binary."""
@@ -129,15 +131,16 @@ class PlyDocument(Document):
         return self.recoloured_contents(None)
 
     def recoloured_contents(self, colours: Float32s | None) -> MeshContents:
-        left_out = _left_out(self._header, self._converted)
+        of_faces = self._paint.names if self._paints_faces else ()
+        left_out = _left_out(self._header, self._converted, of_faces)
         values = self._colours.values if colours is None else colours
         corners, offsets = self._coloured_faces if self._paints_faces else self._polygons
         if self._paints_faces:
             sizes = np.diff(offsets)
             polygons = (self._positions, corners.astype(np.int64), sizes)
             found = ColouredPolygons(*polygons, np.repeat(values, sizes, axis=0), self._stored)
-            values, notices = colours_of_vertices(found)
-            self.notices += [each for each in notices if each not in self.notices]
+            values, _ = colours_of_vertices(found)
+            self.notices += [_MEANS] if _MEANS not in self.notices else []
         return dataclasses.replace(
             self._mesh,
             positions=self._positions,
