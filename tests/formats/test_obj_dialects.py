@@ -280,6 +280,16 @@ def test_the_image_beside_the_model_is_taken_for_one_on_another_machine(tmp_path
     beltrami("check", "in.obj", f"{place}/out.obj", cwd=tmp_path)
 
 
+def test_a_library_in_a_folder_names_the_image_beside_the_model_from_there(tmp_path):
+    two_squares(tmp_path)
+    (tmp_path / "mats").mkdir()
+    (tmp_path / "in.mtl").rename(tmp_path / "mats" / "in.mtl")
+    text = (tmp_path / "in.obj").read_text().replace("mtllib in.mtl", "mtllib mats/in.mtl")
+    (tmp_path / "in.obj").write_text(text)
+    assert "'t.png' in the model's folder is taken" in smoothed(tmp_path)
+    assert (tmp_path / "mats" / "out.mtl").read_text() == "newmtl m\nmap_Kd ../out_t.png\n"
+
+
 @pytest.mark.parametrize(
     ("name", "encoding"), [("颜色", "gbk"), ("表面", "cp932"), ("été", "cp1252"), ("é", "utf-8")]
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import dataclasses
 import os
+import posixpath
 from collections.abc import Sequence
 from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
@@ -24,14 +25,7 @@ from beltrami_cli.formats.document import (
     PlannedImages,
     Written,
 )
-from beltrami_cli.formats.model_folder import (
-    ModelFolder,
-    NewFiles,
-    is_outside,
-    leads_to,
-    new_reference,
-    path_inside,
-)
+from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference, path_inside
 from beltrami_cli.formats.obj.materials import Library, Map, Materials
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.texturing import (
@@ -324,8 +318,10 @@ def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans])
 
 def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
     """Return how a library names an image that was at one path and is to be at another."""
-    leads_on = leads_to(found.name, path) or new == path
-    if is_outside(path) or is_outside(library.path) or not leads_on:
+    plain = PurePosixPath(found.name.replace("\\", "/"))
+    leads_there = posixpath.normpath(PurePosixPath(library.path).parent / plain) == path
+    is_plain = leads_there and ".." not in plain.parts
+    if is_outside(path) or is_outside(library.path) or not (is_plain or new == path):
         home = PurePosixPath(path_inside(library.path)).parent
         return os.fsencode("../" * len(home.parts) + new)
     return new_reference(found.name, path, new)

@@ -41,7 +41,7 @@ _MOST_DECIMALS = 17
 class Vertices:
     """The vertices of a file."""
 
-    positions: Float64s  # (N, 3) of all vertices; 0 in place of values that are not finite
+    positions: Float64s  # (N, 3) of all vertices; 0 where one is not finite
     finite: Bools  # (N,) which of them have a position
     coloured: Int64s  # (V,) which of these have colours, in file order
     colours: Float64s  # (V, 3) the numbers in the file

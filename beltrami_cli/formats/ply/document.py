@@ -44,7 +44,7 @@ class PlyDocument(Document):
         if self._paints_faces:
             positions, corners = dual(positions, *self._coloured_faces)
             offsets, corners = 3 * np.arange(len(corners) + 1), corners.ravel()
-            self.notices.append("Its faces carry the colours; each is a sample at the centre of its face.")
+            self.notices.append("Its faces have the colours; each is a sample at the centre of its face.")
         return MeshContents(positions, corners, offsets, self._colours.values, "srgb", self._stored)
 
     @property

@@ -41,7 +41,7 @@ Columns = dict[str, Array]
 
 
 class SurveyDocument(NpzPointsDocument):
-    """A file that its library reads and writes; its colours are handled as an archive of arrays."""
+    """A file that its library reads and writes; its points are taken as arrays, like an NPZ archive."""
 
     def _open(self, folder: Path | None) -> None:
         self._archive = NpzArchive(self._ask(None, {}), self.name)
@@ -188,7 +188,7 @@ class _Pcd:
 def _compressed(data: bytes) -> bytes:
     import lzf
 
-    # Incompressible data become runs of literal bytes, each behind its length less 1.
+    # Data that compression would make longer becomes runs of literal bytes, each behind its length less 1.
     runs = (data[at : at + _LITERALS] for at in range(0, len(data), _LITERALS))
     packed = lzf.compress(data) or b"".join(bytes([len(run) - 1]) + run for run in runs)
     return struct.pack("<II", len(packed), len(data)) + packed
