@@ -56,7 +56,7 @@ class PartitionExecutor(Executor):
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         if self._thread is not None:
-            self._thread.join(_GRACE)  # it waits for workers, of which there may be none
+            self._thread.join(_GRACE)  # it may wait for workers that never come
 
     @property
     def is_full(self) -> bool:

@@ -57,7 +57,7 @@ _OF_WRITING = (
 def command(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
 
-    Distances are on the image manifold, so they go through space and colour together. Parameters are those that
+    Distances are on the image manifold, so they go through space and colour together. Parameters are the ones that
     `beltrami smooth` takes with the same options.
     """
     settings = options.settings_from(smoothing)

@@ -28,7 +28,7 @@ COMMANDS = {
     "check": "List what differs besides the colours of two files.",
     "compare": "Measure how far colours are from a reference.",
     "config": "Show the options in force, and where each comes from.",
-    "info": "Show what is coloured in files, and how noisy it is.",
+    "info": "Show the coloured parts of files, and their noise.",
     "kernel": "Write the distances and the weights of one kernel.",
     "level": "Take exposure steps between charts out of textures.",
     "noise": "Add noise to colours, for tests.",
@@ -84,7 +84,7 @@ class LazyGroup(click.Group):
 EPILOG = """\b
 Examples:
   beltrami smooth scan.ply clean.ply          denoise the vertex colours of a scan
-  beltrami info scan.ply                      what is coloured, how noisy it is
+  beltrami info scan.ply                      coloured parts, and their noise
   beltrami smooth scan.obj clean.glb          smooth and convert
   beltrami check scan.ply clean.ply           prove that nothing but colours differs
   beltrami compare truth.ply clean.ply        how far colours differ, for tests in CI

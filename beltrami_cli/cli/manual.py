@@ -43,8 +43,8 @@ _EXIT_STATUS = (
 _TABLE = """\
 # Parameters
 
-Made from the declarations in the code; `make parameters` writes this page. Names are those of Python keywords and
-of the fields in reports. In configuration files and manifests an option has its own name, without the dashes in front.
+Made from the declarations in the code; `make parameters` writes this page. Names are Python keywords and
+fields of reports. In configuration files and manifests an option has its own name, without the dashes in front.
 [Tuning](tuning.md) explains "chosen from the data", and [Which flags](which-flags.md) lists options by kind of data.
 """
 _SECTIONS = (

@@ -52,8 +52,8 @@ def command(source: str, target: str, messages: Messages, **values: Any) -> None
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
 
     INPUT and OUTPUT are what `beltrami smooth` takes and writes. The noise is on the surface: vertices at one place get
-    the same, and so do the texels around a chart and those that lie there beyond the seam. Format, type, alpha and
-    metadata stay. Colours are cut off at 0 and at full scale, as those of a camera are, unless INPUT has some beyond.
+    the same, and so do the texels around a chart and their counterparts beyond the seam. Format, type, alpha and
+    metadata stay. Colours are cut off at 0 and at full scale, as in a camera, unless INPUT has some beyond.
     """
     settings = options.record_from(SmoothSettings, values)
     noise = options.record_from(NoiseSettings, values)

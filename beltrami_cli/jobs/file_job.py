@@ -22,7 +22,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 
 @dataclass(frozen=True, kw_only=True)
 class FileReport:
-    """What is said of every file that was written; `SmoothReport` describes it."""
+    """The report of a written file; `SmoothReport` describes its fields."""
 
     input: str
     output: str
@@ -40,15 +40,15 @@ class FileJob:
 
     source: str
     target: str
-    job: Job  # whose access notes what is read, so that nothing but OUTPUT replaces it
+    job: Job  # whose access records files as read, so that nothing but OUTPUT replaces them
     document: Document
     format: OutputFormat
     output: Output | None  # None on a dry run
     watch: Stopwatch
-    occupied: dict[str, None] = field(default_factory=dict)  # names beside OUTPUT that other models have
+    occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models have
 
     def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
-        """Return how the files beside the output are named; OutputError if one of these may not be written."""
+        """Return how the output's sidecar files are named; OutputError if one of them may not be written."""
         if self.job.check is not None:
             self.job.check(self.document)
         naming = _naming_of(self)
@@ -58,7 +58,7 @@ class FileJob:
         return naming
 
     def reserve_new(self, image_suffix: str | None) -> str:
-        """Return a stem for the files beside a new mesh with one texture, or none, that no other model has."""
+        """Return an unused stem for the sidecar files of a new mesh with one texture, or none."""
 
         def names(stem: str) -> list[str]:
             return registry.sidecar_names(self.format.name, stem, image_suffix)
@@ -71,12 +71,12 @@ class FileJob:
             folder, access = Path(self.source).parent, self.job.access
             copied = {new: read_source(str(folder / old), access) for new, old in files.copies.items()}
             files = replace(files, sidecars={**files.sidecars, **copied})
-            beside, names = self._notices_beside(files.sidecars), list[str]()
+            shared, names = self._notices_of_sharing(files.sidecars), list[str]()
             if self.output is not None:
                 self.output.write(files)
                 names = [self.target, *files.sidecars]
         # Several slots say the same of one surface.
-        notices = dict.fromkeys([*self.document.notices, *notices, *beside, *files.notices])
+        notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
         return FileReport(
             input=self.source,
             output=self.target,
@@ -86,12 +86,12 @@ class FileJob:
             warnings=[*notices, *warnings],
         )
 
-    def _notices_beside(self, sidecars: Iterable[str]) -> list[str]:
+    def _notices_of_sharing(self, sidecars: Iterable[str]) -> list[str]:
         notices = []
         if self.occupied:
             names = ", ".join(self.occupied)
             notices.append(
-                f"another model beside OUTPUT has {names}; the new files have a number in their names."
+                f"another model in OUTPUT's folder has {names}; the new files have a number in their names."
             )
         if self.output is not None and self.output.folder is not None and self.output.overwrite:
             notices += shared_files(self.output.folder, self.output.path, sidecars)

@@ -64,7 +64,7 @@ def level_file(
     Raises
     ------
     UsageError
-        If a parameter is unknown or out of its range, or the colours cannot have exposure steps, as those of an image.
+        If a parameter is unknown or out of its range, or the colours cannot have exposure steps, as in an image.
     InputError
         If the source cannot be read, has no colours, or does not say which photograph its vertex colours are from.
     OutputError

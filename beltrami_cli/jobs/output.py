@@ -323,7 +323,7 @@ class FileSet:
 
 
 def _rank(staged: _Staged) -> tuple[bool, bool, str]:
-    """Put files that others name before those that name them, and OUTPUT last; otherwise in a fixed order."""
+    """Put files before the files that name them, and OUTPUT last; otherwise in a fixed order."""
     is_main = staged.name == staged.output.target
     return is_main, staged.output.is_result, str(staged.path)
 

@@ -1,6 +1,6 @@
 """Give a document new colours: select, take samples, paint, give back, convert.
 
-A painter gives samples new colours: by the kernel, by adding noise, and the like. Nobody here asks which samples they
+A painter gives samples new colours: by the kernel, by adding noise, and the like. No code here asks which samples they
 are. The files of the result have the format that the output asks for.
 """
 
@@ -151,7 +151,7 @@ def paint(
     *,
     in_groups: bool,
 ) -> list[AnyPainted]:
-    """Paint what is selected, layer by layer; `suffix`: of another image format that is written."""
+    """Paint the selected parts, layer by layer; `suffix`: of another image format that is written."""
     painted = []
     options = {"colours_only": painter.colours_only, "in_groups": in_groups}
     for layer in layers_of(document, selection, settings, job.access, suffix, **options):
@@ -195,7 +195,7 @@ def _files(
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
-    """Whether an image changed: beside the source, the output names the others as the source does."""
+    """Whether an image changed: in the source's folder, the output names unchanged images as the source does."""
     if slot not in document.slots():
         return True
     return all(image.data != each.data for each in document.textured(slot).textures if each.key == key)
@@ -227,7 +227,7 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
 def _names_beside(
     naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
 ) -> list[str]:
-    """Return the names of the files beside the output if all that is selected changes, before anything does."""
+    """Return the names of the output's sidecar files in advance, as if all selected colours changed."""
     chosen = settings.textures.image_suffix
     images: dict[tuple[Slot, str], PlannedImage] = {}
     for slot in selection.slots:

@@ -127,7 +127,7 @@ class Journal:
 def recover(folder: Path) -> None:
     """Undo unfinished sets of runs that were killed, and remove their temporary files, by the journals in a folder.
 
-    Those of runs that go on, or of other users, stay. OSError if files in place cannot be undone.
+    Files of running processes, or of other users, stay. OSError if files in place cannot be undone.
     """
     journals: list[Path] = []
     with contextlib.suppress(OSError):

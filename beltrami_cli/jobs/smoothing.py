@@ -146,7 +146,7 @@ class Smoothing(Painter[Smoothed]):
 
 
 def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
-    """Add to what is said of a file what was done to its samples."""
+    """Add the changes of layers to the report of a file."""
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
     for each in _joined(done):
         reports[each.part].append(each.report)

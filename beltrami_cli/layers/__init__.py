@@ -1,1 +1,1 @@
-"""What is coloured in a document, as samples of an image manifold, and back."""
+"""The coloured parts of a document as samples of an image manifold, and the way back."""

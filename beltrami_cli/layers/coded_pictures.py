@@ -20,7 +20,7 @@ from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 
 Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
 
-# How often pictures are decoded before patches, which take what is left of ringing, as it repeats itself, for detail.
+# How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
 # The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
 _PILOTS = 2
 
@@ -59,7 +59,7 @@ def plan_on_pictures(
         planes = painted(atlas, rows, kernel.thread_count)
     del before, rows
     plan = choose_parameters(make(planes, noise), kernel, tick)
-    if not plan.parameters.iterations:  # what is not smoothed stays as it is
+    if not plan.parameters.iterations:  # colours without iterations stay as they are
         return choose_parameters(make(None, None), kernel, tick)
     return plan.with_noise(stored)
 

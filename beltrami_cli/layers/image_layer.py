@@ -90,7 +90,7 @@ class ImageLayer(Layer):
                 "--channels leaves them out."
             )
         if not valid.any():
-            remedy = "" if visible.any() else "; --alpha smooth takes what is transparent, too"
+            remedy = "" if visible.any() else "; --alpha smooth takes transparent pixels, too"
             remarks.append(f"{picture.name} has no pixel but holes, so nothing was smoothed{remedy}.")
         return cls(
             names=colours.names, picture=picture, settings=settings, colours=colours,

@@ -153,7 +153,7 @@ def plan_on_image(
 ) -> Plan[GridManifold]:
     """Plan the smoothing of an image, whose owned texels are the pixels that are not holes, row by row.
 
-    Guides and noise have a row for each pixel, or those that `rows` names for the pixels. `coded`: the pixels, if they
+    Guides and noise have a row for each pixel, or `rows` names their rows for the pixels. `coded`: the pixels, if they
     are as a JPEG file has them.
     """
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on

@@ -48,7 +48,7 @@ class SharedImage:
 
 @dataclass(frozen=True)
 class Repainted:
-    """New colours for a document: of vertices, with positions of those that moved, or image files."""
+    """New colours for a document: of vertices, with their positions if they moved, or image files."""
 
     change: Change
     colours: Float32s | None = None
@@ -60,11 +60,11 @@ class Repainted:
 
 @dataclass(frozen=True)
 class ChosenChannels:
-    """Channels by their numbers among those that there are."""
+    """Channels by their numbers among all channels."""
 
     sampled: list[int]
     changing: list[int]
-    written: list[int]  # those that change, counted among the sampled ones
+    written: list[int]  # channels that change, counted among the sampled ones
     metric: list[int] | None  # counted so, too; None: all
 
 
@@ -74,8 +74,8 @@ def choose_channels(
 ) -> ChosenChannels:  # fmt: skip
     """Choose channels by names or, of all or the `abbreviable` ones, first letters; UsageError if one is absent.
 
-    Only the `used` ones may change; those that only enter the metric are sampled, too. `opacity`, if it is smoothed, is
-    one more behind them.
+    Only the `used` ones may change; channels that only enter the metric are sampled, too. `opacity`, if it is
+    smoothed, is one more behind them.
     """
 
     def numbers_of(wanted: tuple[str, ...] | None) -> list[int]:
@@ -105,7 +105,7 @@ class Layer(ABC):
 
     part: ClassVar[Part]  # of the document, that they belong to
     label: str  # their name in messages
-    names: tuple[str, ...]  # of the sampled channels: those that change, and those that only enter the metric
+    names: tuple[str, ...]  # of the sampled channels: changing ones, and ones that only enter the metric
     settings: SmoothSettings
     level_report: LevelReport | None = None  # what was done to exposure steps, if they were looked for
 

@@ -29,7 +29,7 @@ COMPARED_PIXEL_BYTES = 130, 17
 # The same of an image with heights or positions: coordinates in double precision, as read and for each pixel.
 MAPPED_PIXEL_BYTES = 3 * 8, 8
 
-# Image files that are not read anew stay in memory as they are, and as they are written.
+# Image files that are not read again stay in memory as they are, and as they are written.
 _FILES = 2
 
 # Bytes per texel of all textures, or per pixel of an image, that smoothing needs besides the images, at most: with
@@ -77,7 +77,7 @@ def checked_memory(
         require_memory_for_textures(document, slots, wanted, access)
         yield
         return
-    # The files have no name, and lie beside `target`, or in the folder for temporary files.
+    # The files have no name, and lie in `target`'s folder, or in the folder for temporary files.
     is_too_much = False
     memory = memory_beside(document, access)
     if memory is not None:
@@ -127,7 +127,7 @@ def too_many_together(textures: Sequence[Texture], memory: int | None) -> tuple[
 
 
 def memory_beside(document: Document, access: Access) -> int | None:
-    """Return the bytes that are left beside a file; None: there is no limit."""
+    """Return the remaining bytes while a file is in memory; None: there is no limit."""
     return None if access.memory is None else access.memory - len(document.data)
 
 
@@ -137,7 +137,7 @@ def held_by_files(textures: Iterable[Texture]) -> int:
 
 
 def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:
-    """Measure images, except those that cannot be measured, whose decoder raises the error."""
+    """Measure images; images that cannot be measured are left to their decoder, which raises the error."""
     for name, data in images:
         size = measure_image(data, name)
         if size is not None:

@@ -39,7 +39,7 @@ _EXPORT_LAYER = "export one layer as a file of its own"
 class PictureColours:
     """Which channels of several pictures are sampled, all with the same N names, and how they are converted."""
 
-    names: tuple[str, ...]  # of the N channels: those that change, and those that enter the metric
+    names: tuple[str, ...]  # of the N channels: changing ones, and ones that only enter the metric
     written: list[int]  # which of the N change
     metric_channels: list[int] | None  # which of the N enter the metric; None: all
     space: Space  # of the samples: the working space, or data as stored
@@ -165,7 +165,7 @@ class PictureColours:
         return np.where(moved[:, first : first + len(columns)], after, before[:, columns])
 
     def _colours(self, picture: Picture, values: Float32s, new: Float32s) -> Float32s:
-        """Convert new colours of pixels that had values of full scale 1, shape (K, C), to what is stored of them."""
+        """Convert new colours of pixels that had values of full scale 1, shape (K, C), to stored values."""
         whole = self._widened(picture, self._straight(picture, values))
         working = to_space(whole, picture.encoding, self.space).copy()
         working[:, self.changing] = new

@@ -18,7 +18,7 @@ class LayerReport:
     # Standard deviations at "dark", "middle" and "bright" levels (0.1, 0.5, 0.9), if they differ; of "quiet" and "loud"
     # places, if they do; and "grain", the width in samples of what samples share of it.
     noise_model: dict[str, float]
-    # Mean, root mean square and largest change of a value that is smoothed; of texels those that are covered.
+    # Mean, root mean square and largest change of a smoothed value; of covered texels only.
     change: dict[str, float] = field(default_factory=dict)
     guides: dict[str, float]  # the beta used for each guide, by its name
     # If parameters were chosen from the data: "chosen" with their values, and what is known of the result: its

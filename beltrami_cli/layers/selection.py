@@ -1,4 +1,4 @@
-"""What is painted in a document, as which samples, and in which format the document is written."""
+"""Which parts of a document are painted, as which layers, and in which format the document is written."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Selection:
-    """What is painted in a document: its vertex colours, the textures of slots, or the image itself."""
+    """The painted parts of a document: its vertex colours, the textures of slots, or the image itself."""
 
     vertices: bool = False
     slots: tuple[Slot, ...] = ()
@@ -58,7 +58,7 @@ class OutputFormat:
 
 
 def select(document: Document, settings: SmoothSettings) -> Selection:
-    """Choose what is painted, by the settings and the document; errors if there is nothing, or for unfit options."""
+    """Choose the painted parts by the settings and the document; errors if there are none, or for unfit options."""
     if document.kind == "image":
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)
@@ -101,7 +101,7 @@ def layers_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Layer]:
-    """Take the samples of what is selected; `in_groups`: textures that do not touch, or do not fit, separately."""
+    """Give the selected layers; `in_groups`: textures that do not touch, or do not fit, separately."""
     # For the other parameters see `ImageLayer`.
     if document.kind == "image":
         if selection.image:

@@ -1,4 +1,4 @@
-"""The parameters of a job besides those of the kernel; light enough for the command line to import.
+"""The parameters of a job besides the kernel's; light enough for the command line to import.
 
 Each is declared once, see `beltrami_cli.fields`; and described in JSON types, as asked for and as used.
 """
@@ -219,13 +219,13 @@ class LevelSetSettings(Checked):
 @described
 @dataclass(frozen=True)
 class EmbeddingSettings:
-    """What enters the metric besides the colours that are smoothed, and what is smoothed besides them."""
+    """Further channels of the metric, and smoothing of positions along with colours."""
 
     group: ClassVar[str] = "Guides and geometry"
 
     guides: tuple[str, ...] = parameter(
         (),
-        "Channels that count as distance and stay as they are, such as a clean normal map beside a noisy "
+        "Channels that count as distance and stay as they are, such as a clean normal map with a noisy "
         "base colour. For textures a slot of the same materials, or an image of the same size; for images "
         "such an image; for vertices an attribute (normal, or as the file calls it), an array (.npy, .npz) "
         "with a row for each vertex, or a model whose vertex colours guide. May be repeated.",
@@ -243,7 +243,7 @@ class EmbeddingSettings:
         None,
         "Which colour channels count as distance, such as r,g. With none, only the surface and the guides "
         "do.",
-        kind=str, several=True, unset="those that are smoothed", metavar="LIST|none", parse=_metric_channels,
+        kind=str, several=True, unset="all smoothed channels", metavar="LIST|none", parse=_metric_channels,
     )  # fmt: skip
     smooth_geometry: bool = parameter(
         False,
@@ -279,7 +279,7 @@ class EmbeddingSettings:
 @described
 @dataclass(frozen=True)
 class SmoothSettings:
-    """All parameters of a smoothing; by default those of the kernel that can be are chosen from the data."""
+    """All parameters of a smoothing; by default the kernel's parameters are chosen from the data as far as possible."""
 
     group: ClassVar[str] = "Colours"
 

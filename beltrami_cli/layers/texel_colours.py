@@ -159,7 +159,7 @@ class Repainting:
 def dithered(values: Float32s, texels: Indices, width: int) -> Float32s:
     """Add a pattern of half a step of 8 bits to some texels, so that rounding spreads what it takes away.
 
-    What is a multiple of a step stays. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
+    Multiples of a step stay. The pattern is interleaved gradient noise: J. Jimenez, "Next generation post
     processing in Call of Duty: Advanced Warfare", SIGGRAPH 2014.
     """
     row, column = np.divmod(texels.astype(np.int32), np.int32(width))
@@ -174,7 +174,7 @@ def keep_others(
     old: Array, new: Array, covered: Bools, known: Bools, shown: Callable[[Array], Float32s], *,
     width: int, lone: Indices, threads: int,
 ) -> None:  # fmt: skip
-    """Let texels around charts that do not continue the chart beside them keep their colours, in place.
+    """Let texels around charts that do not continue the adjacent chart keep their colours, in place.
 
     A texel continues its chart if the step to the nearest covered texel was, but for noise, what it is now; or if there
     was none, and then it is left to be filled from there. All else is background, or the edge of a colour that lies on

@@ -1,6 +1,6 @@
 """Textures of a slot that are smoothed together, and apart from others.
 
-Those that touch each other nowhere on the surface have parameters of their own: what suits wood is too little for a
+Textures that touch each other nowhere on the surface have parameters of their own: what suits wood is too little for a
 plain wall. Noise is estimated once for all, as they mostly come from one camera.
 """
 
@@ -52,7 +52,7 @@ class TextureGroup:
 
 @dataclass(frozen=True)
 class Common:
-    """What is the same for all groups: the settings, the unit of length, and the noise, if it is one for all."""
+    """Shared by all groups: the settings, the unit of length, and the noise, if it is one for all."""
 
     settings: SmoothSettings
     unit: float
@@ -68,7 +68,7 @@ class Common:
 def separate_groups(
     surface: TexturedSurface, atlas: Atlas, kernel: KernelParameters, common_of_all: Callable[[], Common]
 ) -> list[TextureGroup]:
-    """Part textures into those that touch each other on the surface; none, if parameters are the same for all."""
+    """Part textures into groups that touch each other on the surface; none, if parameters are the same for all."""
     if kernel.fast or not kernel.is_open:
         return []
     parts = _large_parts(_touching(surface), atlas.covered_by_texture())

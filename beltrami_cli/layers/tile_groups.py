@@ -31,7 +31,7 @@ from beltrami_cli.surface.records import Slot, TexturedSurface
 
 # Patches are looked for around each texel twice, and their weights are averaged.
 _PASSES_OF_PATCHES = 4
-_SHARE_OF_DISK = 0.5  # of what is free
+_SHARE_OF_DISK = 0.5  # of the free space
 _RESIDENT_BYTES = 50  # of a texel that are in memory at a time, pages of files included
 _USUAL = 0.999  # of the texels of a texture; others are in slivers
 _MOST_POINTS = 1 << 18
@@ -77,16 +77,16 @@ class TileGroups:
     def parted(self, common: Common) -> list[TextureGroup]:
         """Part all textures; InputError if one does not fit into memory with the surface around it."""
         near = _near_faces(self.surface, self.sizes, common.settings.kernel)
-        beside = [{*self.surface.texture_of[faces].tolist()} for faces in near]
+        adjacent = [{*self.surface.texture_of[faces].tolist()} for faces in near]
         room, left = self._room(), set(range(len(self.sizes)))
         parts: list[set[int]] = []
         while left:
             group = {min(left)}
             if self._texels(group, near) > self._most_texels:
                 raise memory_check.too_large(self.surface.textures[min(left)].name, self.sizes[min(left)])
-            while candidates := set[int]().union(*(beside[index] for index in group)) & left - group:
+            while candidates := set[int]().union(*(adjacent[index] for index in group)) & left - group:
                 # The one with the most neighbours in the group makes it the roundest.
-                new = max(candidates, key=lambda index: (len(beside[index] & group), -index))
+                new = max(candidates, key=lambda index: (len(adjacent[index] & group), -index))
                 if self._texels(group | {new}, near) > room:
                     break
                 group.add(new)

@@ -291,7 +291,7 @@ class CloudCounts:
 
 
 def with_surface(painted: PaintedVertices, settings: SmoothSettings) -> PaintedVertices:
-    """Return painted vertices with their own triangles, or else those of the surface that the points lie on."""
+    """Return painted vertices with their triangles, or else with triangles of the surface through the points."""
     # Points too far from all others, or in one line with them, are in no triangle; nor are those without a finite
     # position, which then is the centre of the others.
     if len(painted.faces):

@@ -291,8 +291,8 @@ def fill_gutter(
 ) -> None:  # fmt: skip
     """Give texels around charts, in place, the colour of the nearest covered texel."""
     # `width`: the largest distance, in texels; None: any. `known`: uncovered texels that have their colours already, as
-    # from beyond a seam, and keep them. `opacity`: what is multiplied into the colours, which are given that of the
-    # texel that they go to; not 0 where covered.
+    # from beyond a seam, and keep them. `opacity`: alpha that is multiplied into the colours, which get the alpha of
+    # their new texel; not 0 where covered.
     table = pixels.reshape(-1, pixels.shape[2])
     visible = None if opacity is None else opacity.reshape(-1)
     for texels, nearest in nearest_covered(covered, width, known, threads):

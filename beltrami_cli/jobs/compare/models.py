@@ -28,7 +28,7 @@ _OTHER_MODEL = "compare two files of one model"
 
 
 def choose_parts(documents: Pair, settings: SmoothSettings) -> tuple[Selection, list[str]]:
-    """Choose what is compared, by default all that is coloured; return notices on all else."""
+    """Choose the compared parts, by default all coloured ones; return notices on all others."""
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)
