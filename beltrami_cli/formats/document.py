@@ -76,7 +76,7 @@ class Written:
     copies: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def names_beside(self) -> list[str]:
+    def sidecar_names(self) -> list[str]:
         return [*self.sidecars, *self.copies]
 
 
@@ -265,7 +265,7 @@ class Document(ABC):
     @abstractmethod
     def _patched(self, new: Changes, naming: Naming) -> Written: ...
 
-    def names_beside(
+    def sidecar_names(
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
     ) -> list[str]:  # fmt: skip
         """Return which sidecar files `patch` can write for these images, and if all colours or positions change."""

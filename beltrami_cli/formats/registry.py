@@ -136,9 +136,7 @@ _is_image = _asks("image.picture.is_image")
 FORMATS = (
     Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
     Format("volume", _asks("volume.arrays.is_volume", *_VOLUMES), "volume.arrays", "read_volume", kind="volume"),
-    _textured(
-        "ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)
-    ),
+    _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(
         "obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*",
         slots=("baseColor", "emissive", "normal", "metallicRoughness"),

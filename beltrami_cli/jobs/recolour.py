@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
@@ -88,7 +89,7 @@ def recolour(
         if not painter.changes and kind.suffix is None:
             selection = NOTHING
         painter = painter.prepared(document, selection, kind)
-        naming = file.reserve(lambda naming: _names_beside(naming, document, selection, settings, kind))
+        naming = file.reserve(lambda naming: _sidecar_names(naming, document, selection, settings, kind))
     place = None if file.output is None else target
     with _checked_memory(document, selection, settings, painter, file.job.access, place):
         with watch.stage("smooth"):
@@ -181,7 +182,7 @@ def _files(
             )
         mesh = with_images(document.textured_mesh(colours), images)
         mesh, notices = with_suffixes(mesh, registry.held_images(kind.name) or ())
-        stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, kind.name, stem))
+        stem = naming.free_stem(partial(registry.textured_sidecars, mesh, kind.name))
         written = registry.write_textured(mesh, kind.name, stem)
         return replace(written, notices=(*notices, *written.notices))
     contents = document.recoloured_contents(colours)
@@ -190,7 +191,7 @@ def _files(
         if normals is not None and moved.normals is not None:
             normals = np.where(np.isnan(moved.normals), normals, moved.normals)
         contents = replace(contents, positions=moved.positions, normals=normals)
-    stem = naming.free_stem(lambda stem: registry.sidecar_names(kind.name, stem, None))
+    stem = naming.free_stem(partial(registry.sidecar_names, kind.name, image_suffix=None))
     return registry.write_contents(contents, kind.name, stem)
 
 
@@ -224,7 +225,7 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     return MovedVertices(positions, normals)
 
 
-def _names_beside(
+def _sidecar_names(
     naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
 ) -> list[str]:
     """Return the names of the output's sidecar files in advance, as if all selected colours changed."""
@@ -237,13 +238,13 @@ def _names_beside(
     if kind.is_patched:
         moves = selection.vertices and settings.embedding.smooth_geometry
         changes = {"colours": selection.vertices, "places": moves}
-        return document.names_beside(images, naming, form=kind.name, **changes)
+        return document.sidecar_names(images, naming, form=kind.name, **changes)
     if _has_textures(document, kind):
         mesh = with_images(document.textured_mesh(), images)
-        stem = naming.free_stem(lambda stem: registry.textured_sidecars(mesh, kind.name, stem))
-        return registry.textured_sidecars(mesh, kind.name, stem)
-    if images or (document.slots() and not document.has_vertex_colours()):
+        names = partial(registry.textured_sidecars, mesh, kind.name)
+    elif images or (document.slots() and not document.has_vertex_colours()):
         remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
         raise UsageError(f"a .{kind.name} file has no textures; {remedy}")
-    stem = naming.free_stem(lambda stem: registry.sidecar_names(kind.name, stem, None))
-    return registry.sidecar_names(kind.name, stem, None)
+    else:
+        names = partial(registry.sidecar_names, kind.name, image_suffix=None)
+    return names(naming.free_stem(names))

@@ -12,6 +12,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.colours import full_scale, integer_scale
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume.arrays import read_colours, read_volume
 from beltrami_cli.formats.volume.nrrd import require_package
@@ -38,7 +39,7 @@ def _find_colours(
     if path == "-":
         raise InputError(path, "colours are not read from a pipe", "name a file")
     data, folder = read_source(path, access), Path(path).parent
-    colours = read_colours(data, path, folder, max_size, access)
+    colours = read_colours(data, path, ModelFolder(folder, access), max_size)
     if colours is None:
         painted = open_bytes(data, path, folder, access).painted()
         colours = level_set.NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
@@ -117,7 +118,7 @@ def read_level_set(
     max_voxels = settings.max_voxels
     if access.memory is not None:
         max_voxels = min(max_voxels, access.memory // _BYTES_OF_VOXEL)
-    volume = read_volume(data, name, folder, max_voxels, access)
+    volume = read_volume(data, name, ModelFolder(folder, access), max_voxels)
     level = settings.iso if settings.iso is not None else volume.level or 0.0
     known = np.isfinite(volume.values)
     if volume.known is not None:

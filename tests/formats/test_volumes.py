@@ -15,6 +15,7 @@ import pytest
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.volume.arrays import is_volume, read_colours, read_volume
 from beltrami_cli.surface.level_set import GridColours, NearColours
 from formats.volume_files import header_only, lattice_fields, npz, npz_of_members, nrrd_file
@@ -26,11 +27,12 @@ COLOURS = RANDOM.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
 AXES = np.array([[0.5, 0.1, 0.0], [0.0, 2.0, 0.3], [-0.2, 0.0, 1.0]])
 MEGABYTE = 1 << 20
 ORIGIN = np.array([3.0, -7.0, 11.0])
+NOWHERE = ModelFolder(None)
 
 
 def read(data, folder=None, most=1000):
     assert is_volume(data, "file")
-    return read_volume(data, "file", folder, most)
+    return read_volume(data, "file", ModelFolder(folder), most)
 
 
 def test_an_archive_gives_its_arrays_whatever_the_spelling():
@@ -81,13 +83,13 @@ def test_every_encoding_and_type_of_nrrd_gives_the_same_numbers(encoding, dtype)
 @pytest.mark.parametrize("listed", [0, 3])
 def test_colours_of_nrrd_may_be_its_first_or_last_axis(listed):
     stored = np.moveaxis(COLOURS, -1, listed)
-    colours = read_colours(nrrd_file(stored, **lattice_fields(AXES, ORIGIN, listed)), "file", None, 1000)
+    colours = read_colours(nrrd_file(stored, **lattice_fields(AXES, ORIGIN, listed)), "file", NOWHERE, 1000)
     assert isinstance(colours, GridColours)
     np.testing.assert_array_equal(colours.samples, COLOURS)
     np.testing.assert_array_equal(colours.lattice.axes, AXES)
     kinds = ["domain"] * 3
     kinds.insert(listed, "RGB-color")
-    by_kind = read_colours(nrrd_file(stored, kinds=kinds, spacings=[2.0] * 4), "file", None, 1000)
+    by_kind = read_colours(nrrd_file(stored, kinds=kinds, spacings=[2.0] * 4), "file", NOWHERE, 1000)
     np.testing.assert_array_equal(by_kind.samples, COLOURS)
     np.testing.assert_array_equal(by_kind.lattice.axes, 2 * np.eye(3))
 
@@ -156,7 +158,7 @@ def refused(data, most=1000):
 
 
 def opened(data, most):
-    return read_volume(data, "file", None, most) if is_volume(data, "file") else None
+    return read_volume(data, "file", NOWHERE, most) if is_volume(data, "file") else None
 
 
 @pytest.mark.parametrize(
@@ -263,7 +265,9 @@ def test_lists_that_are_no_colours_and_colours_that_are_no_values_are_refused():
     many = nrrd_file(np.zeros((4, 5, 6, 30)), kinds=[*["domain"] * 3, "list"])
     assert "30 numbers" in refused(many)
     with pytest.raises(InputError, match="5 numbers"):
-        read_colours(nrrd_file(np.zeros((5, 3, 4, 6)), kinds=["list", *["domain"] * 3]), "file", None, 1000)
+        read_colours(
+            nrrd_file(np.zeros((5, 3, 4, 6)), kinds=["list", *["domain"] * 3]), "file", NOWHERE, 1000
+        )
 
 
 def test_openvdb_is_refused_with_a_way_out():
@@ -273,9 +277,9 @@ def test_openvdb_is_refused_with_a_way_out():
 def test_the_data_beside_a_detached_header_are_noted_as_read(tmp_path):
     head, data = nrrd_file(VALUES, "gzip", **lattice_fields(AXES, ORIGIN)).split(b"\n\n", 1)
     (tmp_path / "values.raw.gz").write_bytes(data)
-    seen, notice = {}, Access(note=lambda path, content: seen.update({path.name: content}))
-    read_volume(head + b"\ndata file: values.raw.gz\n\n", "file", tmp_path, 1000, notice)
+    seen, noted = {}, Access(note=lambda path, content: seen.update({path.name: content}))
+    read_volume(head + b"\ndata file: values.raw.gz\n\n", "file", ModelFolder(tmp_path, noted), 1000)
     assert seen == {"values.raw.gz": data}
     few = Access(memory=len(data) - 1)
     with pytest.raises(InputError, match="cannot be read"):
-        read_volume(head + b"\ndata file: values.raw.gz\n\n", "file", tmp_path, 1000, few)
+        read_volume(head + b"\ndata file: values.raw.gz\n\n", "file", ModelFolder(tmp_path, few), 1000)

@@ -18,6 +18,7 @@ from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
 from beltrami_cli.formats.usd.layers import Package
 from beltrami_cli.formats.volume.arrays import is_volume, read_volume
@@ -132,7 +133,7 @@ def read_picture(data: bytes) -> None:
 def read_grid(data: bytes) -> None:
     """Read a volume."""
     if is_volume(data, "x.nrrd"):
-        read_volume(data, "x.nrrd", None, MOST_SAMPLES)
+        read_volume(data, "x.nrrd", ModelFolder(None), MOST_SAMPLES)
 
 
 def smooth_arrays(data: bytes) -> None:

@@ -94,7 +94,7 @@ class GltfDocument(Document):
         repaint(edit, self.images, new.images).finish()
         return written(edit, naming, new.form or self.format, self._folder)
 
-    def names_beside(
+    def sidecar_names(
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
     ) -> list[str]:  # fmt: skip
         form = form or self.format
@@ -102,8 +102,8 @@ class GltfDocument(Document):
             return []
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         changed = self.surface.buffers(edit, places=places) if colours else []
-        edit.buffers |= dict.fromkeys([*changed, *repaint(edit, self.images, images).buffers], bytearray())
-        return placed(edit, naming, form, self._folder).written().names_beside
+        edit.buffers |= dict.fromkeys([*changed, *repaint(edit, self.images, images).blobs], bytearray())
+        return placed(edit, naming, form, self._folder).written().sidecar_names
 
     def references(self) -> Sequence[str]:
         return self._references

@@ -135,7 +135,7 @@ class ImageStorage:
     def __init__(self, edit: Edit, images: Images) -> None:
         self._edit, self._images = edit, images
         self._named = Counter(named_views(edit.tree))
-        self._blobs: dict[int, list[_Blob]] = defaultdict(list)  # by buffer
+        self.blobs: dict[int, list[_Blob]] = defaultdict(list)  # by the buffer that `finish` puts them into
 
     def replace(self, image: int, file: ImageFile) -> int:
         """Give an image and its duplicates other bytes; return its index."""
@@ -163,20 +163,15 @@ class ImageStorage:
         if "bufferView" in image:
             home = self._edit.tree["bufferViews"][image["bufferView"]]["buffer"]
             buffer = self._edit.accessors.buffers.canonical(home)
-            self._blobs[buffer].append(_Blob(file.data, view, group))
+            self.blobs[buffer].append(_Blob(file.data, view, group))
         elif image["uri"][:5].lower() == "data:":
             same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
             image["uri"] = data_uri(image["uri"] if same else f"data:{media};base64,", file.data)
         else:
             self._edit.images |= dict.fromkeys(group, file)
 
-    @property
-    def buffers(self) -> Iterable[int]:
-        """The buffers that `finish` changes."""
-        return self._blobs.keys()
-
     def finish(self) -> None:
-        for buffer, blobs in self._blobs.items():
+        for buffer, blobs in self.blobs.items():
             _store(self._edit, buffer, blobs)
 
 

@@ -119,8 +119,8 @@ class ObjDocument(Document):
         main = renumbered(data, parts) if parts else [data]
         return dataclasses.replace(sidecars, main=main, notices=(*sidecars.notices, *notices))
 
-    def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
-        return _repainted(self._materials, images, self.name, naming)[0].names_beside
+    def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
+        return _repainted(self._materials, images, self.name, naming)[0].sidecar_names
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""

@@ -94,8 +94,8 @@ class PlyDocument(Document):
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(sidecars, main=pieces)
 
-    def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
-        return patching.renamed_images(self._images, images, self.name, naming)[0].names_beside
+    def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
+        return patching.renamed_images(self._images, images, self.name, naming)[0].sidecar_names
 
     def _recoloured(self, colours: Float32s) -> list[patching.Change]:
         columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)

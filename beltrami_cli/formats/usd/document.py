@@ -143,9 +143,9 @@ class UsdDocument(Document):
         files = {**root, **sidecars.sidecars}
         return Written(package.packed(files) if files else [self.data])
 
-    def names_beside(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
+    def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
         written = self._new_images(images, naming)[0]
-        return written.names_beside if self._layers.package is None else []
+        return written.sidecar_names if self._layers.package is None else []
 
     def _new_images(self, images: NewImages, naming: Naming) -> tuple[Written, dict[str, str]]:
         """Return the new files of the root layer or package, and the attributes with the new names."""

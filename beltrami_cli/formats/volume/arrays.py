@@ -19,15 +19,14 @@ Arrays, by their names; all but the first are optional:
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.archives import LEVEL_SET_KEYS, NpzArchive, is_npz
+from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.volume.nrrd import checked_lattice, read_nrrd, read_nrrd_colours
 from beltrami_cli.surface.level_set import GridColours, Lattice, NearColours, Volume
 
@@ -46,25 +45,21 @@ def is_volume(data: bytes, name: str) -> bool:
     return is_npz(data) and NpzArchive(data, name).kind() == "level set"
 
 
-def read_volume(
-    data: bytes, name: str, folder: Path | None, most: int, access: Access = EVERYTHING_INSIDE
-) -> Volume:
+def read_volume(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
     """Read a level set of at most `most` samples; InputError if it cannot be read."""
     if data.startswith(_OPENVDB):
         cause = "it is an OpenVDB file, for which there is no Python package to read it"
         remedy = "save its grid as .npz with the arrays values, colours, spacing and origin, or as .nrrd"
         raise InputError(name, cause, remedy)
     if data.startswith(_NRRD):
-        return read_nrrd(data, name, folder, most, access)
+        return read_nrrd(data, name, folder, most)
     return _read_npz(NpzArchive(data, name), most)
 
 
-def read_colours(
-    data: bytes, name: str, folder: Path | None, most: int, access: Access = EVERYTHING_INSIDE
-) -> GridColours | NearColours | None:
+def read_colours(data: bytes, name: str, folder: ModelFolder, most: int) -> GridColours | NearColours | None:
     """Read a file of colours for a level set as `read_volume`; None if it is no volume and no archive."""
     if data.startswith(_NRRD):
-        return read_nrrd_colours(data, name, folder, most, access)
+        return read_nrrd_colours(data, name, folder, most)
     if not is_npz(data):
         return None
     colours = _npz_colours(NpzArchive(data, name), most)

@@ -17,14 +17,12 @@ import math
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.surface.level_set import GridColours, Lattice, Volume
 
@@ -45,11 +43,9 @@ _FLAT = 1e-6  # directions closer to one plane than that are a mistake
 _DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, OverflowError, StopIteration)
 
 
-def read_nrrd(
-    data: bytes, name: str, folder: Path | None, most: int, access: Access = EVERYTHING_INSIDE
-) -> Volume:
+def read_nrrd(data: bytes, name: str, folder: ModelFolder, most: int) -> Volume:
     """Read a level set, and its colours if they are in the same file; as `read_volume`."""
-    samples, lattice, kind = _read(data, name, folder, most, access)
+    samples, lattice, kind = _read(data, name, folder, most)
     if kind is None:
         return Volume(lattice, samples)
     if samples.shape[3] not in _VALUE_AND_COLOURS or kind.endswith("color"):
@@ -59,11 +55,9 @@ def read_nrrd(
     return Volume(lattice, samples[..., 0], colours=GridColours(lattice, samples[..., 1:]))
 
 
-def read_nrrd_colours(
-    data: bytes, name: str, folder: Path | None, most: int, access: Access = EVERYTHING_INSIDE
-) -> GridColours:
+def read_nrrd_colours(data: bytes, name: str, folder: ModelFolder, most: int) -> GridColours:
     """Read colours on a grid; as `read_colours`."""
-    samples, lattice, kind = _read(data, name, folder, most, access)
+    samples, lattice, kind = _read(data, name, folder, most)
     if kind is None:
         samples = samples[..., None]
     if samples.shape[3] > _CHANNELS:
@@ -72,9 +66,7 @@ def read_nrrd_colours(
     return GridColours(lattice, samples)
 
 
-def _read(
-    data: bytes, name: str, folder: Path | None, most: int, access: Access
-) -> tuple[Array, Lattice, str | None]:
+def _read(data: bytes, name: str, folder: ModelFolder, most: int) -> tuple[Array, Lattice, str | None]:
     """Return samples, indexed [x, y, z] and in the list, where they stand, and the list's kind; None for one number."""
     nrrd = require_package("nrrd", "pynrrd", name, "to read NRRD files")
     header, rest = _header(nrrd, data, name)
@@ -91,7 +83,7 @@ def _read(
         cause = f"each sample is a list of {sizes[listed]} numbers"
         raise InputError(name, cause, f"give up to {_LONGEST_LIST}")
     lattice = _spatial_lattice(header, spatial, name)
-    samples = _samples(nrrd, header, _data(header, rest, name, ModelFolder(folder, access)), name)
+    samples = _samples(nrrd, header, _data(header, rest, name, folder), name)
     if listed is None:
         return samples, lattice, None
     return np.moveaxis(samples, listed, -1), lattice, str(header.get("kinds", ["list"] * 4)[listed]).lower()

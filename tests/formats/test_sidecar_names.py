@@ -1,4 +1,4 @@
-"""The files beside an output are known by name before anything is computed."""
+"""The sidecar files of an output are known by name before anything is computed."""
 
 from __future__ import annotations
 
@@ -54,6 +54,18 @@ def vertices(form):
     return write
 
 
+def compressed(kind):
+    """The colours are decoded from a buffer, which changes, or from one that stays and is added to."""
+
+    def write(folder):
+        files = pytest.importorskip("formats.gltf_compressed")
+        levels = np.random.default_rng(1).integers(0, 256, (len(files.GRID), 4), np.uint8)
+        levels[:, 3] = 255
+        return getattr(files, f"{kind}_model")(levels).written_to(folder, "gltf")
+
+    return write
+
+
 def in_two_buffers(folder):
     """The second buffer holds the colours, the first nothing that changes."""
     path = vertices("gltf")(folder)
@@ -97,6 +109,8 @@ MODELS = {
     "glb everything": lambda folder: showcase("view").written_to(folder, "glb"),
     "gltf vertices": vertices("gltf"),
     "gltf two buffers": in_two_buffers,
+    "gltf draco": compressed("draco"),
+    "gltf meshopt": compressed("meshopt"),
     "gltf fallback": with_fallback,
     "usda": usd,
     "usda vertices": usd_colours,
@@ -106,7 +120,7 @@ FORMATS = sorted({*OUTPUT_FORMATS.values()} - {"usd", "usdc"})
 
 @pytest.fixture
 def announced(monkeypatch):
-    """The names of the files beside each output, as they are checked before the computation and before writing."""
+    """The names of the sidecar files, as they are checked before the computation and before writing."""
     found = []
     check = Output.check_sidecars
 
