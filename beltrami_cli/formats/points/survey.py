@@ -15,6 +15,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -194,6 +195,12 @@ def _compressed(data: bytes) -> bytes:
     return struct.pack("<II", len(packed), len(data)) + packed
 
 
+def _content(blob: Any) -> Array:
+    content = np.empty(blob.byteCount(), np.uint8)
+    blob.read(content, 0, len(content))
+    return content
+
+
 class _E57:
     """All scans at the places where they were taken."""
 
@@ -214,6 +221,8 @@ class _E57:
         known = [self._raw(scan.points) for scan in self._scans]
         places = [self._places(*each) for each in zip(self._scans, known, strict=True)]
         found = {"positions": np.concatenate(places), "xml": np.frombuffer(self._xml(), np.uint8)}
+        blobs = b"".join(_content(blob).tobytes() for blob in self._blobs(self._file.root))
+        found["blobs"] = np.frombuffer(blobs, np.uint8)
         for key, names in (("colours", self._RGB), ("intensity", ("intensity",))):
             if key not in found and all(columns.keys() >= {*names} for columns in known):
                 found[key] = np.concatenate([np.column_stack([c.pop(name) for name in names]) for c in known])
@@ -242,6 +251,18 @@ class _E57:
                 found[name][:] = columns[name]
             buffers.append(libe57.SourceDestBuffer(image, name, found[name], count, True, False))
         return buffers, found
+
+    def _blobs(self, node: Any) -> Iterator[Any]:
+        """Give the pictures and other files within a file."""
+        from pye57 import libe57
+        from pye57.utils import get_node
+
+        for number in range(node.childCount()):
+            child = get_node(node, number)
+            if isinstance(child, libe57.BlobNode):
+                yield child
+            elif isinstance(child, (libe57.StructureNode, libe57.VectorNode)):
+                yield from self._blobs(child)
 
     def _children(self, node: Any) -> list[Any]:
         from pye57 import libe57
@@ -290,8 +311,7 @@ class _E57:
             made.root().set(child.elementName(), copy)
             vectors, blobs = vectors + own_vectors, blobs + own_blobs
         for pair in blobs:
-            content = np.empty(pair["in"].byteCount(), np.uint8)
-            pair["in"].read(content, 0, len(content))
+            content = _content(pair["in"])
             pair["out"].write(content, 0, len(content))
         ends = np.cumsum([scan.point_count for scan in self._scans])
         parts = [] if new is None else np.split(new, ends[:-1])
