@@ -77,7 +77,7 @@ def test_an_image_has_nothing_to_unwrap(photo):
 @pytest.mark.slow
 def test_info_shows_what_an_image_is(photo):
     folder, _ = photo
-    shown = beltrami("info", "photo.png", "--height", "depth.exr", cwd=folder)
+    shown = beltrami("info", "photo.png", "-v", "--height", "depth.exr", cwd=folder)
     for word in ("png", "80", "60", "R, G, B", "uint8", "height", "noise", "beta"):
         assert word in shown.stdout.decode()
     facts = json.loads(beltrami("info", "photo.png", "--json", cwd=folder).stdout)

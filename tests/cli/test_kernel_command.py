@@ -74,11 +74,11 @@ def test_samples_of_a_kernel_are_said_of_the_first_iteration_or_of_all(tmp_path)
     planned = json.loads(beltrami("info", HEAD, "--json", *parameters).stdout)["smooth"]["samples_per_kernel"]
     assert planned == pytest.approx(of_one, rel=0.05)  # from some of the kernels
     assert f"{of_one:.0f} samples a kernel, mean" in smooth.stderr.decode()
-    assert b"in the first iteration\n" in beltrami("info", HEAD, *parameters).stdout
+    assert b"in the first iteration\n" in beltrami("info", HEAD, *parameters, "-v").stdout
     parameters = ("-n", 3, *parameters[2:])
     smooth = beltrami("smooth", HEAD, tmp_path / "p.ply", *parameters)
     assert b" samples a kernel on average over 3 iterations, mean" in smooth.stderr
     assert (
         b"in the first of 3 iterations; smooth gives the mean over all\n"
-        in beltrami("info", HEAD, *parameters).stdout
+        in beltrami("info", HEAD, *parameters, "-v").stdout
     )

@@ -94,7 +94,7 @@ def test_info_shows_what_would_be_done(mesh):
     ):
         run = beltrami("info", mesh, "--json", *options, text=True)
         assert json.loads(run.stdout)["smooth"]["patches"] == shown, options
-    assert re.search(r"^ +patches +on$", beltrami("info", mesh, text=True).stdout, re.MULTILINE)
+    assert re.search(r"^ +patches +on$", beltrami("info", mesh, "-v", text=True).stdout, re.MULTILINE)
 
 
 def test_a_bad_value_is_refused(mesh):

@@ -104,7 +104,7 @@ def test_info_describes_a_cloud(clouds):
     assert facts["cloud"]["outliers"] == STRAY
     assert 0.8 < facts["cloud"]["mean_edge_length"] < 1.4
     assert 9 < 255 * facts["noise"]["red"] < 15
-    assert b"outliers" in beltrami("info", clouds / "scan.pts").stdout
+    assert b"outliers" in beltrami("info", clouds / "scan.pts", "-v").stdout
 
 
 @pytest.mark.slow

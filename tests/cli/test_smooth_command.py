@@ -175,7 +175,7 @@ def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
 def test_noise_that_is_given_is_not_said_to_be_rounding_where_nothing_is_smoothed(tmp_path):
     (tmp_path / "one.png").write_bytes(encode(np.full((1, 1, 3), 100, np.uint8), "png"))
     done = beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, text=True)
-    assert "noise 15.0/255, of which smoothing would take nothing" in done.stderr
+    assert "noise 15.0/255, which smoothing would not reduce" in done.stderr
     assert "Warning" not in done.stderr
 
 

@@ -183,7 +183,7 @@ def test_what_is_no_finite_number_is_a_hole_that_stays(tmp_path):
     assert np.isfinite(new[~holes]).all()
     assert any("17 pixels" in warning for warning in report.warnings)
     report = smooth_file(source, tmp_path / "b.png", ONCE)
-    assert any("no number becomes 0" in warning for warning in report.warnings)
+    assert any("NaN becomes 0" in warning for warning in report.warnings)
 
 
 def test_a_mask_makes_holes_that_stay_and_lend_nothing(tmp_path):
