@@ -151,8 +151,8 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
         steps = f"median step {255 * each.before:.1f}/255, now {255 * each.after:.1f}/255"
         messages.say(f"{name}{seams}, {steps}, by {how}{mean}")
         messages.detail(
-            f"{each.stepped} of the seams had a step, {each.painted} of all are taken for paint; fits to other seams "
-            f"foretell {100 * each.foretold:.0f} % of the steps"
+            f"{each.stepped} of the seams had a step, {each.painted} of all are taken for paint; "
+            f"one exposure per chart explains {100 * each.explained:.0f} % of the steps at seams that were held out"
         )
 
 

@@ -22,6 +22,7 @@ from beltrami_cli.layers.reports import LevelReport
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, on_canvas
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
+from beltrami_cli.levelling.verdict import CONFIDENCE, Verdict
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import Texture
@@ -31,9 +32,6 @@ if TYPE_CHECKING:
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
-_NO_EXPOSURE = (
-    "no exposure steps: those at some seams do not foretell the others, as exposures of charts would"
-)
 _TOO_SMALL = "the change would be too small to be seen"
 
 
@@ -150,7 +148,7 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
     if verdict is None:
         reason = _NO_SEAMS
     elif found.exposures is None:
-        reason = _NO_EXPOSURE
+        reason = _why_not(verdict)
     exposures = []
     if found.exposures is not None:
         terms = np.round(found.exposures.terms, 5)
@@ -166,6 +164,16 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
         tilted=verdict is not None and len(verdict.spread) > 2, levelled=change > 0, reason=reason,
         exposures=exposures,
     )  # fmt: skip
+
+
+def _why_not(verdict: Verdict) -> str:
+    share = f"{100 * verdict.share:.0f} %"
+    if verdict.confidence < CONFIDENCE:
+        return f"the seam steps do not agree with one exposure per chart, which explains {share} of them"
+    explained = f"one exposure per chart explains {share} of the steps"
+    if verdict.is_flat:
+        return f"{explained}, which could be paint: no pattern crosses the seams"
+    return f"{explained}, but they are paint: the pattern does not continue across the seams"
 
 
 def photograph_attribute(document: Document, wanted: str | None = None) -> str | None:
@@ -202,6 +210,6 @@ def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[s
         "seams": report.seams,
         "stepped": report.stepped,
         "painted": report.painted,
-        "foretold": report.foretold,
+        "explained": report.explained,
         "is_exposure": bool(report.exposures),
     }

@@ -88,7 +88,7 @@ class LevelReport:
     painted: int  # seams whose steps are taken for paint
     before: float  # median over all seams, by length, of the mean step, full scale 1, in the working space
     after: float
-    foretold: float  # the share of the energy of steps that fits to other seams foretell, which decides
+    explained: float  # the share of the steps at held-out seams that one exposure per chart explains
     tilted: bool  # whether gains change over charts, as by vignetting
     levelled: bool  # whether colours were changed
     reason: str  # why not, if they were not

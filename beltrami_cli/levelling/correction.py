@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.levelling.fit import Exposures, fit_exposures, may_be_of_cameras
+from beltrami_cli.levelling.fit import Exposures, fit_exposures
 from beltrami_cli.levelling.hues import continue_hues, mixed_cells
 from beltrami_cli.levelling.steps import (
     ChartPlaces,
@@ -60,10 +60,9 @@ def find_exposures(steps: Steps, strength: float, fixed: Bools | None = None) ->
     if not np.any(steps.ends[:, 0] != steps.ends[:, 1]):
         return Levelled(None, None, SeamFacts(0, 0, 0, 0.0, 0.0), apart)
     verdict = judge(steps, fixed)
-    found = fit_exposures(steps, verdict.spread, fixed=fixed)
-    is_sure = verdict.is_sure and may_be_of_cameras(steps, found)
-    facts = _facts(steps, found, strength if is_sure else 0.0)
-    if not is_sure:
+    found = fit_exposures(steps, verdict.spread, fixed)
+    facts = _facts(steps, found, strength if verdict.is_sure else 0.0)
+    if not verdict.is_sure:
         return Levelled(verdict, None, facts, apart)
     return Levelled(verdict, found, facts, _joined(steps, found))
 

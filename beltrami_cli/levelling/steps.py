@@ -13,21 +13,14 @@ from beltrami_cli.surface.atlas import Atlas, Indices, at_seam, lines_over_seams
 from beltrami_cli.surface.colour_values import limits_of
 
 # Side of the blocks of cells whose steps are averaged: doubled until there are few enough of them.
-_STRETCH = 4
+STRETCH = 4
 _MOST = 24_000
-# Along a seam of which each half has a deviation more than this many times the usual one, and this beside it, colours
-# are painted.
-_UNUSUAL, _ALLOWED = 2.5, 12 / 255
 # Deviations of 8-bit colours are not known better than this.
-_FINEST = 1 / 255
-_PRIOR = 4  # stretches
-# Of how many parts of a seam errors are independent at most. Slopes are let in where there are so many seams, whose
-# slopes differ, of such errors, and these become so much less.
-_PARTS, _MANY, _NOISY, _LESS = 8, 8, 2 / 255, 0.9
+FINEST = 1 / 255
+# Independent measurements in a seam, at most: its texels share errors. bench_levelling.py: 16 costs 7 dB on two charts.
+PARTS = 8
 # Beside 0 and full scale a colour was cut off there; a stretch was, of which more than this share of the lines was.
 _CUT_OFF, _CUT_SHARE = 0.6 / 255, 0.1
-_GAINS = (-0.3, -0.15, 0.0, 0.15, 0.3)
-UNKNOWN = (np.zeros(0), np.zeros(0, bool))
 _CELLS = 1 << 20  # whose places are added up at a time
 _LEAST_SPREAD = 1e-3  # of the directions to neighbours, beside the largest, for which a slope is known
 
@@ -44,8 +37,6 @@ class Steps:
     counts: Float64s  # (K,): texels in it
     low: Bools  # (K, 2, N): where colours of a side were cut off at 0, so that these are upper bounds
     high: Bools  # (K, 2, N): where they were cut off at full scale
-    noise: Float64s  # (K,): deviation of the steps along its seam
-    is_paint: Bools  # (K,): whether the steps along each half of its seam vary so much that they are painted
 
     def part(self, rows: Bools) -> Steps:
         """Return some of the stretches."""
@@ -96,9 +87,9 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
     columns = atlas.kind.shape[1]
     where = np.stack([places.at(cells[:, side], ends[:, side], columns) for side in (0, 1)], axis=1)
     seams = atlas.halo_seams[halo].astype(np.int64)
-    found = Steps(atlas.charts, ends, colours, where, seams, np.ones(len(seams)), *cut, *UNKNOWN)
+    found = Steps(atlas.charts, ends, colours, where, seams, np.ones(len(seams)), *cut)
     keys = np.column_stack([seams, ends, *np.divmod(inner.astype(np.int64), columns)])
-    keys[:, 3:] //= _STRETCH
+    keys[:, 3:] //= STRETCH
     stretches = keys
     while len(stretches := _ordered(stretches)[1]) > _MOST:
         stretches[:, 3:] //= 2
@@ -107,36 +98,21 @@ def steps_over_seams(atlas: Atlas, planes: Float32s, places: ChartPlaces) -> Ste
 
 
 def _with_less_error(steps: Steps) -> Steps:
-    """Take the colours at the seam, or halfway to the means of the lines: with less noise, but with slopes in them.
-
-    What the two differ by on average over a seam, beyond what varies along it, is of slopes.
-    """
+    """Take the colours at the seam, or halfway to the means of the lines, which have less noise, but slopes."""
     exact, means = np.split(steps.colours, 2, axis=2)
-    sharp, soft = (with_noise(replace(steps, colours=each)) for each in (exact, (exact + means) / 2))
-    starts = np.flatnonzero(np.r_[True, steps.seams[1:] != steps.seams[:-1]][: len(steps.seams)])
-    lengths = np.diff(np.r_[starts, len(steps.seams)])
-    is_long = lengths >= _PRIOR
-    if np.count_nonzero(is_long) < _MANY:
+    sharp, soft = (replace(steps, colours=each) for each in (exact, (exact + means) / 2))
+    if not len(steps.seams):
         return sharp
-    signs = np.where(steps.ends[:, 0] <= steps.ends[:, 1], 1.0, -1.0)[:, None]
-    change = signs * (np.diff(soft.colours, axis=1) - np.diff(exact, axis=1))[:, 0]
-    mean, square = (np.add.reduceat(each, starts) / lengths[:, None] for each in (change, np.square(change)))
-    by_slopes = np.square(mean) - (square - np.square(mean)) / np.maximum(lengths - 1, 1)[:, None]
-    parts = np.minimum(lengths, _PARTS)
-
-    def median(squares: Float64s) -> float:
-        return weighted_median(squares[is_long], parts[is_long])
-
-    before, after = (median(np.square(each.noise[starts]) / parts) for each in (sharp, soft))
-    after += max(0.0, median(by_slopes.mean(axis=1)))
-    return soft if before > _NOISY**2 and after < _LESS**2 * before else sharp
+    starts, lengths, _ = runs(steps)
+    change = oriented(steps, (np.diff(soft.colours, axis=1) - np.diff(exact, axis=1))[:, 0])
+    by_slopes = np.square(np.add.reduceat(change, starts) / lengths[:, None]).mean(axis=1)
+    of_noise = [np.square(deviations(each, each.colours)[starts]) / PARTS for each in (sharp, soft)]
+    before, after = (weighted_median(each, lengths) for each in (of_noise[0], of_noise[1] + by_slopes))
+    return soft if after < before else sharp
 
 
 def _both_sides(atlas: Atlas, planes: Float32s) -> tuple[Int64s, Int64s, Float64s, tuple[Bools, Bools]]:
-    """Return the cells on both sides of seams, the colours there, and which were cut off.
-
-    Colours are extrapolated to the seam, and then come the means of the lines.
-    """
+    """Return the cells on both sides of seams, the colours there, and which were cut off."""
     flat = planes.reshape(len(planes), -1)
     inner, outer, colours, low, high = [], [], [], [], []
     known, (floor, ceiling) = np.zeros(max(1, atlas.seams), bool), limits_of(planes)
@@ -183,48 +159,46 @@ def _merged(steps: Steps, keys: Int64s) -> Steps:
 
     first, sides = order[starts], (mean(steps.colours), mean(steps.places))
     cut = mean(steps.low) > _CUT_SHARE, mean(steps.high) > _CUT_SHARE
-    return Steps(steps.charts, steps.ends[first], *sides, steps.seams[first], counts, *cut, *UNKNOWN)
+    return Steps(steps.charts, steps.ends[first], *sides, steps.seams[first], counts, *cut)
 
 
-def with_noise(steps: Steps) -> Steps:
-    """Measure how much the steps along each seam vary, and mark the seams where that is far more than usual."""
-    if not len(steps.seams):
-        return steps
-    starts = np.flatnonzero(np.r_[True, steps.seams[1:] != steps.seams[:-1]])
+def runs(steps: Steps) -> tuple[Int64s, Int64s, Int64s]:
+    """Return where the stretches of each seam begin, how many these are, and the seam of each stretch from 0."""
+    starts = np.flatnonzero(np.r_[True, steps.seams[1:] != steps.seams[:-1]][: len(steps.seams)])
     lengths = np.diff(np.r_[starts, len(steps.seams)])
-    signs = np.where(steps.ends[:, 0] <= steps.ends[:, 1], 1.0, -1.0)[:, None]
-    step, mean = signs * (steps.colours[:, 1] - steps.colours[:, 0]), steps.colours.mean(axis=1)
-    found = np.min([_deviations(step - gain * mean, starts, lengths) for gain in _GAINS], axis=0)
-    counts = np.add.reduceat(steps.counts, starts)
-    usual = np.array([[weighted_median(each, counts)] for each in found])
+    return starts, lengths, np.repeat(np.arange(len(starts)), lengths)
+
+
+def parts_of(steps: Steps) -> Int64s:
+    """Return the part of a seam that each stretch is in, `PARTS` numbers for each seam, in equal parts."""
+    starts, lengths, run = runs(steps)
+    within = np.arange(len(run)) - starts[run]
+    return np.asarray(run * PARTS + within * PARTS // np.maximum(lengths, PARTS)[run])
+
+
+def oriented(steps: Steps, differences: Float64s) -> Float64s:
+    """Return differences of the second side from the first as those of the chart with the higher number."""
+    return np.where((steps.ends[:, 0] <= steps.ends[:, 1])[:, None], differences, -differences)
+
+
+def deviations(steps: Steps, sides: Float64s) -> Float64s:
+    """Return for each stretch the deviation of steps between corrected sides along its seam, shape (K,)."""
+    starts, lengths, run = runs(steps)
+    if not len(run):
+        return np.zeros(0)
+    found = np.zeros(len(starts))
+    for column in oriented(steps, sides[:, 1] - sides[:, 0]).T:
+        middle = _medians(column, run, starts, lengths)
+        found += _medians(np.abs(column - middle[run]), run, starts, lengths)
+    found *= 1.4826 / sides.shape[2]
+    usual = weighted_median(found, np.add.reduceat(steps.counts, starts))
     # Of few stretches little is known, so that they are taken for usual ones.
-    whole, half = np.sqrt((lengths * np.square(found) + _PRIOR * np.square(usual)) / (lengths + _PRIOR))
-    is_paint = half > _UNUSUAL * usual[1] + _ALLOWED
-    noise = np.maximum(whole, _FINEST)
-    return replace(steps, noise=np.repeat(noise, lengths), is_paint=np.repeat(is_paint, lengths))
+    whole = np.sqrt((lengths * np.square(found) + PARTS * usual**2) / (lengths + PARTS))
+    return np.asarray(np.maximum(whole, FINEST)[run])
 
 
-def _deviations(values: Float64s, starts: Int64s, lengths: Int64s) -> Float64s:
-    """Return for each run of rows two deviations, shape (2, runs), mean over channels.
-
-    One is by the median from the median, the other of the half of the rows that agree best, whatever the rest is [1]_.
-
-    .. [1] P. Rousseeuw, "Least median of squares regression", Journal of the American Statistical Association 79
-           (1984), doi 10.1080/01621459.1984.10477105.
-    """
-    run = np.repeat(np.arange(len(starts)), lengths)
-    half = lengths // 2
-    last = np.arange(len(run)) + half[run]
-    is_inside = last < (starts + lengths)[run]
-    last = np.minimum(last, len(run) - 1)
-    found = np.zeros((2, len(starts)))
-    for column in values.T:
-        ordered = column[np.lexsort((column, run))]
-        distances = np.abs(column - ordered[starts + half][run])
-        found[0] += distances[np.lexsort((distances, run))][starts + half]
-        widths = np.where(is_inside, ordered[last] - ordered, np.inf)
-        found[1] += np.minimum.reduceat(widths, starts) / 2
-    return np.asarray(1.4826 * found / values.shape[1])
+def _medians(values: Float64s, run: Int64s, starts: Int64s, lengths: Int64s) -> Float64s:
+    return np.asarray(values[np.lexsort((values, run))][starts + lengths // 2])
 
 
 def weighted_median(values: Float64s, weights: NDArray[np.number[Any]]) -> float:
@@ -265,10 +239,8 @@ def steps_over_edges(
     ]
     floor, ceiling = limits_of(colours)
     cut = colours[across] <= floor + _CUT_OFF, colours[across] >= ceiling - _CUT_OFF
-    steps = Steps(
-        count, ends, np.stack(sides, axis=1), places[across], seams, np.ones(len(ends)), *cut, *UNKNOWN
-    )
-    return with_noise(steps), charts, places
+    steps = Steps(count, ends, np.stack(sides, axis=1), places[across], seams, np.ones(len(ends)), *cut)
+    return steps, charts, places
 
 
 def _places(positions: Float64s, charts: Indices, count: int) -> Float64s:

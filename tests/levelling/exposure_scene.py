@@ -18,7 +18,7 @@ from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texel_colours import all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.levelling.correction import level_canvas
-from beltrami_cli.levelling.steps import ChartPlaces, steps_over_seams, with_noise
+from beltrami_cli.levelling.steps import ChartPlaces, deviations, steps_over_seams
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
 LIGHT_GAINS = 0.6, 1.6  # of linear light
@@ -128,8 +128,8 @@ class ExposureScene:
             told = replace(true, colours=np.stack(sides, axis=1), low=none, high=none)
         else:
             paint = np.sqrt(np.mean(np.square(np.diff(true.colours, axis=1)), axis=(1, 2)))
-            told = shown.part(paint < 2.5 * true.noise + 3 / 255)
-        with patch("beltrami_cli.levelling.correction.steps_over_seams", return_value=with_noise(told)):
+            told = shown.part(paint < 2.5 * deviations(true, true.colours) + 3 / 255)
+        with patch("beltrami_cli.levelling.correction.steps_over_seams", return_value=told):
             return self.levelled(exposed)[0]
 
     def steps(self, colours):
