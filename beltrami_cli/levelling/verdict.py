@@ -53,7 +53,7 @@ class Verdict:
     @property
     def continues(self) -> bool:
         """Whether patterns continue across seams, or what is explained is nearly all where there are no patterns."""
-        return self.share >= _FLAT_SHARE if self.is_flat else self.correlation >= _LEAST_CORRELATION
+        return self.correlation >= _LEAST_CORRELATION or (self.is_flat and self.share >= _FLAT_SHARE)
 
     @property
     def is_sure(self) -> bool:
@@ -176,7 +176,7 @@ class _HeldOut:
             mean(each.mean(axis=1), follows) for each in (first * second, first**2, second**2)
         )
         correlation = both / np.sqrt((one + FINEST**2) * (other + FINEST**2))
-        has_turns = mean(turns, np.r_[False, follows[1:] & follows[:-1]]) > FINEST**2
+        has_turns = mean(turns, np.r_[False, follows[1:] & follows[:-1]]) > (2 * FINEST) ** 2
         return correlation, has_turns
 
 
