@@ -160,7 +160,7 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
     return LevelReport(
         what=what, charts=len(charts), seams=facts.seams, stepped=facts.stepped, painted=facts.painted,
         before=facts.before, after=facts.after if change else facts.before,
-        foretold=0.0 if verdict is None else verdict.share,
+        explained=0.0 if verdict is None else verdict.share,
         tilted=verdict is not None and len(verdict.spread) > 2, levelled=change > 0, reason=reason,
         exposures=exposures,
     )  # fmt: skip
