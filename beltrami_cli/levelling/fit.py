@@ -34,16 +34,16 @@ GAIN, OFFSET, TILTS = 0, 1, slice(2, 4)
 
 # Expected deviations of gains, of offsets, and of tilts if gains may change over charts.
 PLAIN, TILTED = (0.1, 0.03), (0.05, 0.02, 0.06, 0.06)
-# A step of more than so many of these deviations is paint: that of 4.6 % of exposures.
+# A step of more than so many of these deviations is paint. Hand-set.
 _LARGEST = 2.0
-# bench_levelling.py: with 16, no figure changes by more than 0.4 dB. Painted seams are left out of the last ones.
+# Hand-set. Painted seams are left out of the last ones.
 _ITERATIONS, _SETTLED = 12, 8
-# Mean weight of a seam below which it is painted: the estimator's weight is 1/4 at its scale.
+# Mean weight of a seam below which it is painted. Hand-set.
 _LEAST_AGREED = 0.4
-# The scale starts so much wider: bench_levelling.py changes by at most 0.2 dB with 8, or with a factor of 0.6.
+# Hand-set: the scale starts so much wider, and narrows by this factor.
 _WIDEST = 4.0
 _NARROWING = 0.7
-# Deviations at which a weight is 1/4. bench_levelling.py: 2 and 3.5 cost up to 0.4 and 0.6 dB.
+# Deviations at which a weight is 1/4. Hand-set.
 _INLIERS = 2.5
 
 

@@ -17,7 +17,7 @@ STRETCH = 4
 _MOST = 24_000
 # Deviations of 8-bit colours are not known better than this.
 FINEST = 1 / 255
-# Independent measurements in a seam, at most: its texels share errors. bench_levelling.py: 16 costs 7 dB on two charts.
+# Independent measurements in a seam, at most: its texels share errors. Hand-set.
 PARTS = 8
 # Beside 0 and full scale a colour was cut off there; a stretch was, of which more than this share of the lines was.
 _CUT_OFF, _CUT_SHARE = 0.6 / 255, 0.1
