@@ -163,7 +163,9 @@ class _HeldOut:
         )
         follows = (self.units[1:] == self.units[:-1]) & np.all(ends[1:] == ends[:-1], axis=1)
         changes = np.diff(sides, axis=0)
-        turns = np.square(np.diff(changes, axis=0)).mean(axis=(1, 2))[follows[1:] & follows[:-1]]
+        bends = np.zeros(len(follows), bool)
+        bends[1:] = follows[1:] & follows[:-1]
+        turns = np.square(np.diff(changes, axis=0)).mean(axis=(1, 2))[bends[1:]]
         first, second = changes[follows].transpose(1, 0, 2)
 
         def mean(values: Float64s, of: Bools) -> Float64s:
@@ -176,7 +178,7 @@ class _HeldOut:
             mean(each.mean(axis=1), follows) for each in (first * second, first**2, second**2)
         )
         correlation = both / np.sqrt((one + FINEST**2) * (other + FINEST**2))
-        has_turns = mean(turns, np.r_[False, follows[1:] & follows[:-1]]) > (2 * FINEST) ** 2
+        has_turns = mean(turns, bends) > (2 * FINEST) ** 2
         return correlation, has_turns
 
 
