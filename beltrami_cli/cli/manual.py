@@ -54,17 +54,18 @@ _SECTIONS = (
 
 
 def parameter_table() -> str:
-    """Return a page with all parameters, a table for each record."""
-    lines = [_TABLE]
+    """All parameters in one table, with a row of its own for the name of each record."""
+    lines = [
+        _TABLE,
+        "| name | option | default | allowed | unit | meaning |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for record in _SECTIONS:
-        lines.append(f"## {record.group}: `{record.__name__}`\n")
-        lines.append("| name | option | default | allowed | unit | meaning |")
-        lines.append("| --- | --- | --- | --- | --- | --- |")
+        lines.append(f"| **`{record.__name__}`** | **{record.group}** |  |  |  |  |")
         for declared in parameters(record):
             cells = [f"`{declared.name}`", *_cells(declared), declared.unit, declared.help]
             lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-        lines.append("")
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])
 
 
 def _cells(declared: Parameter) -> tuple[str, str, str]:

@@ -30,8 +30,8 @@ from beltrami_cli.layers.texel_colours import all_texel_colours
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent / "gallery.md"
 SAMPLES = HERE.parents[1] / "sample_data"
-# From the examples of PlayCanvas, of plane-opt-rgbd by C. Wang, and of Open3D.
-EXTRA = ("statue.glb", "copyroom_c2000_opt.obj", "livingroom_points.ply")
+# From the examples of PlayCanvas, and of plane-opt-rgbd by C. Wang.
+EXTRA = ("statue.glb", "copyroom_c2000_opt.obj")
 EXPOSED = {"scan-clean.glb": "scan-exposed.glb", "copyroom_c2000_opt.obj": "room-exposed.glb"}
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
