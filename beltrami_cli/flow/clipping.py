@@ -180,7 +180,7 @@ def _censored_normal() -> _CensoredNormal:
     density = np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi)
     gap = alpha * (1 - inside) + density
     variance = 1 - inside - alpha * density + alpha**2 * inside - (alpha - gap) ** 2
-    # Moments of what is left: of the normal variable below the limit, and of the limit.
+    # Moments of the clipped variable: of the normal variable below the limit, and of the limit.
     below = 1 - inside, -density, 1 - inside - alpha * density, -(alpha**2 + 2) * density
     first, second, third = (own + alpha**n * inside for n, own in enumerate(below[1:], 1))
     fourth = 3 * below[0] - (alpha**3 + 3 * alpha) * density + alpha**4 * inside

@@ -121,7 +121,7 @@ class CoarseLevel(Domain):
 
     @abstractmethod
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
-        """Estimate means from patches that look alike in the pilot; noise that samples share is the same in all."""
+        """Estimate means from patches that are similar in the pilot; noise that samples share is the same in all."""
 
     @abstractmethod
     def probe(self, means: Stack, noise: Float64s) -> Stack:

@@ -3,7 +3,7 @@
 A guide is meant to be clean and is used as it is, in every iteration. So its slopes, and its noise, must not stop the
 kernel. The scale of usual steps is their median [1]_, in units of white noise. It carries no information for a guide of
 flat regions, whose steps are mostly 0: there the standard deviation of the guide is used. Beta follows the guide's
-unit, so that depth in metres and in millimetres guides alike.
+unit, so that depth in metres and in millimetres guides equally.
 
 References
 ----------
@@ -62,7 +62,7 @@ class Guide:
     name: str
     values: Float32s  # shape (S, G), one row per sample, finite
     beta: float | None = None
-    # Values are components in the frame of their chart, as those of normal maps, and cannot be compared across seams.
+    # Values are components in the frame of their chart, as in normal maps, and cannot be compared across seams.
     in_chart_frame: bool = False
 
 

@@ -132,17 +132,17 @@ class Neighbours:
         ring[first:last] = 0
         front: Int32s = np.arange(first, last, dtype=np.int32)
         for number in range(1, limit + 1):
-            beside: Int32s = np.unique(self._beside(front))
-            front = beside[ring[beside] < 0]
+            around: Int32s = np.unique(self._around(front))
+            front = around[ring[around] < 0]
             if not len(front):
                 break
             ring[front] = number
         return ring
 
-    def _beside(self, vertices: Int32s) -> Int32s:
+    def _around(self, vertices: Int32s) -> Int32s:
         starts = self._offsets[vertices]
         counts = self._offsets[vertices + 1] - starts
         # Entry i of a row of `counts` numbers that begins at `starts`.
         places = np.arange(int(counts.sum())) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
-        beside: Int32s = self._targets[places]
-        return beside
+        around: Int32s = self._targets[places]
+        return around

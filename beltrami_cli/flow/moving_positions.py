@@ -5,7 +5,7 @@ surface alone that is motion by mean curvature, which smooths creases like noise
 as features that distinguish creases from noise, as in the bilateral filters for meshes [1]_ [2]_. What the average
 removes is averaged once more and added back (Tukey's twicing [3]_): K X becomes (2 K - K^2) X, in which noise falls
 nearly as far, and curved parts do not shrink to first order. Vertices move only in the directions that change the
-shape: sliding along the surface would compress triangles beside creases, where kernels extend to one side only.
+shape: sliding along the surface would compress triangles at creases, where kernels extend to one side only.
 
 References
 ----------
@@ -88,7 +88,7 @@ class MovingPositions:
         """Return the positions after an iteration; borders stay, and samples of one place stay together."""
         taken = before - after
         moves = (average(taken).astype(np.float64) - taken) * self.spacing
-        # Directions come from the smoothed shape: the normals of a spike are those of its sides.
+        # Directions come from the smoothed shape: the normals of a spike are its sides' normals.
         tensors = normal_tensors(self.positions + moves, self.faces, self.places)
         moves = np.einsum("sij,sj->si", tensors[self.places], moves)
         moves[self.stays | ~self.leads] = 0

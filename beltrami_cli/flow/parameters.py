@@ -165,7 +165,7 @@ class KernelParameters:
     )  # fmt: skip
     fast: bool = parameter(
         False,
-        "Try nothing: what is not given follows a fixed rule for the noise. It takes no time, and results "
+        "Try nothing: parameters that are not given follow a fixed rule for the noise. It takes no time, and results "
         "are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. With --beta 0, --preset and "
         "--smooth-geometry nothing is tried either.",
         is_daily=True,
@@ -187,7 +187,7 @@ class KernelParameters:
 
     patches: Patches = parameter(
         "auto",
-        "After the kernel, estimate patches that look alike together, and blend both by their estimated error. "
+        "After the kernel, estimate similar patches together, and blend both by their estimated error. "
         "auto does so where -n, -t and --beta are all chosen from the data, and not with --fast.",
         choices=get_args(Patches), is_daily=True,
     )  # fmt: skip
@@ -209,7 +209,7 @@ class KernelParameters:
             raise UsageError(f"noise {error}") from None
 
     def with_values(self, **values: Any) -> KernelParameters:
-        """Return parameters with other values; those that are given are no longer chosen from the data."""
+        """Return parameters with other values; given ones are no longer chosen from the data."""
         free = tuple(name for name in self.free if name not in values)
         return replace(self, **{"free": free, **values})
 

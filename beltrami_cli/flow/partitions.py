@@ -56,7 +56,7 @@ class Transfer:
 
 
 def plan_transfers(partitions: Sequence[Partition], count: int) -> list[list[Transfer]]:
-    """Return which rows of which others each partition needs, on a surface with `count` samples."""
+    """Return the rows that each partition needs from each other one, on a surface with `count` samples."""
     owner, row = np.full(count, -1, np.int32), np.zeros(count, np.int64)
     for number, partition in enumerate(partitions):
         owner[partition.owned] = number
@@ -81,7 +81,7 @@ def collect(transfers: Sequence[Transfer], received: Sequence[Float32s], width: 
 
 
 def joined(partitions: Sequence[Partition], own: Sequence[Float32s], values: Float32s) -> Float32s:
-    """Return the values of all samples from those of all partitions, in an array like `values`."""
+    """Join the values of all partitions, in an array like `values`."""
     whole = np.empty_like(values)
     for partition, rows in zip(partitions, own, strict=True):
         whole[partition.owned] = rows

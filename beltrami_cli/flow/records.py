@@ -1,7 +1,7 @@
 """What an iteration on a manifold takes, what it gives, and how much work its kernels are.
 
-On an even surface a kernel holds as many samples as its area. It holds far more beside a vertex of very many triangles,
-a hub, and in a tangle: triangles that are no surface, as vertices joined at random, all of which are a few edges apart.
+On an even surface a kernel holds as many samples as its area. It holds far more around a vertex of very many triangles,
+a hub, and in a tangle: triangles that are no surface, such as vertices joined at random, all a few edges apart.
 There the kernels are bounded.
 """
 
@@ -29,8 +29,8 @@ LOG = logging.getLogger(__name__)
 # Edges at one vertex. The poles of spheres and the caps of cylinders have fewer.
 _HUB = 512
 
-# Samples that kernels beside hubs would hold, from which it takes seconds.
-_MOST_BESIDE_HUBS = 1_000_000
+# Samples that kernels around hubs would hold, from which on it takes seconds.
+_MOST_NEAR_HUBS = 1_000_000
 
 # A small tangle takes no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
 _SMALL, _TANGLED = 1_000, -1 / 4
@@ -150,7 +150,7 @@ def without_hubs(size: int, edges: Int32s) -> Int32s:
 
 
 class KernelWork:
-    """Work with kernels that a window bounds, whatever the samples are: those of a grid."""
+    """Work with kernels that a window bounds, as on a grid."""
 
     def __init__(self, kernels: int, unit: float) -> None:
         self.kernels = kernels
@@ -158,7 +158,7 @@ class KernelWork:
 
     @property
     def is_surface(self) -> bool:
-        """Whether what is best for parts is best for the whole."""
+        """Whether the best parameters of parts are the best ones of the whole."""
         return True
 
     def bounded(self, parameters: KernelParameters) -> KernelParameters:
@@ -192,22 +192,22 @@ class MeshWork(KernelWork):
 
     @property
     def is_surface(self) -> bool:
-        """Whether it is no tangle, and most samples are not beside hubs."""
-        beside = np.count_nonzero(find_hubs(self.kernels, self._edges)[self._edges])
-        return not self._is_tangled and bool(beside <= self.kernels / 2)
+        """Whether it is no tangle, and most samples are not next to hubs."""
+        near_hubs = np.count_nonzero(find_hubs(self.kernels, self._edges)[self._edges])
+        return not self._is_tangled and bool(near_hubs <= self.kernels / 2)
 
     def bounded(self, parameters: KernelParameters) -> KernelParameters:
-        """Bound kernels beside hubs and in tangles by twice what they would hold on an even surface."""
+        """Bound kernels around hubs and in tangles by twice what they would hold on an even surface."""
         if parameters.max_samples != KernelParameters.max_samples:
             return parameters
-        beside = np.square(self._hub_degrees.astype(np.float64)).sum()
-        if not self._is_tangled and beside < _MOST_BESIDE_HUBS:
+        near_hubs = np.square(self._hub_degrees.astype(np.float64)).sum()
+        if not self._is_tangled and near_hubs < _MOST_NEAR_HUBS:
             return parameters
         most = math.ceil(_LARGEST * self._on_even_surface(parameters))
         return dataclasses.replace(parameters, max_samples=min(parameters.max_samples, most))
 
     def samples(self, parameters: KernelParameters) -> float:
         """Return how many samples all kernels of an iteration hold, at most."""
-        beside = self.kernels if self._is_tangled else min(int(self._hub_degrees.sum()), self.kernels)
+        near_hubs = self.kernels if self._is_tangled else min(int(self._hub_degrees.sum()), self.kernels)
         each = min(self._on_even_surface(parameters), parameters.max_samples)
-        return (self.kernels - beside) * each + beside * min(parameters.max_samples, self.kernels)
+        return (self.kernels - near_hubs) * each + near_hubs * min(parameters.max_samples, self.kernels)

@@ -1,4 +1,4 @@
-"""What is tried when parameters are chosen from the data, and the rule that sets them where nothing is tried."""
+"""The candidates when parameters are chosen from the data, and the fixed rule without candidates."""
 
 from __future__ import annotations
 
@@ -52,6 +52,6 @@ class Rule:
 
 
 # The least average loss over noise of 5, 10, 20 and 40 of 255 on painted, baked and photographed models: ten textures,
-# of which flat ones need more iterations and rich ones fewer, and eleven with colours at the vertices.
+# where flat ones need more iterations and rich ones fewer, and eleven with colours at the vertices.
 RULE_ON_GRIDS = Rule(1.4, 3.0, 8.0, 1, 5, 0, 5)
 RULE_ON_MESHES = Rule(0.7, 2.0, 1.6, 0, 2, 1, 6)

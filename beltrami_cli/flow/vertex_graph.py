@@ -23,7 +23,7 @@ from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.regularisation import MeshGaussian
 
-# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about alike. On a triangle
+# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally. On a triangle
 # lattice a pass adds so many squared spacings to the variance.
 _FLAT, _PASS = 3.0, 0.43
 
@@ -75,7 +75,7 @@ class Graph:
         rank[np.argsort(self.priorities, kind="stable")] = np.arange(self.size)
         is_centre = _independent(rank, self.edges)
         centres = np.flatnonzero(is_centre)
-        # Centres of high rank have the fewest neighbours left, so they get those that could join several.
+        # Centres of high rank have the fewest neighbours left, so they get vertices that could join several.
         best = np.where(is_centre, rank, -1)
         for this, other in (self.edges.T, self.edges.T[::-1]):
             joins = is_centre[other] & ~is_centre[this]

@@ -179,7 +179,9 @@ def test_triangles_over_millions_of_tiles_are_refused(tmp_path):
     text = model.read_text()
     far = "vt -5 0\nvt 15 0\nvt 5 900\n" + "f -1/-1 -2/-2 -3/-3\n" * 20000
     model.write_text(text + far)
-    with pytest.raises(InputError, match=r"repeat their texture more often .*; check its texture coordinates"):
+    with pytest.raises(
+        InputError, match=r"repeat their texture more often .*; check its texture coordinates"
+    ):
         open_document(str(model)).textured("baseColor")
 
 

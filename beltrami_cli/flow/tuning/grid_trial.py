@@ -38,7 +38,7 @@ def tried_cells(atlas: Atlas) -> int:
 
 
 def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
-    """Return the atlas of some cells of another, with those of its halo cells whose owned cells are there, too."""
+    """Return the atlas of some cells of another, with the halo cells whose owned cells are included."""
     # A cell that is in several blocks is taken from the one whose core it is, and not from another's rim.
     owned = part.owned_cells
     order = np.lexsort([~core.reshape(-1)[owned], cells.reshape(-1)[owned]])

@@ -23,7 +23,7 @@ _WHOLE = 1.2
 # Rings of a patch that are scored, and rings around these that only supply colours.
 _CORE, _RIM = 7, 3
 
-# Samples of a patch with all its rings, each of which has six more than the last.
+# Samples of a patch with all its rings; each has six more than the last.
 _PATCH = 3 * (_CORE + _RIM) ** 2
 
 # Patches end early on small components, and overlap: the share of the wanted samples that suffices, and how often more
@@ -87,16 +87,16 @@ def _grown(middles: Bools, edges: Int32s) -> TrialSamples:
 
 
 def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:
-    """Hash each sample's colours with those of its neighbours, and theirs; uint64, shape (S,)."""
+    """Hash each sample's colours with its neighbours' and their neighbours' colours; uint64, shape (S,)."""
     hashes = np.zeros(len(colours), np.uint64)
     # A sum does not depend on the order of channels, nor on that of neighbours.
     for own in _bits(colours):
         hashes += _mixed(own)
     for _ in range(2):
-        beside = np.zeros_like(hashes)
-        np.add.at(beside, edges[:, 0], hashes[edges[:, 1]])
-        np.add.at(beside, edges[:, 1], hashes[edges[:, 0]])
-        hashes = _mixed(_mixed(hashes) + beside)
+        around = np.zeros_like(hashes)
+        np.add.at(around, edges[:, 0], hashes[edges[:, 1]])
+        np.add.at(around, edges[:, 1], hashes[edges[:, 0]])
+        hashes = _mixed(_mixed(hashes) + around)
     return hashes
 
 
