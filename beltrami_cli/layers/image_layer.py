@@ -172,4 +172,5 @@ def written(layer: ImageLayer, new: NewColours, notices: Sequence[str]) -> Repai
     pixels, turned = upright(picture, pixels, suffix)
     file, said = rewritten(picture, pixels, settings.textures, suffix, as_data=settings.space == "data")
     image = ImageFile(file.data, suffix or Path(picture.name).suffix)
+    change = change.in_file(file, picture)
     return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))

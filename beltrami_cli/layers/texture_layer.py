@@ -203,7 +203,6 @@ class TextureLayer(layer.Layer):
         for index in self._own():
             texture, picture = self.surface.textures[index], self.pictures[index]
             pixels, change = painter.repaint(index, new)
-            changes.append(change)
             large_arrays.leave_memory()
             write = partial(
                 _written, picture, wanted, as_data=self.slot not in COLOUR_SLOTS,
@@ -212,8 +211,11 @@ class TextureLayer(layer.Layer):
             if texture.key in self.shared:
                 columns = self.colours.columns(picture)
                 shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
+                changes.append(change)
                 continue
-            images[self.slot, texture.key], said = write(pixels)
+            file, said = write(pixels)
+            images[self.slot, texture.key] = file
+            changes.append(change.in_file(file, picture))
             notices += said
         change = layer.Change.joined(changes)
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))

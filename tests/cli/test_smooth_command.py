@@ -21,7 +21,7 @@ from cli.pictures import painted_file
 from formats.image_files import encode
 from hostile.folders import snapshot
 from oracles import surfaces
-from small_models import COLOURED, ply
+from small_models import COLOURED, ply, textured_squares
 
 NOISY = SAMPLES / "terrain-noisy.ply"
 
@@ -298,3 +298,24 @@ def test_the_work_ahead_is_reported_before_it_starts(option, tmp_path):
     assert "iterations, at most some" in said[1]
     again = beltrami("smooth", SAMPLES / "knot-noisy.ply", tmp_path / "again.ply", "--fast", text=True)
     assert "work:" not in again.stderr
+
+
+@pytest.mark.parametrize("source", ["a.jpg", "a.webp", "model.obj"])
+def test_an_image_kept_as_coding_it_again_would_be_worse_has_no_change(source, tmp_path):
+    noise = np.random.default_rng(0).normal(0, 8, (64, 64, 3))
+    pixels = np.rint(120 + 60 * np.sin(np.arange(64))[:, None] + noise).clip(0, 255).astype(np.uint8)
+    for name, known in (("a.jpg", "jpeg"), ("a.webp", "webp")):
+        (tmp_path / name).write_bytes(encode(pixels, known, compression=f"{known}:95"))
+    textured_squares(tmp_path / "model.obj", ("a.jpg", 0, (0.0, 1.0)))
+    target, report = tmp_path / "out" / source, tmp_path / "report.json"
+    target.parent.mkdir()
+    run = beltrami(
+        "smooth", tmp_path / source, target, "-n", 1, "--jpeg-quality", 1, "--report", report, text=True
+    )  # the coarsest steps of JPEG, many times as large as the noise
+    written = json.loads(report.read_text())
+    change = (written["image"] or written["textures"][0])["change"]
+    assert " stays as it is: " in run.stderr
+    assert "mean change 0.0/255" in run.stderr
+    assert change == {"mean": 0, "rms": 0, "largest": 0}
+    (image,) = (path for path in target.parent.iterdir() if path.suffix in (".jpg", ".webp"))
+    assert image.read_bytes() == (tmp_path / f"a{image.suffix}").read_bytes()
