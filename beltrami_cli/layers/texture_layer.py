@@ -76,7 +76,7 @@ class TextureLayer(layer.Layer):
         guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (), group: TextureGroup | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Decode the chosen textures, and lay their charts out; `guided`: where guides and noise are read from."""
-        surface, kernel = choose_textures(surface, settings.textures), settings.kernel
+        surface = choose_textures(surface, settings.textures)
         pictures, tables = list[Picture](), list[JpegTables | None]()
         for texture in surface.textures:
             data = texture.data  # each access may read the file
@@ -84,6 +84,16 @@ class TextureLayer(layer.Layer):
             is_written = group is None or texture.key in group.own
             pictures.append(picture if is_written else dataclasses.replace(picture, source=b""))
             tables.append(read_jpeg_tables(data))
+        return cls.of(surface, pictures, tables, slot, settings, guided=guided, shared=shared, group=group)
+
+    @classmethod
+    def of(
+        cls, surface: TexturedSurface, pictures: Sequence[Picture], tables: Sequence[JpegTables | None], slot: Slot,
+        settings: SmoothSettings, *, guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (),
+        group: TextureGroup | None = None,
+    ) -> TextureLayer:  # fmt: skip
+        """Lay the charts of decoded textures out."""
+        kernel = settings.kernel
         atlas = atlas_of(surface, pictures, kernel)
         colours = PictureColours.of(pictures, slot, settings)
         atlas = without_transparent(atlas, colours, pictures, surface.textures)

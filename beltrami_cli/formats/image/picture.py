@@ -150,7 +150,7 @@ class Picture:
     alpha: int | None  # the channel that is the opacity
     encoding: Encoding  # display values in integer types, linear light in floats
     stored: str  # type of the colours in the file: uint8, uint16, float16 or float32
-    format: str  # a key of `FORMATS`
+    format: str  # a key of `FORMATS`, or "array" if no file holds it
     suffix: str  # with the dot: the source's own if it fits the format
     notices: tuple[str, ...]  # for the user, one sentence each, with the image's name
     kinds: tuple[str, ...]  # type of every channel in the file; they differ in some EXR files only
@@ -218,11 +218,18 @@ def require_colours(picture: Picture, remedy: str) -> None:
 
 def new_picture(pixels: Array, name: str) -> Picture:
     """Describe new sRGB pixels of uint8 or uint16, RGB or RGBA with unassociated alpha, as a PNG without metadata."""
+    return replace(array_picture(pixels, name, "srgb", str(pixels.dtype)), format="png", suffix=".png")
+
+
+def array_picture(pixels: Array, name: str, encoding: Encoding, stored: str) -> Picture:
+    """Describe pixels that no file holds, grey or RGB, with unassociated alpha or without."""
     import OpenImageIO
 
     height, width, channels = pixels.shape
-    spec = OpenImageIO.ImageSpec(width, height, channels, str(pixels.dtype))
-    return replace(described(b"", name, "png", spec, pixels), suffix=".png")
+    spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
+    if channels == 2:  # which OpenImageIO calls red and green
+        spec.channelnames = ("Y", "A")
+    return replace(described(b"", name, "array", spec, pixels), encoding=encoding)
 
 
 def to_float(picture: Picture) -> Float32s:
