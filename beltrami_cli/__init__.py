@@ -1,9 +1,10 @@
 """Smooth the colours painted on a surface with the short-time Beltrami kernel.
 
-`smooth` takes the arrays of a mesh or a point cloud, `smooth_image` the pixels of an image; the functions whose names
-end in `_file` or `_files` do what the commands do. `SmoothSettings` and the records in it hold the parameters with
-their defaults, which keywords override; `ImageSurface` holds where the pixels of an image lie, and `Job` what may be
-read and written. Importing the package loads nothing heavy: names are resolved when they are used.
+`smooth` takes the arrays of a mesh or a point cloud, or a mesh of trimesh, Open3D or PyVista, `smooth_textured` a mesh
+with its images, and `smooth_image` the pixels of an image; the functions whose names end in `_file` or `_files` do what
+the commands do. `SmoothSettings` and the records in it hold the parameters with their defaults, which keywords
+override; `ImageSurface` holds where the pixels of an image lie, and `Job` what may be read and written. Importing the
+package loads nothing heavy: names are resolved when they are used.
 """
 
 # With ``python -m beltrami_cli`` the working folder comes first on the path until `__main__` takes it off, so nothing
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from beltrami_cli.errors import UsageError as UsageError
     from beltrami_cli.flow.parameters import KernelParameters as KernelParameters
     from beltrami_cli.formats.access import Access as Access
+    from beltrami_cli.jobs.array_arguments import MeshArrays as MeshArrays
+    from beltrami_cli.jobs.array_arguments import from_trimesh as from_trimesh
     from beltrami_cli.jobs.arrays import ImageResult as ImageResult
     from beltrami_cli.jobs.arrays import SmoothResult as SmoothResult
     from beltrami_cli.jobs.arrays import smooth as smooth
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
     from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
+    from beltrami_cli.jobs.textured_arrays import TexturedResult as TexturedResult
+    from beltrami_cli.jobs.textured_arrays import smooth_textured as smooth_textured
     from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface
     from beltrami_cli.layers.settings import EmbeddingSettings as EmbeddingSettings
     from beltrami_cli.layers.settings import ImageSettings as ImageSettings
@@ -54,6 +59,7 @@ _NAMES_IN = {
     "errors": "BeltramiError InputError OutputError ProcessingError UsageError",
     "flow.parameters": "KernelParameters",
     "formats.access": "Access",
+    "jobs.array_arguments": "MeshArrays from_trimesh",
     "jobs.arrays": "ImageResult SmoothResult smooth smooth_image",
     "jobs.bake": "BakeReport bake_file",
     "jobs.check": "CheckReport check_files",
@@ -65,6 +71,7 @@ _NAMES_IN = {
     "jobs.settings": "BakeSettings Limits NoiseSettings",
     "jobs.smooth": "smooth_file",
     "jobs.smoothing": "SmoothReport",
+    "jobs.textured_arrays": "TexturedResult smooth_textured",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
     "view.render": "render_file",

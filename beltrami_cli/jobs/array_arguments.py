@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,11 +12,120 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.embedding import Guide, centred
+from beltrami_cli.formats.colours import quantised
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.surface.records import Encoding, PaintedVertices, check_scale
+from beltrami_cli.surface.records import (
+    Encoding,
+    PaintedVertices,
+    Texture,
+    TexturedSurface,
+    check_scale,
+    require_finite,
+)
 
 _ARRAYS = "the arrays"  # as messages call them
+# Positions, triangles and colours of a TriangleMesh and a PointCloud of Open3D.
+_OPEN3D = (("vertices", "triangles", "vertex_colors"), ("points", "", "colors"))
+
+
+class MeshArrays(NamedTuple):
+    """A mesh, or a cloud of points, as arrays.
+
+    Attributes
+    ----------
+    positions : array_like, shape (V, 3)
+    faces : array_like of int, shape (F, 3), or None
+        Triangles as vertex indices; None: points.
+    colours : array_like, shape (V, 3) or (V, 4), or None
+        Colours of vertices; the fourth channel is opacity.
+    uv : array_like, shape (V, 2) or (F, 3, 2), or None
+        Texture coordinates of vertices, or of the corners of faces.
+    image : array_like, shape (H, W) or (H, W, C), or None
+        The texture, row 0 the upper one.
+    """
+
+    positions: ArrayLike
+    faces: ArrayLike | None = None
+    colours: ArrayLike | None = None
+    uv: ArrayLike | None = None
+    image: ArrayLike | None = None
+
+
+def from_trimesh(mesh: Any) -> MeshArrays:
+    """Return the arrays of a mesh or a cloud of points of trimesh, which is not imported.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh or trimesh.PointCloud
+
+    Returns
+    -------
+    MeshArrays
+        With ``colours`` of vertices as uint8, shape (V, 4); or, if the mesh is textured, with the ``image`` of its base
+        colour and ``uv`` of shape (V, 2), v = 0 at the lower edge of the image.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, has colours of faces, or several materials.
+    """
+    visual, faces = getattr(mesh, "visual", None), getattr(mesh, "faces", None)
+    if visual is None:
+        kind = type(mesh).__name__
+        raise UsageError(
+            f"{kind} is neither a Trimesh nor a PointCloud; give the meshes of a scene one by one"
+        )
+    if visual.kind == "face":
+        raise UsageError("the mesh has colours of faces; set mesh.visual.vertex_colors")
+    arrays = MeshArrays(np.asarray(mesh.vertices), None if faces is None else np.asarray(faces))
+    if visual.kind != "texture":
+        is_painted = visual.kind == "vertex" and len(visual.vertex_colors)
+        return arrays._replace(colours=np.asarray(visual.vertex_colors) if is_painted else None)
+    if hasattr(visual.material, "materials"):
+        raise UsageError("the mesh has several materials; give smooth_textured images and texture_of")
+    image = getattr(visual.material, "baseColorTexture", getattr(visual.material, "image", None))
+    return arrays._replace(uv=visual.uv, image=None if image is None else image_array(image, "image"))
+
+
+def mesh_arrays(mesh: Any) -> MeshArrays | None:
+    """Return the arrays of a mesh of trimesh, PyVista or Open3D, by its attributes; None if it is none of these."""
+    if isinstance(mesh, MeshArrays):
+        return mesh
+    if hasattr(mesh, "visual") or hasattr(mesh, "geometry"):
+        return from_trimesh(mesh)
+    if hasattr(mesh, "point_data"):
+        padded = np.asarray(getattr(mesh, "faces", [0]))  # each face: its number of corners, and these
+        if len(padded) % 4 or (padded[::4] != 3).any() or mesh.n_strips:
+            raise UsageError("the mesh is no PolyData of triangles; call extract_surface().triangulate()")
+        active_first = sorted(mesh.point_data.keys(), key=lambda name: name != mesh.active_scalars_name)
+        tables = (np.asarray(mesh.point_data[name]) for name in active_first)
+        shades = (table for table in tables if table.dtype == np.uint8 and table.shape[1:] in ((3,), (4,)))
+        faces = padded.reshape(-1, 4)[:, 1:] if len(padded) else None
+        return MeshArrays(np.asarray(mesh.points), faces, next(shades, None))
+    for names in _OPEN3D:
+        if hasattr(mesh, names[0]) and hasattr(mesh, names[2]):
+            places, faces, colours = (np.asarray(getattr(mesh, name, [])) for name in names)
+            return MeshArrays(places, faces if len(faces) else None, colours if len(colours) else None)
+    return None
+
+
+def unpacked(
+    mesh: Any, faces: ArrayLike | None, colours: ArrayLike | None
+) -> tuple[ArrayLike, ArrayLike | None, ArrayLike, Array | None]:
+    """Return positions, faces and colours, given as arrays or as a mesh, and the opacity of a mesh, shape (V, 1)."""
+    arrays, opacity = mesh_arrays(mesh), None
+    if arrays is None:
+        arrays = MeshArrays(mesh, faces)
+    elif faces is not None:
+        raise UsageError("a mesh has faces; give either a mesh or positions and faces")
+    elif colours is None and arrays.colours is not None:
+        colours = array_of(arrays.colours, "colours")
+        if colours.ndim == 2 and colours.shape[1] == 4:
+            colours, opacity = colours[:, :3], colours[:, 3:]
+    if colours is None:
+        raise UsageError("there are no colours of vertices; give them, or a texture to smooth_textured")
+    return arrays.positions, arrays.faces, colours, opacity
 
 
 def settings_for(
@@ -146,6 +255,56 @@ def colour_table(colours: ArrayLike) -> Float32s:
         remedy = "give uint8, as 0 to 255, or floats, as 0 to 1"
         raise UsageError(f"colours of type {table.dtype} have no full scale; {remedy}")
     return np.ascontiguousarray(table / np.iinfo(table.dtype).max, np.float32)
+
+
+def in_type_of(given: Array, before: Array, after: Array) -> Array:
+    """Return new colours in the type of the given ones, rounded as in files; what did not change keeps its bits.
+
+    `before` and `after`: floats of full scale 1, or of the type of the given ones already.
+    """
+    if after.dtype == given.dtype:
+        return after
+    result = given.reshape(after.shape).copy()
+    is_new = (after != before) & ~np.isnan(before)
+    result[is_new] = quantised(after[is_new], given.dtype)
+    return result
+
+
+def image_array(image: Any, name: str) -> Array:
+    """Make an array of an image; one of Pillow whose numbers are no grey, red, green and blue is converted."""
+    mode = getattr(image, "mode", None)
+    if mode is not None and mode not in ("L", "LA", "RGB", "RGBA", "I;16", "F"):
+        has_alpha = mode == "PA" or "transparency" in image.info
+        image = image.convert("RGBA" if has_alpha else "RGB")
+    return array_of(image, name)
+
+
+def textured_surface(
+    mesh: MeshArrays, names: Sequence[str], texture_of: ArrayLike | None, origin: str
+) -> TexturedSurface:
+    """Check positions, faces and texture coordinates, with v from an edge, for images of some names."""
+    if mesh.uv is None or mesh.faces is None:
+        raise UsageError("the mesh has no texture coordinates; give MeshArrays(positions, faces, uv=uv)")
+    if origin not in ("lower", "upper"):
+        raise UsageError(f"origin is {origin}, but must be lower or upper")
+    positions = _numbers(position_table(mesh.positions), "positions", ("V", 3))
+    require_finite(positions, _ARRAYS, "the position of vertex")
+    faces, uv = face_table(mesh.faces, len(positions)), array_of(mesh.uv, "uv")
+    if uv.ndim == 2:
+        uv = _numbers(uv, "uv", (len(positions), 2))[faces]
+    uv = _numbers(uv, "uv", (len(faces), 3, 2)).astype(np.float64)
+    image_of = np.zeros(len(faces), np.int32) if texture_of is None else texture_of
+    image_of = _numbers(image_of, "texture_of", (len(faces),), "ui")
+    is_clear = len(names) == 1 or (names and texture_of is not None)
+    if not is_clear or not np.isin(image_of, range(-1, len(names))).all():
+        raise UsageError(f"there are {len(names)} images; texture_of must give each face one of them, or -1")
+    shown = np.flatnonzero(image_of >= 0)
+    require_finite(uv[shown].reshape(-1, 6), _ARRAYS, "uv of face", shown)
+    check_scale(positions, faces[shown], _ARRAYS)
+    if origin == "lower":
+        uv[..., 1] = 1 - uv[..., 1]
+    textures = tuple(Texture(name, name, b"") for name in names)
+    return TexturedSurface(positions, faces, uv, image_of.astype(np.int32), textures)
 
 
 def guide_table(values: ArrayLike, shape: tuple[int, ...], name: str = "guide") -> Float64s:

@@ -9,14 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from beltrami_cli.arrays import Array
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.jobs.array_arguments import (
+    array_of,
     checked_surface,
+    image_array,
+    in_type_of,
     painted_arrays,
     pixel_colours,
     require_encoding,
     settings_for,
+    unpacked,
 )
 from beltrami_cli.jobs.smoothing import smooth_layer
 from beltrami_cli.layers.image_surface import ImageSurface
@@ -34,8 +39,10 @@ class SmoothResult:
 
     Attributes
     ----------
-    colours : ndarray of float32, shape (V, C)
-        In the encoding and order of the input. Vertices that did not change are bit-identical to the input.
+    colours : ndarray, shape (V, C)
+        In the type, encoding and order of the input; integers are rounded as in files, and lists of floats become
+        float64. Of a mesh with opacity, that is the fourth channel. Vertices that did not change are bit-identical to
+        the input.
     beta : float
         As used, in units of length per unit of colour; 0 if no colour enters the metric.
     spacing : float
@@ -67,7 +74,7 @@ class SmoothResult:
         The share of the result that was taken from patches; None if only the kernel was run.
     """
 
-    colours: NDArray[np.float32]
+    colours: Array
     beta: float
     spacing: float
     noise: dict[str, float]
@@ -91,8 +98,9 @@ class ImageResult:
 
     Attributes
     ----------
-    colours : ndarray of float32, shape (H, W, C)
-        In the encoding of the input. Pixels that did not change, and holes, are bit-identical to the input.
+    colours : ndarray, shape (H, W, C)
+        In the type and encoding of the input, as of `SmoothResult`. Pixels that did not change, and holes, are
+        bit-identical to the input.
     beta : float
         As used, in units of length per unit of colour.
     spacing : float
@@ -109,7 +117,7 @@ class ImageResult:
         The share of the result that was taken from patches; None if only the kernel was run.
     """
 
-    colours: NDArray[np.float32]
+    colours: Array
     beta: float
     spacing: float
     noise: NDArray[np.float64]
@@ -120,9 +128,9 @@ class ImageResult:
 
 
 def smooth(
-    positions: ArrayLike,
-    faces: ArrayLike | None,
-    colours: ArrayLike,
+    positions: Any,
+    faces: ArrayLike | None = None,
+    colours: ArrayLike | None = None,
     parameters: SmoothSettings = DEFAULTS,
     *,
     encoding: Encoding = "srgb",
@@ -134,14 +142,19 @@ def smooth(
 
     Parameters
     ----------
-    positions : array_like, shape (V, M)
-        Vertices in a space of any dimension M, finite.
+    positions : array_like, shape (V, M), or a mesh
+        Vertices in a space of any dimension M, finite. Or a whole mesh or cloud of points, with its triangles and
+        colours: `MeshArrays`, ``trimesh.Trimesh`` or ``PointCloud``, Open3D's ``TriangleMesh`` or ``PointCloud`` (not
+        the tensor-based ones), or PyVista's ``PolyData``, whose colours are an array of uint8 in ``point_data``, the
+        active one or else the first. Its opacity, a fourth channel, stays. The mesh is not changed; the result can be
+        assigned to its colours.
     faces : array_like of int, shape (F, 3), or None
         Triangles as vertex indices; any set of triangles, non-manifold ones included. None: a cloud of points, M at
         most 3, which is triangulated locally around each point.
     colours : array_like, shape (V, C) or (V,)
-        Any number of channels, finite. uint8, uint16 and uint32 are divided by their full scale, floats are used
-        as they are (full scale 1); other integers are refused, since their full scale is unknown.
+        Colours of the vertices; may be left out for a mesh that has some. Any number of channels, finite. uint8, uint16
+        and uint32 are divided by their full scale, floats are used as they are (full scale 1); other integers are
+        refused, since their full scale is unknown.
     parameters : SmoothSettings
         The kernel's parameters, the working space and the embedding. By default the parameters of the kernel are chosen
         from the data, by the estimated error of the result.
@@ -159,14 +172,14 @@ def smooth(
     Returns
     -------
     SmoothResult
-        With ``colours`` of shape (V, C), float32; ``positions`` if these were smoothed; ``cloud`` for points without
-        faces.
+        With ``colours`` of shape (V, C), of the type of the input; ``positions`` if these were smoothed; ``cloud`` for
+        points without faces.
 
     Raises
     ------
     UsageError
-        If a parameter is unknown or out of its range, the shape or type of an array is wrong, or a face refers to a
-        vertex that does not exist.
+        If a parameter is unknown or out of its range, the shape or type of an array is wrong, a face refers to a
+        vertex that does not exist, or a mesh has no colours of vertices, or faces that are no triangles.
     InputError
         If positions or colours are not finite, or differ in number.
 
@@ -182,6 +195,7 @@ def smooth(
     .. [2] R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95(15), 1998,
        doi:10.1073/pnas.95.15.8431
     """
+    positions, faces, colours, opacity = unpacked(positions, faces, colours)
     painted = painted_arrays(positions, faces, colours, encoding)
     shape = (len(painted.positions),)
     settings, guides, noise = settings_for(parameters, guide, painted.channels, shape, overrides)
@@ -198,8 +212,10 @@ def smooth(
     assert isinstance(report, VertexReport)
     assert repainted.colours is not None
     counts, geometry = report.counts, report.geometry or {}
+    new = in_type_of(array_of(colours, "colours"), painted.colours, repainted.colours)
+    new = new if opacity is None else np.concatenate([new, opacity], axis=1)
     return SmoothResult(
-        colours=repainted.colours, beta=report.beta, spacing=report.spacing, noise=report.noise,
+        colours=new, beta=report.beta, spacing=report.spacing, noise=report.noise,
         samples=int(counts["samples"]), hard_edge_samples=int(counts["hard_edge_samples"]),
         samples_per_kernel=done.samples_per_kernel, truncated=int(counts["truncated_kernels"]),
         iterations=report.iterations, guide_betas=report.guides, positions=repainted.positions,
@@ -240,7 +256,7 @@ def smooth_image(
     Returns
     -------
     ImageResult
-        With ``colours`` of shape (H, W, C), float32.
+        With ``colours`` of shape (H, W, C), of the type of the input.
 
     Raises
     ------
@@ -260,7 +276,8 @@ def smooth_image(
     .. [2] A. Spira, R. Kimmel, "An efficient solution to the eikonal equation on parametric manifolds", Interfaces and
        Free Boundaries 6, 2004, doi:10.4171/IFB/102
     """
-    table, shape = pixel_colours(colours)
+    given = image_array(colours, "colours")
+    table, shape = pixel_colours(given)
     channels = tuple(map(str, range(table.shape[1])))
     settings, guides, noise = settings_for(parameters, guide, channels, shape, overrides)
     require_encoding(encoding)
@@ -289,7 +306,7 @@ def smooth_image(
     assert isinstance(report, VertexReport)
     smoothed[valid] = done.repainted.colours
     return ImageResult(
-        colours=smoothed.reshape(*shape, -1), beta=report.beta, spacing=report.spacing,
+        colours=in_type_of(given, table, smoothed).reshape(*shape, -1), beta=report.beta, spacing=report.spacing,
         noise=np.array(list(report.noise.values())), samples=int(report.counts["samples"]),
         samples_per_kernel=done.samples_per_kernel, choice=done.choice, patches=report.patches,
     )  # fmt: skip

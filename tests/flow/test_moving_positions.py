@@ -139,7 +139,7 @@ def test_turning_moving_and_scaling_the_mesh_does_the_same_to_the_result(scale):
 def test_the_colours_are_averaged_by_the_kernel_that_moves_the_vertices():
     noisy = shaken(CUBE)
     result = moved(noisy, CUBE_FACES, np.full((len(noisy), 3), 0.3))
-    assert np.array_equal(result.colours, np.full((len(noisy), 3), np.float32(0.3)))
+    assert np.array_equal(result.colours, np.full((len(noisy), 3), 0.3))
     # Colours that are each vertex's face of the cube do not mix over its creases.
     face = np.eye(3)[np.abs(CUBE - SIDE / 2).argmax(axis=1)]
     flat = edge_distance() >= 1

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import trimesh
 
 import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
+from oracles import surfaces
 
 POSITIONS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
 FACES = [[0, 1, 2], [1, 3, 2]]
 COLOURS = np.array([[0, 10, 20], [30, 40, 50], [60, 70, 80], [255, 255, 255]], np.uint8)
+
+SQUARE = beltrami_cli.MeshArrays(POSITIONS, FACES, uv=np.array(POSITIONS)[:, :2])  # shows all of an image
+SPHERE, TRIANGLES = surfaces.icosphere(1)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +66,11 @@ def test_integer_colours_are_taken_by_the_full_scale_of_their_type(kind):
     scaled = COLOURS.astype(kind) * kind(scale)
     result = beltrami_cli.smooth(POSITIONS, FACES, scaled, beta=3, iterations=2)
     floats = beltrami_cli.smooth(POSITIONS, FACES, COLOURS / 255, beta=3, iterations=2)
-    assert np.allclose(result.colours, floats.colours, atol=1e-6)
+    assert result.colours.dtype == kind
+    # Half a step from rounding, and a few units in the last place of float32.
+    assert (
+        np.abs(result.colours / np.iinfo(kind).max - floats.colours).max() <= 0.5 / np.iinfo(kind).max + 1e-6
+    )
     assert not np.allclose(floats.colours, COLOURS / 255, atol=1e-6)
 
 
@@ -73,4 +84,72 @@ def test_empty_arrays_give_empty_colours_and_no_warning():
     assert beltrami_cli.smooth([], [], []).colours.shape == (0, 3)
     assert beltrami_cli.smooth(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2))).colours.shape == (0, 2)
     lonely = beltrami_cli.smooth(POSITIONS, [], COLOURS)
-    assert np.array_equal(lonely.colours, (COLOURS / 255).astype(np.float32))
+    assert np.array_equal(lonely.colours, COLOURS)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.uint32, np.float16, np.float32, np.float64])
+@pytest.mark.parametrize("function", ["smooth", "smooth_image", "smooth_textured"])
+def test_colours_come_back_in_their_type_and_stay_bit_identical_where_nothing_changed(function, kind):
+    given = np.random.default_rng(0).random((6, 7, 3))
+    colours = (given * (np.iinfo(kind).max if np.dtype(kind).kind == "u" else 1)).astype(kind)
+    settings = {"beta": 0.1, "iterations": 1, "channels": ("0",) if function == "smooth_image" else ("red",)}
+    if function == "smooth":
+        smoothed = beltrami_cli.smooth(SPHERE, TRIANGLES, colours.reshape(42, 3), **settings).colours
+    elif function == "smooth_image":
+        smoothed = beltrami_cli.smooth_image(colours, **settings).colours
+    else:
+        (smoothed,) = beltrami_cli.smooth_textured(SQUARE, [colours], **settings).images
+    assert smoothed.dtype == kind
+    smoothed = smoothed.reshape(colours.shape)
+    assert (smoothed[..., 0] != colours[..., 0]).any()
+    assert np.array_equal(smoothed[..., 1:], colours[..., 1:])
+
+
+def as_trimesh(faces, colours):
+    if faces is None:
+        return trimesh.PointCloud(SPHERE, colors=colours)
+    return trimesh.Trimesh(SPHERE, faces, vertex_colors=colours, process=False)
+
+
+def as_open3d(faces, colours):
+    names = ("points", "colors") if faces is None else ("vertices", "vertex_colors")
+    return SimpleNamespace(**dict(zip(names, (SPHERE, colours[:, :3] / 255), strict=True)), triangles=faces)
+
+
+def as_pyvista(faces, colours):
+    padded = [] if faces is None else np.insert(faces, 0, 3, axis=1).ravel()
+    tables = {"Normals": SPHERE, "other": 255 - colours, "RGBA": colours}
+    return SimpleNamespace(
+        points=SPHERE, faces=padded, n_strips=0, active_scalars_name="RGBA", point_data=tables
+    )
+
+
+@pytest.mark.parametrize("convert", [as_trimesh, as_open3d, as_pyvista])
+@pytest.mark.parametrize("faces", [TRIANGLES, None], ids=["mesh", "points"])
+def test_meshes_of_libraries_are_taken_with_their_colours_and_opacity(convert, faces):
+    colours = np.random.default_rng(1).integers(0, 256, (42, 4)).astype(np.uint8)
+    result = beltrami_cli.smooth(convert(faces, colours), beta=3, iterations=1).colours
+    expected = beltrami_cli.smooth(SPHERE, faces, colours[:, :3], beta=3, iterations=1).colours
+    if convert is as_open3d:  # floats, which are not rounded
+        assert np.abs(255 * result - expected).max() <= 0.5 + 1e-3
+    else:
+        assert np.array_equal(result, np.hstack([expected, colours[:, 3:]]))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        (trimesh.creation.box(), "no colours of vertices"),
+        (trimesh.creation.box(face_colors=[1, 2, 3]), "colours of faces"),
+        (trimesh.Scene(trimesh.creation.box()), "one by one"),
+        (SimpleNamespace(vertices=POSITIONS, triangles=FACES, vertex_colors=[]), "no colours of vertices"),
+        (SimpleNamespace(point_data={}), "triangulate"),
+        (SimpleNamespace(point_data={}, faces=[4, 0, 1, 3, 2], n_strips=0), "triangulate"),
+        (SimpleNamespace(point_data={}, faces=[3, 0, 1, 3], n_strips=1), "triangulate"),
+    ],
+)
+def test_meshes_without_colours_or_triangles_are_refused(mesh, said):
+    with pytest.raises(UsageError, match=said):
+        beltrami_cli.smooth(mesh)
+    with pytest.raises(UsageError):
+        beltrami_cli.smooth(mesh, FACES, COLOURS)
