@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -134,6 +135,9 @@ def choose_parameters(
     if choice is not None:
         variance = float(np.mean(np.square(noise.of_input)))
         choice = choice.improved(-error).doubted(variance, noise.doubt)
+        if corrects and choice.psnr is not None:
+            # Until here the gain is over colours whose shared noise is removed already.
+            choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import FileReport
@@ -42,13 +43,25 @@ class Smoothed:
 def smooth_layer(
     layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
 ) -> Smoothed:
-    """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back."""
+    """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.
+
+    If all was chosen from the data, and the result is estimated to be worse than the input, the colours stay.
+    """
     plan = layer.plan(tick)
     result = smooth(plan, progress)
+    is_worse = _is_worse(result.choice, layer.settings.kernel)
+    if is_worse:
+        kernel = dataclasses.replace(layer.settings.kernel, iterations=0, free=())
+        settings = dataclasses.replace(layer.settings, kernel=kernel)
+        layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
+        plan = layer.plan()
+        result = dataclasses.replace(smooth(plan), choice=result.choice)
     report, new = layer.report(plan, result), result.manifold.new_colours()
     warnings, is_smoothed = list[str](), plan.parameters.iterations > 0
     if isinstance(report, VertexReport):
         warnings = report.warnings(plan.parameters.max_samples)
+    if is_worse:
+        warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
     choice, samples_per_kernel = result.choice, result.samples_per_kernel
     del plan, result  # before images as large are made
     repainted = layer.repaint(new, is_smoothed=is_smoothed)
@@ -57,6 +70,12 @@ def smooth_layer(
         report=dataclasses.replace(report, change=repainted.change.summary()), warnings=warnings,
         choice=choice, samples_per_kernel=samples_per_kernel, levelled=layer.level_report,
     )  # fmt: skip
+
+
+def _is_worse(choice: Choice | None, wanted: KernelParameters) -> bool:
+    """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
+    insists = "iterations" not in wanted.free or wanted.given_noise is not None or wanted.strength > 1
+    return not insists and choice is not None and choice.gain is not None and choice.gain < 0
 
 
 def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ import trimesh
 
 import beltrami_cli
 from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.flow.beltrami_flow import smooth
 from oracles import surfaces
 
 POSITIONS = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
@@ -153,3 +155,23 @@ def test_meshes_without_colours_or_triangles_are_refused(mesh, said):
         beltrami_cli.smooth(mesh)
     with pytest.raises(UsageError):
         beltrami_cli.smooth(mesh, FACES, COLOURS)
+
+
+@pytest.mark.parametrize(
+    ("wish", "stays"),
+    [({}, True), ({"strength": "strong"}, False), ({"noise": "15"}, False), ({"iterations": 2}, False)],
+)
+def test_a_result_that_is_estimated_to_be_worse_is_taken_only_if_an_option_asks_for_it(
+    wish, stays, monkeypatch
+):
+    """The estimate is replaced, since no small mesh makes it negative."""
+
+    def pessimistic(plan, progress=None):
+        done = smooth(plan, progress)
+        return done if done.choice is None else replace(done, choice=replace(done.choice, gain=-1.0))
+
+    monkeypatch.setattr("beltrami_cli.jobs.smoothing.smooth", pessimistic)
+    positions, faces = surfaces.plane(24, 24)
+    colours = 0.5 + 0.06 * np.random.default_rng(3).standard_normal((len(positions), 3))
+    found = beltrami_cli.smooth(positions, faces, colours, **wish).colours
+    assert np.array_equal(found, colours) == stays

@@ -146,12 +146,13 @@ class _Pcd:
 
         self._data, cloud = data, pypcd4.PointCloud.from_fileobj(io.BytesIO(data))
         self._points, self._about = cloud.pc_data, cloud.metadata
-        self._packed = next((name for name in ("rgb", "rgba") if name in self._points.dtype.names), "")
+        self._names = self._points.dtype.names or ()
+        self._packed = next((name for name in ("rgb", "rgba") if name in self._names), "")
         self._body = data.index(b"\n", data.index(b"\nDATA") + 1) + 1
 
     def arrays(self) -> Columns:
-        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._points.dtype.names}
-        for number, name in enumerate(self._points.dtype.names):
+        columns = {name: np.ascontiguousarray(self._points[name]) for name in self._names}
+        for number, name in enumerate(self._names):
             if name.startswith(self._PADDING):
                 columns[f"padding {number}"] = columns.pop(name)
         columns = {"positions": np.column_stack([columns.pop(axis) for axis in "xyz"])} | columns
@@ -178,12 +179,12 @@ class _Pcd:
             records: bytes = points.tobytes()
             return head + records + body[len(records) :]
         if self._about.data == "ascii":
-            count = old.size * len(old.dtype)
+            count = old.size * len(self._names)
             starts, ends = (each[:count].reshape(old.size, -1) for each in find_tokens(body))
-            changes = [(n, points[name] != old[name], points[name]) for n, name in enumerate(old.dtype.names)]
+            changes = [(n, points[name] != old[name], points[name]) for n, name in enumerate(self._names)]
             numbers = [NewNumbers(starts[at, n], ends[at, n], values[at]) for n, at, values in changes]
             return head + b"".join(renumbered(body, numbers))
-        return head + _compressed(b"".join(points[name].tobytes() for name in points.dtype.names))
+        return head + _compressed(b"".join(points[name].tobytes() for name in self._names))
 
 
 def _compressed(data: bytes) -> bytes:
