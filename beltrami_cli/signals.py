@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 
-# Signals of which the default is not to end a process, which cannot be caught, and those of faults in native code,
+# Signals whose default is not to end a process, that cannot be caught, or that mean faults in native code,
 # which would fault again and again if Python handled them.
 _OTHERS = (
     "SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH",

@@ -114,7 +114,7 @@ _CLUSTER = "Many machines"
 @click.option(
     "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT", cls=GroupedOption, group=_CLUSTER,
     help="Cut every mesh and texture into this many pieces, which the workers of --scheduler smooth together: for "
-    "those that take one machine too long.",
+    "surfaces that take one machine too long.",
 )  # fmt: skip
 @options.smoothing
 @options.unwrapping

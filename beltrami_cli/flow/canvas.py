@@ -164,7 +164,7 @@ _FEWEST = 8
 def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
     """Return for each seam, shape (S,), whether its sides differ by more than noise."""
     different = np.zeros(max(1, atlas.seams), bool)
-    seam, steps, beside = _steps_over_seams(atlas, planes)
+    seam, steps, along = _steps_over_seams(atlas, planes)
     if not len(seam):
         return different
     order = np.argsort(seam, kind="stable")
@@ -176,18 +176,18 @@ def find_colour_jumps(atlas: Atlas, planes: Float32s, sigma: Float64s) -> Bools:
         # A step between two noisy samples has the deviation sqrt(2) sigma, and a median 1.25 times a mean's error.
         error = 1.25 * np.sqrt(2) * noise / np.sqrt(len(members))
         shifted = jump > max(_ERRORS * error, _OF_NOISE * noise, _LEAST)
-        different[seam[members[0]]] = shifted or _is_patterned(steps[members], beside[members], noise)
+        different[seam[members[0]]] = shifted or _is_patterned(steps[members], along[members], noise)
     return different
 
 
-def _is_patterned(steps: Float32s, beside: Float32s, noise: float) -> bool:
-    """Detect a jump that changes its sign along the seam: steps across it have more energy than those beside it.
+def _is_patterned(steps: Float32s, nearby: Float32s, noise: float) -> bool:
+    """Detect a jump that changes its sign along the seam: steps across it have more energy than steps near it.
 
     Neighbours may share noise, as in JPEG pictures; those on two sides of a seam do not, which makes some such energy.
     """
     if len(steps) < _FEWEST:
         return False
-    across, along = np.square(steps).mean(axis=1), np.square(beside).mean(axis=1)
+    across, along = np.square(steps).mean(axis=1), np.square(nearby).mean(axis=1)
     error = float((across - along).std()) / np.sqrt(len(steps))
     excess = across.mean() - max(along.mean(), 2 * noise**2)
     return bool(excess > max(_ERRORS * error, (_OF_NOISE * noise) ** 2 + _LEAST**2))
@@ -223,18 +223,18 @@ def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
 
 
 def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
-    """Find the two charts of each seam, shape (S, 2): of an owned cell, and what the halo cell beside it shows."""
+    """Find the two charts of each seam, shape (S, 2): of an owned cell, and of the halo cell next to it."""
     columns = atlas.kind.shape[1]
     owned = atlas.kind.reshape(-1) == OWNED
     of_seams = np.flatnonzero(atlas.halo_seams >= 0)
     cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
-    beside, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
+    owned, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
     for step in (1, -1, columns, -columns):
         found = owned.take(cells - step, mode="clip")  # the first and the last cell are margin
-        beside[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
+        owned[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
     known = np.flatnonzero(halo >= 0)
     sides = np.full((len(halo), 2), -1, np.int32)
-    sides[known] = np.column_stack([_charts_at(atlas, beside[known]), reached[halo[known]]])
+    sides[known] = np.column_stack([_charts_at(atlas, owned[known]), reached[halo[known]]])
     return sides
 
 

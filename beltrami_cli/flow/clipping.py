@@ -3,7 +3,7 @@
 Where a surface is white, noise can only darken it: what would be brighter than full scale is stored as full scale. An
 average over such samples is too dark, by up to 0.4 standard deviations of the noise, however many samples it has. But
 the share of the samples at the limit shows how close the true colour is to it: samples are a normal variable censored
-at the limit, of which mean and share are known.
+at the limit, with known mean and share.
 
 With alpha = (limit - true) / sigma, the share at the limit is 1 - Phi(alpha), and the mean lies below the limit by
 sigma (alpha Phi(alpha) + phi(alpha)) [1]_. The share gives alpha, and the gap between limit and mean the local sigma.

@@ -4,7 +4,7 @@ In means of squares of cells, and of clusters of vertices, such noise is closer 
 first, by patches on the coarsest level, and what that changes is added to the next finer one, enlarged; on each level
 only the details of its own samples are then left to be estimated [1]_.
 
-Noise of cameras is not normal in the dark: encoding stretches what is darker, down to 0, and some samples lie so far
+Noise of cameras is not normal in the dark: encoding stretches darker values, down to 0, and some samples lie so far
 out that patches would keep them as detail. So dark outliers in plain places are replaced first. Details of the picture
 are no single samples there: what made neighbours share the noise blurred them as well.
 
@@ -80,7 +80,7 @@ def _impute_cut_off(manifold: Manifold) -> None:
     for k, clipped in () if found is None else found.sides():
         channel, planes = colours[k : k + 1], geometry.planes(3)
         for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
-            # What is beyond an edge is not near the limit, and does not count.
+            # Samples beyond an edge are not near the limit, and do not count.
             near[:] = clipped.near_limit(own, variance)[0]
             level[:], mark[:] = own[0] * near, clipped.marks(own, geometry.threads)[0] * near
         planes = geometry.spread(planes)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from beltrami_cli.flow.manifold import Manifold
 
 # From one band of levels to the next, light grows by this factor. Where only the noise of the dark side of an edge of
-# 1 to 50 has heavy tails (a gamma distribution of four samples), the mean of the 32 cells beside the edge is off by
+# 1 to 50 has heavy tails (a gamma distribution of four samples), the mean of the 32 cells at the edge is off by
 # 2.3 % without bands and by 0.2 % with factors of 4 and 16. Bands of noise that is left, which are narrower with 4,
 # would keep more of it: 9 % against 4 %.
 _BAND_FACTOR = 16.0

@@ -1,6 +1,6 @@
 """Collaborative patches after the kernel, and the blend of both.
 
-Where colours repeat themselves along the surface, as in photographs, patches that look alike can be estimated together
+Where colours repeat themselves along the surface, as in photographs, similar patches can be estimated together
 [1]_; where they are plain with sharp edges, the kernel is better. So the kernel's result P serves as the pilot of the
 patches' result Q, and
 
@@ -45,7 +45,7 @@ _COMPARED = np.array([1, 0.5, 0.5])
 # neighbours share is known less well, and what exceeds it may be noise as well: it is never multiplied by less.
 _SHRINKAGE, _OF_DIFFERENCES, _IF_SHARED = 2.0, 6.0, 1.0
 
-# Channels of which the differences vary this much less than the mean are colours; so many steps are enough to tell.
+# Channels whose differences vary this much less than their mean are colours; so many steps are enough to decide.
 _COLOURED, _ENOUGH_STEPS = 0.7, 200_000
 
 # Noise of a channel, as a share of the largest, below which there is nothing to estimate.
@@ -64,7 +64,7 @@ class _Prior:
     variance: float  # of w around it
 
 
-# Regions of which sums say little are plain, and there means of many samples are at home. Their weights differ between
+# Regions with small sums are plain, and there means of many samples are at home. Their weights differ between
 # regions by a variance of 0.02 to 0.45, as measured on eight textures with noise of 10, 20 and 40 of 255: a prior
 # narrower than the least of these would spread over plain textures what patches do for others.
 _OF_SAMPLES, _OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.02)
@@ -119,7 +119,7 @@ def blend_with_patches(
     after = estimate(noisy, before)
     with _added(axis, noisy, signs, size, threads):
         response = estimate(noisy, disturbed)
-    # What is smoother counts less or more, as in the choice of parameters.
+    # Smoothness counts less or more, as in the choice of parameters.
     counted = np.sqrt(manifold.parameters.strength)
     model = _Model(sigma * np.sqrt(counted), clipped, threads)
     results, responses = (before, after), (disturbed, response)
@@ -168,7 +168,7 @@ def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
 class _NoisyMeans:
     """Means of noisy colours, of what was added to them as a probe of a size, and of the residual of the estimate.
 
-    `within` is the share of samples that are not cut off, of which those with the smallest count most.
+    `within` is the share of samples that are not cut off; the smallest shares count most.
     """
 
     colours: Float32s
@@ -200,7 +200,7 @@ def _means(
         blend_share_within(p, (*model.noise, relative), own, model.threads)
         np.subtract(1, own, out=own)
         own *= np.square(own)
-    # A cubic mean: what is found where most is cut off, as on white paper, would move ink upon it, too.
+    # A cubic mean: a residual found where most is cut off, as on white paper, would bleed into ink, too.
     within = 1 - np.cbrt(level.means(memory))
     return _NoisyMeans(means, probe, float(size), residual, within)
 

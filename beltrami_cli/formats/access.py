@@ -55,7 +55,7 @@ class Access(Checked):
     instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
     columns: tuple[str, ...] = parameter(
         (),
-        "Of points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. Those that "
+        "Of points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. Names that "
         "mean nothing here stay as they are.",
         unset="those in the file, or by the values", metavar="LIST", parse=names_in, show=",".join,
     )  # fmt: skip

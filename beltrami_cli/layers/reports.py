@@ -21,7 +21,7 @@ class LayerReport:
     # Mean, root mean square and largest change of a smoothed value; of covered texels only.
     change: dict[str, float] = field(default_factory=dict)
     guides: dict[str, float]  # the beta used for each guide, by its name
-    # If parameters were chosen from the data: "chosen" with their values, and what is known of the result: its
+    # If parameters were chosen from the data: "chosen" with their values, and estimates of the result: its
     # estimated "psnr" in dB, the standard "error" of that, the "gain" over the input, and the numbers of "candidates"
     # that were compared and of "samples" that they were compared on.
     choice: dict[str, object] | None

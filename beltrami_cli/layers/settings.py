@@ -81,7 +81,7 @@ class TextureSettings(Checked):
 
     slots: tuple[str, ...] = parameter(
         ("baseColor",),
-        f"Textures of which material slots: {', '.join(SLOTS)}, or all. All but the first two are taken as data.",
+        f"Slots of materials: {', '.join(SLOTS)}, or all. All but the first two are taken as data.",
         choices=SLOTS, metavar="LIST", parse=_slots, show=",".join,
     )  # fmt: skip
     materials: tuple[str, ...] = parameter(

@@ -1,1 +1,1 @@
-"""Exposure steps at the seams of a surface: found, told from paint, and taken out."""
+"""Exposure steps at the seams of a surface: found, distinguished from paint, and removed."""

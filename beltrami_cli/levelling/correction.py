@@ -46,7 +46,7 @@ class SeamFacts:
 
 @dataclass(frozen=True)
 class Levelled:
-    """What is known of exposure steps; without exposures nothing is to be changed."""
+    """Findings on exposure steps; without exposures nothing is to be changed."""
 
     verdict: Verdict | None
     exposures: Exposures | None
@@ -149,7 +149,7 @@ def level_canvas(
 ) -> tuple[Levelled, float]:
     """Take exposures out of planes, shape (N, R, C), in place; return also the mean change, 0 if they stay.
 
-    `halved`: of which textures colour, red, green and blue, is stored at half the resolution.
+    `halved`: textures that store colour, red, green and blue, at half the resolution.
     """
     places, columns = ChartPlaces.of(atlas), atlas.kind.shape[1]
     flat = planes.reshape(len(planes), -1)

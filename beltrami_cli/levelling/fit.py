@@ -8,7 +8,7 @@ channels, as vignetting is. On the two sides p and q of a seam T is the same:
 
 where T is the mean of both sides as corrected so far. So a gain common to all charts makes no difference (if T were
 the colour on either side, noise would draw all gains to -1). The terms are drawn to 0, each by its expected deviation.
-Weights are those of the estimator of Geman and McClure, whose scale is narrowed step by step [1], so that a painted
+Weights follow the estimator of Geman and McClure, whose scale is narrowed step by step [1], so that a painted
 edge counts for nothing.
 
 Charts are few compared with texels, so the normal equations are small, and solved by a sparse factorisation on one
@@ -108,7 +108,7 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
 def known_steps(steps: Steps, sides: Float64s) -> Bools:
     """Return where corrected sides must agree, shape (K, N).
 
-    A colour that was cut off is a bound of what it was, and tells nothing of a side within it.
+    A colour that was cut off is a bound of what it was, and says nothing about a side within it.
     """
     low, high = steps.low, steps.high
     may_rise, may_fall = high[:, 0] | low[:, 1], low[:, 0] | high[:, 1]  # of the first side
@@ -176,7 +176,7 @@ class _System:
         return np.concatenate([exposed, tilts], axis=2)
 
     def _rows(self, colours: Float64s, factors: Float64s) -> Float64s:
-        """Return what the terms of both sides of each step, of which those of the first are negative, add to it."""
+        """Sum the terms of both sides of each step, with the first side's negated."""
         rows = np.empty((len(colours), 2, self._terms))
         rows[:, :, GAIN] = colours[:, None]
         rows[:, :, OFFSET] = 1

@@ -1,4 +1,4 @@
-"""Hues beside the borders of charts, where JPEG mixed them with what lies beyond, continued from further inside.
+"""Hues at the borders of charts, where JPEG mixed them with colours beyond, continued from further inside.
 
 A decoder interpolates halved colour, so that a texel up to two texels from a border has some of the colour beyond it,
 which may be of another exposure. Brightness is stored for each texel, and stays as it is.
@@ -25,7 +25,7 @@ LUMA = np.array([0.299, 0.587, 0.114])  # of BT.601, as JPEG has it
 
 
 def mixed_cells(atlas: Atlas, halved: Sequence[bool]) -> Int64s:
-    """Return the owned cells, as flat indices, near borders of charts in textures of which colour is halved."""
+    """Return the owned cells, as flat indices, near borders of charts in textures with halved colour."""
     found, (rows, columns) = [np.zeros(0, np.int64)], atlas.kind.shape
     for band in large_arrays.blocks(rows, ROWS):
         first = max(0, band.start - _MIXED)

@@ -147,7 +147,7 @@ def _ordered(keys: Int64s) -> tuple[Int64s, Int64s, Int64s]:
 
 
 def _merged(steps: Steps, keys: Int64s) -> Steps:
-    """Average the steps of rows that are alike."""
+    """Average the steps of equal rows."""
     order, _, starts = _ordered(keys)
     counts = np.add.reduceat(steps.counts[order], starts) if len(starts) else np.zeros(0)
 
@@ -177,7 +177,7 @@ def parts_of(steps: Steps) -> Int64s:
 
 
 def oriented(steps: Steps, differences: Float64s) -> Float64s:
-    """Return differences of the second side from the first as those of the chart with the higher number."""
+    """Orient differences of the second side from the first towards the chart with the higher number."""
     return np.where((steps.ends[:, 0] <= steps.ends[:, 1])[:, None], differences, -differences)
 
 

@@ -52,7 +52,7 @@ class Verdict:
 
     @property
     def continues(self) -> bool:
-        """Whether patterns continue across seams, or what is explained is nearly all where there are no patterns."""
+        """Whether patterns continue across seams, or exposures explain nearly all where there are no patterns."""
         return self.correlation >= _LEAST_CORRELATION or (self.is_flat and self.share >= _FLAT_SHARE)
 
     @property
@@ -173,7 +173,7 @@ class _HeldOut:
             count = np.bincount(unit, minlength=len(self.weights))
             return np.asarray(np.bincount(unit, values, len(self.weights)) / np.maximum(count, 1))
 
-        # Rounding makes no pattern; neither do slopes, such as those of gains that change over charts.
+        # Rounding makes no pattern; neither do slopes, as of gains that change over charts.
         both, one, other = (
             mean(each.mean(axis=1), follows) for each in (first * second, first**2, second**2)
         )

@@ -69,7 +69,7 @@ def view(
     lying: bool = False,
     shade: bool = False,
 ) -> NDArray[np.float32]:
-    """Return a view of a surface over the image plane, painted with the image, cropped to what is seen of it.
+    """Return a view of a surface over the image plane, painted with the image, cropped to its visible part.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Reproduce the figures of the paper: ``make figures``, or ``python docs/figures/make.py [FOLDER]``.
 
-Writes the pictures, by default beside this script, and the tables of numbers into ``docs/figures.md``.
+Writes the pictures, by default in this script's folder, and the tables of numbers into ``docs/figures.md``.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ def step_height(image: Array) -> float:
 
 
 def share_beyond_edge(beta: float, image: Array) -> float:
-    """Return what share of its weight the kernel of a pixel beside the edge has on the other side."""
+    """Return what share of its weight the kernel of a pixel next to the edge has on the other side."""
     return float(kernel(image, SHOWN, beta=beta)[:, EDGE:].sum())
 
 
@@ -78,7 +78,7 @@ def numbers(result: Result) -> list[list[str]]:
 
 
 def draw(result: Result, path: Path) -> None:
-    """Draw the step as a surface, as a profile, and the two kernels of one pixel beside the edge."""
+    """Draw the step as a surface, as a profile, and the two kernels of one pixel next to the edge."""
     from drawing import figure, save, show
 
     made, grid = figure(3, 3, (9.6, 8.4), heights=(1.25, 0.8, 1))

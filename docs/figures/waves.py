@@ -57,7 +57,7 @@ def make_heights() -> Array:
 
 
 def make_texture() -> Array:
-    """Return a texture that is alike everywhere: two warm tones in grains of several sizes."""
+    """Return a texture that is uniform everywhere: two warm tones in grains of several sizes."""
     from scipy.ndimage import gaussian_filter
 
     random = np.random.default_rng(1)

@@ -24,7 +24,7 @@ _WORTH_MOVING = 5e-4
 
 @dataclass(frozen=True)
 class Schedule:
-    """What is chosen: beta and its growth, the time step, regularised iterations, and plain ones after them."""
+    """A schedule: beta and its growth, the time step, regularised iterations, and plain ones after them."""
 
     beta: float
     growth: float
@@ -58,7 +58,7 @@ class Grid:
         beta, growth, regularised = place
         return Schedule(self.betas[beta], self.growths[growth], self.t, self.regularised[regularised], 0)
 
-    def beside(self, place: Place, axis: int, way: int) -> Place | None:
+    def neighbour(self, place: Place, axis: int, way: int) -> Place | None:
         """Return the next place along an axis; None at its end."""
         size = len((self.betas, self.growths, self.regularised)[axis])
         moved = place[axis] + way
@@ -107,10 +107,10 @@ class Search:
             moved = False
             for axis in (0, 1, 2):
                 for way in (1, -1):
-                    ahead = self._grid.beside(place, axis, way)
+                    ahead = self._grid.neighbour(place, axis, way)
                     while ahead is not None and self._path(ahead) < least - self._gain:
                         place, least, moved = ahead, self._path(ahead), True
-                        ahead = self._grid.beside(place, axis, way)
+                        ahead = self._grid.neighbour(place, axis, way)
         return least
 
     def _path(self, place: Place) -> float:
@@ -161,7 +161,7 @@ class Search:
 # Values that are tried of beta times the noise.
 _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
-# The largest before patches: with more, noise that is kept as if it were edges decides which patches look alike.
+# The largest before patches: with more, noise that is kept as if it were edges decides which patches are similar.
 _MOST_BEFORE_PATCHES = 2.0
 
 # Of the natural logarithm.

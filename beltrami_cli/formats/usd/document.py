@@ -154,7 +154,7 @@ class UsdDocument(Document):
             kept = [*self._other_layers(), *shown.kept(images)]
             taken = next((file for file in kept if naming.is_taken(file)), None)
             if taken is not None:  # other layers name the files that are copied
-                cause = f"beside OUTPUT there is another '{taken}', whose name is needed for one of its files"
+                cause = f"there is another '{taken}' in OUTPUT's folder, and one of its files needs that name"
                 raise InputError(self.name, cause, "choose an empty folder")
         present = self._layers.package.members if self._layers.package else self.references()
         names = NewFiles(naming, self.name, present, [*shown.missing(), *kept])

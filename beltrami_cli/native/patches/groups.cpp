@@ -14,7 +14,7 @@ using namespace beltrami::lanes::BELTRAMI_VARIANT;
 // Without a pilot, a share of D is added to Y^T Y: patches may be equal, as where noise was cut off.
 constexpr float least_share = 0.05F;
 
-// What is added at least, as a share of the trace, so that float32 can solve the system.
+// The least regularisation, as a share of the trace, with which float32 can solve the system.
 constexpr float least_of_trace = 1e-6F;
 
 // Patches whose noise the detail of a group must exceed to count more than `shrinkage`; and the detail of a patch in the
@@ -142,7 +142,7 @@ class Estimate {
     return std::max(totals[0], 0.0F);
   }
 
-  // Makes rows of values, of which the patches are columns: one for each place in the rows of patches.
+  // Makes rows of values whose columns are the patches: one for each place in the rows of patches.
   void transpose(const float* patches) {
     float* values = group_.values.data();
     const std::size_t places = (group_.used[group_.count - 1] + block) / block * block;

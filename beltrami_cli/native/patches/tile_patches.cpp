@@ -125,7 +125,7 @@ struct Shape {
 };
 
 // Candidates: their squared differences are summed for some rows of the window at a time. The first channel is compared on all
-// cells, so that candidates have all that the patch has; of the others every second says as much, as neighbours are alike.
+// cells, so that candidates have all that the patch has; of the others every second is enough, as neighbours are similar.
 constexpr Index rows_at_once = 5;
 static_assert((2 * rows_beside + 1) % rows_at_once == 0 && (2 * rows_beside_few + 1) % rows_at_once == 0);
 
