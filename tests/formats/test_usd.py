@@ -200,7 +200,7 @@ def test_layers_beside_the_root_are_followed_and_stay(tmp_path):
     assert {path: path.read_bytes() for path in source.parent.rglob("*.usda")} == before
     assert (source.parent / "textures/a.png").read_bytes() != PICTURE
     with pytest.raises(
-        InputError, match=r"another 'parts/mesh\.usda', whose name is needed.*; choose an empty folder"
+        InputError, match=r"another 'parts/mesh\.usda' in OUTPUT's folder, .*; choose an empty folder"
     ):
         smooth_file(source, tmp_path / "out" / "c.usda", GIVEN)
 
