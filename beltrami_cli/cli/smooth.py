@@ -169,13 +169,13 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
 def command(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
-    INPUT and OUTPUT are PLY, OBJ, glTF or GLB files, points (.xyz, .asc, .txt, .csv, .pts, .npz), images (PNG, JPEG,
-    TIFF, EXR and what else OpenImageIO reads), or - for a pipe. OUTPUT keeps the bytes of INPUT apart from the colours.
-    With another extension it is converted, and what the other format cannot hold is said: vertex colours go to any
-    format, textures with their materials to glTF, GLB, OBJ and PLY, images to any image format. -n 0 converts and
-    smooths nothing.
+    INPUT and OUTPUT are PLY, OBJ, glTF, GLB or USD files, points (.xyz, .asc, .txt, .csv, .pts, .npz, .las, .laz, .e57,
+    .pcd), images (PNG, JPEG, TIFF, EXR and the other formats of OpenImageIO), or - for a pipe. OUTPUT keeps the bytes
+    of INPUT apart from the colours. With another extension it is converted, and losses are listed: vertex colours go to
+    any mesh format, textures with their materials to glTF, GLB, OBJ and PLY, images to any image format. -n 0 converts
+    and smooths nothing.
 
-    Points without faces are smoothed on the surface that they lie on; those far from all others stay as they are. In
+    Points without faces are smoothed on the surface that they lie on; points far from all others stay as they are. In
     .xyz, .asc, .txt, .csv and .pts the columns are what --columns or a first line calls them, or else found by their
     values; in .npz the arrays are positions (P, 3), or (H, W, 3) for a range image, and colours (P, C) or intensity
     (P).
