@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+import trimesh
 
 from beltrami_cli.cli.main import COMMANDS, group
 from cli.commands import SAMPLES, beltrami
@@ -181,6 +182,9 @@ def test_the_python_of_pages_runs(name, stand_ins, tmp_path, monkeypatch):
     known = {
         "positions": positions, "points": positions, "faces": faces, "colours": values.reshape(-1, 3),
         "pixels": values, "depth": values[..., 0],
+        "mesh": trimesh.Trimesh(positions, faces, vertex_colors=values.reshape(-1, 3), process=False),
+        "uv": positions[:, :2] / len(values), "first": values, "second": values,
+        "image_of_face": np.arange(len(faces)) % 2,
     }  # fmt: skip
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / name).read_text(encoding="utf-8"), re.DOTALL)
     for block in blocks:
