@@ -228,13 +228,13 @@ def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
     owned = atlas.kind.reshape(-1) == OWNED
     of_seams = np.flatnonzero(atlas.halo_seams >= 0)
     cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
-    owned, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
+    inner, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
     for step in (1, -1, columns, -columns):
         found = owned.take(cells - step, mode="clip")  # the first and the last cell are margin
-        owned[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
+        inner[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
     known = np.flatnonzero(halo >= 0)
     sides = np.full((len(halo), 2), -1, np.int32)
-    sides[known] = np.column_stack([_charts_at(atlas, owned[known]), reached[halo[known]]])
+    sides[known] = np.column_stack([_charts_at(atlas, inner[known]), reached[halo[known]]])
     return sides
 
 
