@@ -151,11 +151,12 @@ def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
     yield str(facts["file"]["format"])
     if image := facts.get("image"):
         yield f"{image['width']} x {image['height']} pixels"
-    if surface := facts.get("surface"):
-        yield counted(surface["vertices"], "vertex") if "vertices" in surface else ""
-        yield counted(surface["triangles"], "triangle") if "triangles" in surface else ""
-    if cloud := facts.get("cloud"):
-        yield counted(cloud["points"], "point")
+    for part, names in (
+        ("surface", {"vertices": "vertex", "triangles": "triangle"}),
+        ("cloud", {"points": "point"}),
+    ):
+        counts = facts.get(part) or {}
+        yield from (counted(counts[key], noun) for key, noun in names.items() if key in counts)
 
 
 def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:

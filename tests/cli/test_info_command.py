@@ -103,6 +103,14 @@ def test_the_short_text_has_the_answer_in_few_lines(name):
     assert "_" not in "".join(line for line in lines if not line.startswith("file"))  # no name of a field
 
 
+def test_a_range_image_has_no_triangles_in_the_short_text(tmp_path):
+    y, x = np.mgrid[:6, :8]
+    colours = np.full((6, 8, 3), 0.5)
+    np.savez(tmp_path / "range.npz", positions=np.dstack([x, y, 0 * x]).astype(float), colours=colours)
+    line = beltrami("info", tmp_path / "range.npz", "--fast", text=True).stdout.splitlines()[0]
+    assert line.endswith("npz, 48 vertices")
+
+
 def test_a_file_without_colours_is_refused(tmp_path):
     plain = tmp_path / "plain.obj"
     plain.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
