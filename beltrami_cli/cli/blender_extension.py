@@ -23,7 +23,7 @@ In Blender: Edit > Preferences > Get Extensions > Install from Disk. The panel i
 @click.argument("target", metavar="OUT.zip")
 @options.overwrite
 @options.messages
-def command(target: str, overwrite: bool, messages: Messages) -> None:
+def blender_extension(target: str, overwrite: bool, messages: Messages) -> None:
     """Write the extension for Blender 4.2 and newer, which smooths colour attributes and image textures.
 
     Its panel has the parameters of `beltrami smooth`, and calls the program that wrote it.

@@ -1,4 +1,4 @@
-"""The command `beltrami compare`."""
+"""The commands that judge two files: `beltrami compare` and `check`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
-from beltrami_cli.cli.console import Messages, printable
+from beltrami_cli.cli.console import Messages, counted, printable
 from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.settings import SmoothSettings
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.compare.files import Comparison
     from beltrami_cli.jobs.output import Output
 
-EPILOG = """\b
+
+_COMPARE_EPILOG = """\b
 Examples:
   beltrami compare truth.ply clean.ply                                   a table
   beltrami compare truth.glb clean.glb --min-psnr 35 --max-delta-e 2     exit code 1 if a limit is broken
@@ -69,7 +70,7 @@ _XML = b'<?xml version="1.0" encoding="utf-8"?>\n'
 _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 
 
-@click.command("compare", cls=HelpfulCommand, epilog=EPILOG)
+@click.command("compare", cls=HelpfulCommand, epilog=_COMPARE_EPILOG)
 @click.argument("reference", metavar="REFERENCE")
 @click.argument("test", metavar="TEST")
 @options.options_of(Limits)
@@ -91,7 +92,7 @@ _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 )  # fmt: skip
 @options.reading
 @options.messages
-def command(
+def compare(
     reference: str,
     test: str,
     weights: Weights,
@@ -253,3 +254,50 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     aligned = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
     return ["  ".join(cells).rstrip() for cells in aligned]
+
+
+_CHECK_EPILOG = """\b
+Examples:
+  beltrami check scan.ply clean.ply
+  beltrami check scan.glb clean.glb --json | jq .differences
+  beltrami check scan.obj clean.obj -q && echo nothing but colours differs
+
+\b
+Exit codes: 0 nothing but colours and images differs; 1 something else does; otherwise as `beltrami`.
+"""
+
+
+@click.command("check", cls=HelpfulCommand, epilog=_CHECK_EPILOG)
+@click.argument("before", metavar="BEFORE")
+@click.argument("after", metavar="AFTER")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.reading
+@options.quiet
+@options.verbose
+def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
+    """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours.
+
+    Colours and the pixels of images may differ. Anything else is an error: positions, faces, materials, names,
+    comments, whatever the format holds. So is an image whose colours under an alpha of 0 were cleared.
+    """
+    from beltrami_cli.jobs.check import check_files
+
+    with options.reading_from(reading, before) as access:
+        report = check_files(before, after, access)
+    if as_json:
+        from dataclasses import asdict
+
+        click.echo(json.dumps({**asdict(report), "faithful": report.faithful}, indent=2))
+    elif not quiet:
+        for difference in report.differences:
+            mark = "colour" if difference.of_colour else "OTHER"
+            click.echo(printable(f"{mark:>6}  {difference.what}: {difference.detail}"))
+        click.echo(_summary(sum(not each.of_colour for each in report.differences), len(report.differences)))
+    return 0 if report.faithful else 1
+
+
+def _summary(others: int, differences: int) -> str:
+    if others:
+        verb = "differs" if others == 1 else "differ"
+        return f"{counted(others, 'thing')} besides colours {verb}"
+    return "nothing else differs" if differences else "nothing differs"

@@ -239,7 +239,7 @@ beltrami.toml (in pyproject.toml the tables are [tool.beltrami] and [tool.beltra
 @click.command("config", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("name", metavar="[COMMAND]", required=False)
 @click.pass_context
-def command(context: click.Context, name: str | None) -> None:
+def config(context: click.Context, name: str | None) -> None:
     """Show the options in force, and where each comes from: a file, the environment, or the default.
 
     The output is TOML for beltrami.toml; defaults are comments in it.

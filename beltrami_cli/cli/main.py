@@ -20,7 +20,7 @@ from beltrami_cli.errors import BeltramiError, InputError
 if TYPE_CHECKING:
     from beltrami_cli.cli.config import Configuration
 
-# Each is a module, which is imported only when its command is asked for. The summaries fit a line of 80 columns.
+# The summaries fit a line of 80 columns.
 COMMANDS = {
     "bake": "Move colours from vertices to a texture, or back.",
     "batch": "Smooth many files at the same time.",
@@ -38,6 +38,12 @@ COMMANDS = {
     "sweep": "Smooth with many settings, and show all results together.",
     "view": "Show a model in the browser, and smooth it there.",
 }
+
+# The modules of commands that are not called as their command; a module is imported when its command is asked for.
+_MODULES = {
+    "bake": "colours", "check": "compare", "kernel": "info", "level": "colours", "noise": "colours",
+    "render": "pictures", "report": "pictures", "sweep": "pictures", "view": "pictures",
+}  # fmt: skip
 
 _ALIASES = {"denoise": "smooth"}
 
@@ -135,9 +141,11 @@ def group(context: click.Context, config_path: str | None) -> None:
 
 
 def _command(name: str) -> click.Command:
-    module = importlib.import_module(f"beltrami_cli.cli.{name.replace('-', '_')}")
-    module.command.short_help = COMMANDS[name]
-    return with_variables(module.command, name, _shared_with_smooth(name))
+    function = name.replace("-", "_")
+    module = importlib.import_module(f"beltrami_cli.cli.{_MODULES.get(name, function)}")
+    command: click.Command = getattr(module, function)
+    command.short_help = COMMANDS[name]
+    return with_variables(command, name, _shared_with_smooth(name))
 
 
 def _shared_with_smooth(name: str) -> Collection[str]:

@@ -166,7 +166,7 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
 @options.overwrite
 @besides
 @options.messages
-def command(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
+def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
     """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
 
     INPUT and OUTPUT are PLY, OBJ, glTF, GLB or USD files, points (.xyz, .asc, .txt, .csv, .pts, .npz, .las, .laz, .e57,

@@ -32,7 +32,7 @@ GUIDED = {"guides": ("{}/guide.png",), "guide_betas": (5.0,)}
 
 def parsed(words):
     """Return the settings that `smooth` makes of options."""
-    with smooth.command.make_context("smooth", ["in", "out", *words]) as context, context:
+    with smooth.smooth.make_context("smooth", ["in", "out", *words]) as context, context:
         assert click.get_current_context() is context
         return options.settings_from(context.params)
 

@@ -1,0 +1,170 @@
+"""The commands that change colours and do not smooth them: `beltrami level`, `bake` and `noise`."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, get_args
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.cli.smooth import besides, show_levelled, written
+from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
+from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
+
+_LEVEL_EPILOG = """\b
+Examples:
+  beltrami level photoscan.obj level.obj                     visible patches gone, if exposure made them
+  beltrami level photoscan.obj level.obj --preview look.png  before and after in a picture
+  beltrami level scan.glb level.glb --strength 0.5           half of the way
+  beltrami level scan.glb level.glb --report run.json        exposures of all charts, with their numbers
+  beltrami level scan.glb level.glb --reference 12           chart 12 stays, and the others are matched to it
+  beltrami level model.obj level.obj --reference "front*"    so do all on textures or materials of such names
+  beltrami level cloud.ply level.ply --photographs camera    vertex colours, by an attribute
+  beltrami smooth photoscan.obj clean.obj --level            level, and then smooth across the seams
+  beltrami batch scans --out-dir clean --level -n 0          level many files, and do not smooth them
+
+\b
+Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. A step at a seam is taken
+for exposure if charts explain it: gains fitted to some seams must predict the steps at the others. Else it is paint,
+and stays; if all of them are, OUTPUT is INPUT. See docs/levelling.md.
+"""
+
+
+@click.command("level", cls=HelpfulCommand, epilog=_LEVEL_EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@options.options_of(LevelSettings)
+@options.options_of(
+    SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.UNMIXED
+)
+@options.output_format
+@options.reading
+@options.overwrite
+@besides
+@options.messages
+def level(source: str, target: str, messages: Messages, **values: Any) -> None:
+    """Take the exposure steps between the charts of INPUT out of its textures, and write OUTPUT.
+
+    Charts from photographs of differing exposure meet in steps. Gains and offsets, which may change smoothly over a
+    chart, make colours agree across seams; where a step is painted it stays, and with it all of a model that has no
+    exposure steps. The mean colour stays. INPUT and OUTPUT are what `beltrami smooth` takes and writes, and nothing but
+    colours changes. Vertex colours are levelled where an attribute says which photograph each is from.
+    """
+    wanted = options.record_from(LevelSettings, values)
+    del values["strength"]  # which is another parameter where colours are smoothed
+    settings = options.record_from(SmoothSettings, values)
+    from beltrami_cli.jobs.level import level_file
+
+    carry_out = partial(level_file, source, target, wanted, settings)
+    report = written(values, (source, target), settings, messages, carry_out)
+    messages.warn_of(source, report.warnings)
+    unwritten = "not written (dry run), " if values["dry_run"] else ""
+    show_levelled(messages, report.levelled, f"{target}: {unwritten}")
+
+
+_BAKE_EPILOG = """\b
+Examples:
+  beltrami bake scan.ply scan.glb --to texture              vertex colours into a new texture
+  beltrami bake scan.ply scan.obj --to texture --size 2048
+  beltrami bake model.glb model.ply --to vertices           a texture into vertex colours
+
+\b
+The output is a new file: the triangles, and their colours. What else INPUT holds is not in it, and said.
+"""
+
+
+@click.command("bake", cls=HelpfulCommand, epilog=_BAKE_EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
+@options.options_of(BakeSettings)
+@options.output_format
+@options.writing
+def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
+    """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
+
+    A new texture gets a new atlas. Vertices take what a renderer would show where they are; those on a seam take the
+    mean of its sides, or stay split where a seam is a real colour edge.
+    """
+    settings = options.record_from(BakeSettings, values)
+    from beltrami_cli.jobs.bake import bake_file
+
+    with options.job_from(values, source, messages) as job:
+        report = bake_file(source, target, to, settings, job)
+    messages.warn_of(report.input, report.warnings)
+    for path in report.written[1:]:
+        messages.detail(f"written with it: {path}")
+    made = ", ".join(counted(number, noun) for noun, number in report.counts.items())
+    messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))
+
+
+_NOISE_EPILOG = """\b
+Examples:
+  beltrami noise clean.ply noisy.ply --sigma 20                     a standard deviation of 20/255
+  beltrami noise clean.glb noisy.glb --sigma 8% --seed 7            textures, across their seams; other noise
+  beltrami noise photo.png noisy.png --sigma 40 --kind poisson      the dark has less of it
+  beltrami noise cloud.xyz noisy.xyz --sigma 5% --kind salt-pepper  one point in twenty black or white
+  beltrami noise clean.glb noisy.glb --kind camera --shot 0.02      as a camera with a Bayer mosaic sees it
+  beltrami noise clean.obj noisy.obj --kind grain --sigma 12 --size 3   grain that reaches over 3 texels
+  beltrami noise photo.png coded.png --kind jpeg --quality 75       what JPEG leaves of it
+  beltrami noise scan.ply noisy.ply --sigma 20 && beltrami smooth noisy.ply clean.ply && \\
+    beltrami compare scan.ply clean.ply                             how much does smoothing restore?
+
+\b
+What --sigma S means:
+  gaussian     the standard deviation of every channel, whatever the colour
+  poisson      the same at full scale; it falls with the square root of the colour, as when photons are counted
+  speckle      the same at full scale; it falls with the colour
+  salt-pepper  the share of samples that turn black or white, half of them each
+  grain        as gaussian (which white is another name of), but neighbours share it up to the distance --size
+
+\b
+What needs no --sigma:
+  camera       the variance is --shot L + --read^2 of the light L, linear, from 0 to 1. In images and textures each
+               pixel measures one colour, and demosaicing (bilinear, chart by chart) mixes them; vertices measure all.
+  jpeg         each picture is coded and decoded at --quality with colour at half the resolution; textures as they
+               lie flat. Vertex colours are no picture and are refused: bake them first.
+"""
+
+
+@click.command("noise", cls=HelpfulCommand, epilog=_NOISE_EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUTPUT")
+@options.options_of(NoiseSettings)
+@options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
+@options.output_format
+@options.writing
+def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
+    """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
+
+    INPUT and OUTPUT are what `beltrami smooth` takes and writes. The noise is on the surface: vertices at one place get
+    the same, and so do the texels around a chart and their counterparts beyond the seam. Format, type, alpha and
+    metadata stay. Colours are cut off at 0 and at full scale, as in a camera, unless INPUT has some beyond.
+    """
+    settings = options.record_from(SmoothSettings, values)
+    noise = options.record_from(NoiseSettings, values)
+    from beltrami_cli.jobs.noise import noise_file
+
+    with options.job_from(values, source, messages) as job:
+        report = noise_file(source, target, noise, settings, job)
+    messages.warn_of(source, report.warnings)
+    for added in report.added:
+        messages.say(
+            f"{target}: {added.what}, {counted(added.samples, 'sample')}, "
+            f"{_described(noise)}, "
+            f"root mean square change {255 * added.rms:.1f}/255, seed {noise.seed}"
+        )
+    if not report.added:
+        messages.say(f"{target}: no noise, so the colours are unchanged")
+
+
+def _described(noise: NoiseSettings) -> str:
+    if noise.kind == "jpeg":
+        return f"coded as JPEG of quality {noise.quality}"
+    if noise.kind == "camera":
+        return f"camera noise of variance {noise.shot:g} L + {noise.read:g}^2"
+    amount = f"{noise.kind} noise of {255 * noise.deviation:.4g}/255"
+    return f"{amount}, {noise.size:g} samples wide" if noise.kind == "grain" else amount

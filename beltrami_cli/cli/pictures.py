@@ -1,0 +1,296 @@
+"""The commands that show colours: `beltrami render`, `sweep`, `report` and `view`."""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import os
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import click
+
+from beltrami_cli.cli import options
+from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.console import Messages, counted
+from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import Parameter, parameters
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.settings import VIEWS, RenderSettings
+
+_RENDER_EPILOG = """\b
+Examples:
+  beltrami render scan.ply scan.png                                   from the front
+  beltrami render scan.ply scan.png --view three-quarter --lit        from above and the right, with light
+  beltrami render noisy.glb clean.glb both.png --crop auto            side by side, with a detail
+  beltrami render a.ply b.ply ab.png --label before --label after --crop 0.4,0.3,0.1 --crop 0.6,0.7
+  beltrami render model.obj around.png --turntable 8 --size 300       eight views all around
+  beltrami render model.obj turning.gif --turntable 24 --lit          one that turns; .webp and .mp4 likewise
+  beltrami render room.ply room.png --up z --azimuth 120 --elevation 45
+  beltrami render photo.png clean.png photos.png --crop auto,0.1      images, unchanged, with a detail
+  beltrami render model.glb icon.png --size 128 --background transparent
+
+\b
+Needs no screen and no graphics card. For surfaces it needs a package: pip install 'beltrami-cli[render]'.
+Models that lie in one place are seen by one camera. Colours are linear while they are lit and averaged, and
+sRGB in OUT; factors of materials and reflections are not shown.
+"""
+
+
+_viewpoint = click.option(
+    "--view", type=click.Choice(list(VIEWS)), default="front", show_default=True,
+    help="Where the eye is; y points up, and the front looks along z, unless --up says otherwise.",
+)  # fmt: skip
+
+
+def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettings:
+    """Make the settings of pictures from the values of `_viewpoint` and options of `RenderSettings`."""
+    for name, angle in zip(("azimuth", "elevation"), VIEWS[values["view"]], strict=True):
+        if values[name] is None:
+            made[name] = angle
+    return options.record_from(RenderSettings, values, **made)
+
+
+@click.command("render", cls=HelpfulCommand, epilog=_RENDER_EPILOG)
+@click.argument("sources", nargs=-1, required=True, metavar="FILE...")
+@click.argument("target", metavar="OUT.png")
+@_viewpoint
+@options.options_of(RenderSettings)
+@click.option("--no-labels", is_flag=True, help="No words in the picture.")
+@options.writing
+def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Messages, **values: Any) -> None:
+    """Draw each FILE, a model, points or an image, and write all as one picture.
+
+    Textures and vertex colours are shown as a viewer shows them, unlit unless --lit is given: it is the colours
+    that are to be judged.
+    """
+    if values["labels"] and no_labels:
+        raise UsageError("--label and --no-labels contradict each other")
+    settings = render_settings_from(values, **({"labels": ()} if no_labels else {}))
+    from beltrami_cli.view.render import render_file
+
+    with options.job_from(values, sources[0], messages) as job:
+        width, height = render_file(sources, target, settings, job)
+    messages.say(f"{target}: {width} x {height} pixels")
+
+
+_SWEEP_EPILOG = """\b
+Examples:
+  beltrami sweep scan.ply sheet.png --beta 4,8,16 -n 2,5,10            nine trials, three by three
+  beltrami sweep scan.glb sheet.html -t 1,2.4,4                        a page; click on a view to see it next to INPUT
+  beltrami sweep noisy.glb sheet.html --reference clean.glb --beta 5,10,20 -n 3,5   with PSNR and the like
+  beltrami sweep photo.jpg sheet.png --metric-steps 1,2,4 --crop auto,0.1 --size 400
+  beltrami sweep scan.ply figures.csv --format csv --beta 4,8,16       estimated PSNR and gain, and no pictures
+  beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
+
+\b
+Every value is tried with every other, and the default without these values. Other parameters are as in `beltrami
+smooth`. Results are drawn and thrown away: smooth with the parameters that you like best.
+"""
+
+_SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
+_SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
+# Options of a single picture, or that follow from the options of smoothing.
+_NOT_LOOKS = ("slot", "on", "side_by_side", "turntable", "fps", "labels")
+
+
+def _listed(declared: Parameter) -> Parameter:
+    """Return a parameter that takes a list of values, where it took one."""
+
+    def values_in(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(declared.kind(word) for word in text.split(","))
+        except ValueError:
+            raise ValueError(f"is {text!r}, but must be a list of numbers such as 4,8,16") from None
+        return tuple(dict.fromkeys(values))
+
+    return replace(
+        declared, default=None, several=True, optional=True, unset="one value, as for smooth", metavar="A,B,...",
+        parse=values_in,
+    )  # fmt: skip
+
+
+_LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in _SWEPT]
+
+
+@click.command("sweep", cls=HelpfulCommand, epilog=_SWEEP_EPILOG)
+@click.argument("source", metavar="INPUT")
+@click.argument("target", metavar="OUT.png|OUT.html|OUT")
+@click.option(
+    "--reference", metavar="FILE", help="The same without noise: measure how near to it each result is."
+)
+@click.option(
+    "--format", "kind", type=click.Choice(["csv", "json"]),
+    help="Write only the parameters and figures, and draw nothing; OUT may be - then.",
+)  # fmt: skip
+@options.adding(_LISTS[::-1])
+@options.options_of(SmoothSettings, without=_SWEPT)
+@options.preset
+@_viewpoint
+@options.options_of(RenderSettings, without=_NOT_LOOKS)
+@options.writing
+def sweep(
+    source: str,
+    target: str,
+    reference: str | None,
+    kind: Literal["csv", "json"] | None,
+    messages: Messages,
+    **given: Any,
+) -> None:
+    """Smooth INPUT with every combination of parameters, and show all results in one picture or page, or their figures.
+
+    The first views are the reference, if there is one, INPUT as it is, and the default; the others show their
+    parameters.
+    """
+    trials, columns = _trials(given)
+    plain = trials[0][1]
+    on = "vertices" if plain.on == "vertices" else "auto"
+    settings = render_settings_from(given, on=on, slot=plain.textures.slots[0])
+    from beltrami_cli.view.sweep import best_of, sweep_file
+
+    with options.job_from(given, source, messages) as job:
+        done = sweep_file(
+            source, target, trials, settings, columns=columns, reference=reference, kind=kind, job=job
+        )
+    for trial in done:
+        messages.detail(trial.label)
+    best = best_of(done)
+    shown = "" if best is None else f", best {done[best].label}"
+    messages.say(f"{target}: {counted(len(done), 'trial')}{shown}")
+
+
+def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothSettings]], int]:
+    """Return the default and all combinations, and how many belong in a row: the values of the last list of several."""
+    swept = {
+        each.name: options.parsed(each, given[each.name]) for each in _LISTS if given[each.name] is not None
+    }
+    swept = {name: swept[name] for name in _SWEPT if name in swept}
+    plain = {**given, **dict.fromkeys(_SWEPT)}
+    trials: list[tuple[dict[str, float], SmoothSettings]] = [({}, options.settings_from(plain))]
+    for combination in itertools.product(*swept.values()) if swept else ():
+        chosen = dict(zip(swept, combination, strict=True))
+        settings = options.settings_from({**plain, **chosen})
+        trials.append(({_SHOWN.get(name, name): value for name, value in chosen.items()}, settings))
+    rows = [len(values) for values in swept.values() if len(values) > 1]
+    return trials, max(2, rows[-1] if rows else 2)
+
+
+_REPORT_EPILOG = """\b
+Examples:
+  beltrami report scan.ply clean.ply what-changed.html
+  beltrami smooth model.glb clean.glb --report run.json && \\
+    beltrami report model.glb clean.glb page.html --parameters run.json
+  beltrami report photo.png clean.png photo.html               an image, with a swipe
+  beltrami report model.glb clean.glb page.html --slots emissive
+
+\b
+The page holds everything that it needs, so it can be mailed or kept as an artefact of CI, and opens without a
+network. The models are drawn with WebGL by three.js (MIT licence, in the package).
+"""
+
+
+@click.command("report", cls=HelpfulCommand, epilog=_REPORT_EPILOG)
+@click.argument("before", metavar="BEFORE")
+@click.argument("after", metavar="AFTER")
+@click.argument("target", metavar="OUT.html")
+@click.option(
+    "--parameters", metavar="FILE.json",
+    help="Also show the parameters, from what `beltrami smooth --report` wrote.",
+)  # fmt: skip
+@click.option(
+    "--full-size", is_flag=True,
+    help="Keep pictures at full size, to zoom as far as single texels, however large the page becomes.  "
+    "[default: at most 8 MB]",
+)  # fmt: skip
+@options.options_of(SmoothSettings, only=("on", "slots", "space"), changed=options.COMPARED)
+@options.writing
+def report(
+    before: str,
+    after: str,
+    target: str,
+    parameters: str | None,
+    full_size: bool,
+    messages: Messages,
+    **values: Any,
+) -> None:
+    """Write a page that shows what changed from BEFORE to AFTER, two models or two images that differ in colours only.
+
+    It has both models under one camera with a swipe between them, textures with a swipe, figures, a histogram of the
+    change, and a map of the seams.
+    """
+    from beltrami_cli.view.report import report_file
+
+    settings = options.compared_from(values)
+    with options.job_from(values, before, messages) as job:
+        found = report_file(
+            before, after, target, settings, parameters=parameters, full_size=full_size, job=job
+        )
+    for notice in found["notices"]:
+        messages.warn(notice)
+    messages.say(f"{target}: {counted(found['samples'], 'sample')}, {_result(found)}")
+
+
+def _result(found: dict[str, Any]) -> str:
+    if not found["samples"]:
+        return "so no colours are compared"
+    if found["psnr"] is None:
+        return "whose colours are equal" if found["notices"] else "nothing differs"
+    return f"{found['psnr']:.2f} dB from one to the other"
+
+
+_VIEW_EPILOG = """\b
+Examples:
+  beltrami view scan.ply                         in the browser, with all parameters chosen
+  beltrami view model.glb --strength gentle      start with other parameters, as for smooth
+  beltrami view photo.jpg --no-open              print the address, and open no browser
+
+\b
+The page is served on this machine only, to those who know its address, until it is closed or Ctrl-C is pressed. A part
+of the model is smoothed at once while a control is moved, and the whole when it rests. Nothing is written unless
+"Save" is pressed; "Copy command" gives the call of `beltrami smooth` that does the same.
+"""
+
+
+@click.command("view", cls=HelpfulCommand, epilog=_VIEW_EPILOG)
+@click.argument("source", metavar="MODEL")
+@click.option("--no-open", is_flag=True, help="Print the address of the page, and open no browser.")
+@options.smoothing
+@options.reading
+@options.messages
+def view(source: str, no_open: bool, messages: Messages, **smoothing: Any) -> None:
+    """Show MODEL in the browser, and smooth it there while parameters are changed.
+
+    MODEL is what `beltrami smooth` takes: a mesh, a textured model, points, an image or a level set. The page has it
+    before and after with a line between them, the difference, and what was chosen.
+    """
+    settings = options.settings_from(smoothing)
+    from beltrami_cli.view.live import Live
+    from beltrami_cli.view.server import PageServer
+
+    def typed(settings: SmoothSettings, target: str) -> str:
+        words = options.words_of(settings, smoothing["preset"])
+        words += ["--allow-outside"] if smoothing["allow_outside"] else []
+        columns = smoothing["columns"]
+        words += ["--columns", columns] if columns else []
+        words += ["--max-memory", str(smoothing["max_memory"])] if smoothing["max_memory"] else []
+        return shlex.join(["beltrami", "smooth", source, target, *words])
+
+    with options.reading_from(smoothing, source) as access:
+        live = Live(source, settings, Job(access), typed)
+        try:
+            server = PageServer(live)
+            messages.say(f"{source}: shown at {server.address} until the page is closed, or Ctrl-C")
+            if not no_open:
+                import webbrowser
+
+                webbrowser.open(server.first_address)
+            server.run()
+        finally:
+            if not live.close():  # threads of the core would make Python abort as it ends
+                error = sys.exc_info()[1]
+                atexit.register(os._exit, 0 if error is None else getattr(error, "exit_code", 1))
