@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.array_arguments import from_trimesh as from_trimesh
     from beltrami_cli.jobs.arrays import ImageResult as ImageResult
     from beltrami_cli.jobs.arrays import SmoothResult as SmoothResult
+    from beltrami_cli.jobs.arrays import TexturedResult as TexturedResult
     from beltrami_cli.jobs.arrays import smooth as smooth
     from beltrami_cli.jobs.arrays import smooth_image as smooth_image
-    from beltrami_cli.jobs.bake import BakeReport as BakeReport
-    from beltrami_cli.jobs.bake import bake_file as bake_file
+    from beltrami_cli.jobs.arrays import smooth_textured as smooth_textured
     from beltrami_cli.jobs.check import CheckReport as CheckReport
     from beltrami_cli.jobs.check import check_files as check_files
     from beltrami_cli.jobs.compare.files import Comparison as Comparison
@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.job import Job as Job
     from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
     from beltrami_cli.jobs.level import level_file as level_file
+    from beltrami_cli.jobs.new_texture import BakeReport as BakeReport
+    from beltrami_cli.jobs.new_texture import bake_file as bake_file
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
     from beltrami_cli.jobs.noise import noise_file as noise_file
     from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
     from beltrami_cli.jobs.settings import Limits as Limits
     from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
+    from beltrami_cli.jobs.smooth import SmoothReport as SmoothReport
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
-    from beltrami_cli.jobs.smoothing import SmoothReport as SmoothReport
-    from beltrami_cli.jobs.textured_arrays import TexturedResult as TexturedResult
-    from beltrami_cli.jobs.textured_arrays import smooth_textured as smooth_textured
     from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface
     from beltrami_cli.layers.settings import EmbeddingSettings as EmbeddingSettings
     from beltrami_cli.layers.settings import ImageSettings as ImageSettings
@@ -60,18 +60,16 @@ _NAMES_IN = {
     "flow.parameters": "KernelParameters",
     "formats.access": "Access",
     "jobs.array_arguments": "MeshArrays from_trimesh",
-    "jobs.arrays": "ImageResult SmoothResult smooth smooth_image",
-    "jobs.bake": "BakeReport bake_file",
+    "jobs.arrays": "ImageResult SmoothResult TexturedResult smooth smooth_image smooth_textured",
     "jobs.check": "CheckReport check_files",
     "jobs.compare.files": "Comparison compare_files",
     "jobs.inspect": "inspect_file",
     "jobs.job": "Job",
     "jobs.level": "LevelFileReport level_file",
+    "jobs.new_texture": "BakeReport bake_file",
     "jobs.noise": "NoiseReport noise_file",
     "jobs.settings": "BakeSettings Limits NoiseSettings",
-    "jobs.smooth": "smooth_file",
-    "jobs.smoothing": "SmoothReport",
-    "jobs.textured_arrays": "TexturedResult smooth_textured",
+    "jobs.smooth": "SmoothReport smooth_file",
     "layers.image_surface": "ImageSurface",
     "layers.settings": "EmbeddingSettings ImageSettings LevelSetSettings LevelSettings SmoothSettings TextureSettings",
     "view.render": "render_file",

@@ -18,8 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch.cluster import ClusterExecutor
 from beltrami_cli.batch.cluster_partitions import ClusterRunner
-from beltrami_cli.batch.item import Item
-from beltrami_cli.batch.record import Record
+from beltrami_cli.batch.item import Item, Record
 from beltrami_cli.batch.run import Batch
 from beltrami_cli.flow.beltrami_flow import choose_parameters, in_partitions, smooth
 from beltrami_cli.flow.mesh_manifold import mesh_manifold

@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay
 
 import beltrami_cli
 from beltrami_cli.jobs.noise_targets import jpeg_file
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 
 NEAR = 0.3  # relative error of noise that is read well
 

@@ -22,8 +22,17 @@ from multiprocessing.context import SpawnProcess
 from types import FrameType
 from typing import Any, NoReturn, Protocol, Self, cast
 
-from beltrami_cli.batch.item import Attempt, Item, Outcome, do_item, failed, outcome_of
-from beltrami_cli.batch.record import Record, is_done, is_ours
+from beltrami_cli.batch.item import (
+    Attempt,
+    Item,
+    Outcome,
+    Record,
+    do_item,
+    failed,
+    is_done,
+    is_ours,
+    outcome_of,
+)
 from beltrami_cli.batch.storage import exists, make_folder_of
 from beltrami_cli.errors import OutputError
 from beltrami_cli.flow.parameters import KernelParameters

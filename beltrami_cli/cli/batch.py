@@ -179,7 +179,7 @@ def _run(
     messages: Messages,
 ) -> list[Outcome]:  # fmt: skip
     """Do the files, and show how far they are; `report` is its path, and whether it may be replaced."""
-    from beltrami_cli.batch.record import Record
+    from beltrami_cli.batch.item import Record
     from beltrami_cli.batch.run import Batch
     from beltrami_cli.flow.parameters import KernelParameters
     from beltrami_cli.jobs.job import default_memory
@@ -280,7 +280,7 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
 
 def _require_no_part(path: str, jobs: Sequence[Item], rewritten: Overwrite) -> None:
     """Raise OutputError if a report that may replace any file would replace a part of a model."""
-    from beltrami_cli.batch.record import is_part_of_model
+    from beltrami_cli.batch.item import is_part_of_model
 
     if rewritten is True and is_part_of_model(path, jobs):
         raise OutputError(path, "the report would replace a file that a model needs", "choose another name")

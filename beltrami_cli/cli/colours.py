@@ -90,7 +90,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
     mean of its sides, or stay split where a seam is a real colour edge.
     """
     settings = options.record_from(BakeSettings, values)
-    from beltrami_cli.jobs.bake import bake_file
+    from beltrami_cli.jobs.new_texture import bake_file
 
     with options.job_from(values, source, messages) as job:
         report = bake_file(source, target, to, settings, job)

@@ -30,8 +30,8 @@ from beltrami_cli.layers.settings import SmoothSettings
 if TYPE_CHECKING:
     from beltrami_cli.jobs.level import LevelFileReport
     from beltrami_cli.jobs.output import Output
-    from beltrami_cli.jobs.smoothing import SmoothReport
-    from beltrami_cli.layers.reports import LayerReport, LevelReport
+    from beltrami_cli.jobs.smooth import SmoothReport
+    from beltrami_cli.layers.layer import LayerReport, LevelReport
     from beltrami_cli.view.render import Preview
 
 Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
@@ -113,7 +113,7 @@ def written(
 def _open_report(path: str | None, job: Job) -> Output | None:
     """Check that a report can be written, if one is wanted, before anything is computed."""
     from beltrami_cli.jobs.output import Output
-    from beltrami_cli.jobs.smoothing import is_report
+    from beltrami_cli.jobs.smooth import is_report
 
     if path is None:
         return None

@@ -28,7 +28,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.colour_values import limits_of
+from beltrami_cli.surface.records import limits_of
 
 # Fewer samples at a limit, as a share of all, change no mean that is worth a plane of memory.
 _WORTH_RESTORING = 1e-3

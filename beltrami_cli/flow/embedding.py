@@ -21,8 +21,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
-from beltrami_cli.surface.records import Encoding
+from beltrami_cli.surface.records import Encoding, linear_to_srgb, srgb_to_linear
 
 # One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Noise below that cannot be measured.
 _QUANTISATION = 1 / (255 * np.sqrt(12))

@@ -9,8 +9,13 @@ from numpy.typing import DTypeLike
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.surface.colour_values import limits_of, linear_to_srgb, srgb_to_linear
-from beltrami_cli.surface.records import MeshContents, VertexColours
+from beltrami_cli.surface.records import (
+    MeshContents,
+    VertexColours,
+    limits_of,
+    linear_to_srgb,
+    srgb_to_linear,
+)
 
 BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."

@@ -28,7 +28,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.surface import records
-from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.geometry import triangulate
 from beltrami_cli.surface.records import PaintedVertices
 
 if TYPE_CHECKING:

@@ -1,34 +1,42 @@
-"""Smooth the colours of triangle meshes, clouds of points and images: arrays in, arrays out."""
+"""Smooth the colours of triangle meshes, textures, clouds of points and images: arrays in, arrays out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from beltrami_cli.arrays import Array
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.fields import override
 from beltrami_cli.flow.tuning.choice import Choice
+from beltrami_cli.formats.image.picture import Picture, array_picture
 from beltrami_cli.jobs.array_arguments import (
+    MeshArrays,
     array_of,
     checked_surface,
+    colour_table,
     image_array,
     in_type_of,
+    mesh_arrays,
     painted_arrays,
     pixel_colours,
     require_encoding,
     settings_for,
+    textured_surface,
     unpacked,
 )
-from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.jobs.smooth import smooth_layer
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.layers.reports import VertexReport
-from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.layer import Layer, SlotReport, VertexReport
+from beltrami_cli.layers.levelled_charts import level
+from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, VertexLayer, count_cloud
-from beltrami_cli.surface.records import Encoding, PaintedVertices
+from beltrami_cli.surface.records import Encoding, PaintedVertices, Slot
 
 Progress = Callable[[int, int], None]
 
@@ -310,3 +318,113 @@ def smooth_image(
         noise=np.array(list(report.noise.values())), samples=int(report.counts["samples"]),
         samples_per_kernel=done.samples_per_kernel, choice=done.choice, patches=report.patches,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TexturedResult:
+    """Smoothed textures, with the parameters used and statistics.
+
+    Attributes
+    ----------
+    images : list of ndarray
+        In the shape, type and encoding of the input; what did not change is bit-identical to it.
+    report : SlotReport
+        Parameters, noise, change and statistics, as in the report of a file.
+    warnings : list of str
+        Messages for the user, such as that no texel is covered by the surface.
+    """
+
+    images: list[Array]
+    report: SlotReport
+    warnings: list[str]
+
+
+def smooth_textured(
+    mesh: Any,
+    images: Sequence[ArrayLike] | None = None,
+    parameters: SmoothSettings = DEFAULTS,
+    *,
+    texture_of: ArrayLike | None = None,
+    origin: Literal["lower", "upper"] = "lower",
+    slot: Slot = "baseColor",
+    encoding: Encoding = "srgb",
+    progress: Callable[[int, int], None] | None = None,
+    **overrides: Any,
+) -> TexturedResult:
+    """Smooth the textures of a mesh over its surface, across their seams, with the short-time Beltrami kernel.
+
+    Parameters
+    ----------
+    mesh : MeshArrays or trimesh.Trimesh
+        Triangles with texture coordinates; beyond 0 and 1 these repeat the image.
+    images : sequence of array_like, shape (H, W) or (H, W, C), optional
+        Textures of one slot, by default the image of the mesh: grey or RGB, with opacity or without, row 0 the upper
+        one. Types as for `smooth`, all finite. Texels of opacity 0 supply no colour.
+    parameters : SmoothSettings
+        As for `smooth`. Settings that choose parts of a file, or how files are written, have no effect.
+    texture_of : array_like of int, shape (F,), optional
+        Index of each face's image, -1 for none; needed with several images.
+    origin : {"lower", "upper"}
+        The edge of the image where v is 0: lower as in OBJ, trimesh, Open3D and Blender, upper as in glTF.
+    slot : {"baseColor", "emissive", "normal", "occlusion", "metallicRoughness"}
+        What the images are of; the last three are data rather than colours.
+    encoding : {"srgb", "linear"}
+        Encoding of colours.
+    progress : callable, optional
+        As for `smooth`.
+    **overrides
+        As for `smooth`, with channels named "red", "green", "blue" or "grey"; no arrays of noise.
+
+    Returns
+    -------
+    TexturedResult
+        With ``images`` in the shapes and types of the input.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is unknown, out of its range or only for files, the shape or type of an array is wrong, or a
+        vertex or image with a number does not exist.
+    InputError
+        If positions, texture coordinates or images are not finite.
+    """
+    settings = override(parameters, **overrides)
+    guides, noise = settings.embedding.guides, settings.kernel.given_noise
+    if guides or settings.embedding.smooth_geometry or (noise is not None and noise.source):
+        raise UsageError("smooth_textured takes no guides, files of noise or smooth_geometry")
+    if slot not in get_args(Slot):
+        raise UsageError(f"slot is {slot}, but must be {' or '.join(get_args(Slot))}")
+    arrays = mesh_arrays(mesh) or MeshArrays(mesh)
+    if images is None:
+        images = [] if arrays.image is None else [arrays.image]
+    given = [image_array(image, f"image {number}") for number, image in enumerate(images)]
+    pictures = _pictures(given, encoding)
+    names = [picture.name for picture in pictures]
+    surface = textured_surface(arrays, names, texture_of, origin)
+    # Images that other slots show, too, are handed back as pixels, not as files: here all of them.
+    layer: Layer = TextureLayer.of(surface, pictures, [None] * len(pictures), slot, settings, shared=names)
+    done = smooth_layer(level(layer, LevelSettings()) if settings.level_seams else layer, progress)
+    assert isinstance(done.report, SlotReport)
+    smoothed = [
+        in_type_of(old, picture.pixels, new.pixels).reshape(old.shape)
+        for old, picture, new in zip(given, pictures, done.repainted.shared, strict=True)
+    ]
+    return TexturedResult(smoothed, done.report, [*done.warnings, *done.repainted.notices])
+
+
+def _pictures(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
+    """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
+    require_encoding(encoding)
+    pictures = []
+    for name, image in ((f"image {number}", image) for number, image in enumerate(images)):
+        if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
+            wanted = "(H, W), or (H, W, C) with C from 1 to 4"
+            raise UsageError(f"{name} must be of shape {wanted}, not {image.shape}")
+        pixels, kind = image.reshape(*image.shape[:2], -1), image.dtype
+        if kind not in (np.uint8, np.uint16):
+            pixels = colour_table(pixels.reshape(-1, pixels.shape[2])).reshape(pixels.shape)
+            if not np.isfinite(pixels).all():
+                raise InputError(name, "some of its values are not finite", "repair it")
+        stored = "float16" if kind == np.float16 else str(pixels.dtype)
+        pictures.append(array_picture(pixels, name, encoding, stored))
+    return pictures

@@ -31,7 +31,7 @@ from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSetting
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import PaintedLayer
 from beltrami_cli.surface.atlas import EMPTY
-from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
+from beltrami_cli.surface.records import as_bytes, colour_by_value
 
 _ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window

@@ -26,7 +26,7 @@ from beltrami_cli.layers.layer import Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.colour_values import limits_of
+from beltrami_cli.surface.records import limits_of
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash

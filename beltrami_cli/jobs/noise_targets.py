@@ -30,9 +30,8 @@ from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface.atlas import fill_gutter
 from beltrami_cli.surface.baking import places_of_texels
-from beltrami_cli.surface.colour_values import limits_of
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot
+from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot, limits_of
 
 
 @dataclass(frozen=True)

@@ -1,32 +1,282 @@
-"""Smooth the colours of a file with the short-time Beltrami kernel: in their place, or in a new texture."""
+"""Smoothing a file: the painters that smooth and level, and the record of what was done, whose dict is JSON."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from typing import TYPE_CHECKING, Any
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import write_textured
-from beltrami_cli.jobs.file_job import FileJob, begin
+from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import paint, recolour
+from beltrami_cli.jobs.recolour import Painter, paint, recolour
 from beltrami_cli.jobs.settings import BakeSettings
-from beltrami_cli.jobs.smoothing import Smoothed, Smoothing, SmoothReport, smooth_in_job, smooth_report
+from beltrami_cli.layers.layer import (
+    Change,
+    ImageReport,
+    Layer,
+    LayerReport,
+    LevelReport,
+    Part,
+    Repainted,
+    SlotReport,
+    VertexReport,
+)
+from beltrami_cli.layers.levelled_charts import colours_of, level, photographs_of
 from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.selection import Selection, require_scale
-from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
+from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import require_surface
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.new_texture import NewTexture
+
+
+_USUAL_TICKS = 30  # while parameters are chosen
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What smoothing makes of a layer: its part of the document, what was done, and what users should know."""
+
+    part: Part
+    repainted: Repainted
+    report: LayerReport
+    warnings: list[str]
+    choice: Choice | None
+    samples_per_kernel: float  # not rounded, as in the report
+    levelled: LevelReport | None = None  # what was done to exposure steps before
+
+
+def smooth_layer(
+    layer: Layer, progress: Callable[[int, int], None] | None = None, tick: Callable[[], None] | None = None
+) -> Smoothed:
+    """Choose parameters, calling `tick`, run the flow on a layer, and put the colours back.
+
+    If all was chosen from the data, and the result is estimated to be worse than the input, the colours stay.
+    """
+    plan = layer.plan(tick)
+    result = smooth(plan, progress)
+    is_worse = _is_worse(result.choice, layer.settings.kernel)
+    if is_worse:
+        kernel = dataclasses.replace(layer.settings.kernel, iterations=0, free=())
+        settings = dataclasses.replace(layer.settings, kernel=kernel)
+        layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
+        plan = layer.plan()
+        result = dataclasses.replace(smooth(plan), choice=result.choice)
+    report, new = layer.report(plan, result), result.manifold.new_colours()
+    warnings, is_smoothed = list[str](), plan.parameters.iterations > 0
+    if isinstance(report, VertexReport):
+        warnings = report.warnings(plan.parameters.max_samples)
+    if is_worse:
+        warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
+    choice, samples_per_kernel = result.choice, result.samples_per_kernel
+    del plan, result  # before images as large are made
+    repainted = layer.repaint(new, is_smoothed=is_smoothed)
+    return Smoothed(
+        part=layer.part, repainted=repainted,
+        report=dataclasses.replace(report, change=repainted.change.summary()), warnings=warnings,
+        choice=choice, samples_per_kernel=samples_per_kernel, levelled=layer.level_report,
+    )  # fmt: skip
+
+
+def _is_worse(choice: Choice | None, wanted: KernelParameters) -> bool:
+    """Whether a result is estimated to be worse than the input, and no option asks for smoothing all the same."""
+    insists = "iterations" not in wanted.free or wanted.given_noise is not None or wanted.strength > 1
+    return not insists and choice is not None and choice.gain is not None and choice.gain < 0
+
+
+def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
+    """Smooth a layer, whose name in progress is `label`."""
+    choosing, steps = job.progress_of(f"{label}: choosing parameters"), count()
+
+    def tick() -> None:
+        # The number of steps is not known before: shown is their share of it and of a usual number more.
+        assert choosing is not None
+        choosing(number := next(steps), number + _USUAL_TICKS)
+
+    return smooth_layer(layer, job.progress_of(label), None if choosing is None else tick)
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """A layer without exposure steps, and what was found of these."""
+
+    repainted: Repainted
+    report: LevelReport
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Levelling(Painter[Levelled]):
+    """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
+
+    works_on_disk: ClassVar[bool] = True
+
+    wanted: LevelSettings
+    photographs: Int64s | None = None  # number of the photograph that each vertex is from
+
+    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Levelling:
+        """Find the photographs of vertices; errors if there are none, or it is an image."""
+        del target
+        if selection.image:
+            cause = "an image has no charts that could differ in exposure; give a model with textures"
+            raise UsageError(f"{document.name}: {cause}")
+        if not selection.vertices:
+            return self
+        return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
+
+    def paint(self, layer: Layer, job: Job) -> Levelled:
+        del job
+        layer = level(layer, self.wanted, self.photographs)
+        repainted = layer.repaint(colours_of(layer), is_smoothed=False)
+        assert layer.level_report is not None
+        change = repainted.change.summary()
+        return Levelled(repainted, dataclasses.replace(layer.level_report, change=change))
+
+
+@dataclass(frozen=True)
+class Smoothing(Painter[Smoothed]):
+    """A painter that smooths, after `levelling` if that is wanted."""
+
+    colours_only: ClassVar[bool] = False
+    works_on_disk: ClassVar[bool] = True
+
+    settings: SmoothSettings
+    levelling: Levelling | None = None
+
+    @classmethod
+    def of(cls, settings: SmoothSettings) -> Smoothing:
+        return cls(settings, Levelling(LevelSettings()) if settings.level_seams else None)
+
+    @property
+    def changes(self) -> bool:
+        encodes = self.settings.textures.image_suffix is not None
+        return self.settings.kernel.iterations != 0 or self.levelling is not None or encodes
+
+    @property
+    def works_in_groups(self) -> bool:
+        return self.levelling is None and self.settings.fits_parts
+
+    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Smoothing:
+        if self.changes:
+            require_geometry(document, selection, self.settings, target)
+        require_scale(document, selection)
+        if self.levelling is None:
+            return self
+        return dataclasses.replace(self, levelling=self.levelling.prepared(document, selection, target))
+
+    def paint(self, layer: Layer, job: Job) -> Smoothed:
+        if self.levelling is not None:
+            layer = level(layer, self.levelling.wanted, self.levelling.photographs)
+        return smooth_in_job(layer, job, layer.label)
+
+
+def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
+    """Add the changes of layers to the report of a file."""
+    reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
+    for each in _joined(done):
+        reports[each.part].append(each.report)
+    return SmoothReport(
+        **{**vars(made), "parameters": describe_settings(settings)},
+        vertices=next(iter(reports["vertices"]), None),
+        textures=reports["textures"],
+        image=next(iter(reports["image"]), None),
+        levelled=[each.levelled for each in done if each.levelled is not None],
+    )
+
+
+def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
+    """Put together the reports of the groups that textures of one slot were smoothed in with the same parameters."""
+    groups: dict[object, list[Smoothed]] = {}
+    for number, each in enumerate(done):
+        report = each.report
+        key = (report.slot, str(report.choice)) if isinstance(report, SlotReport) else number
+        groups.setdefault(key, []).append(each)
+    return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
+
+
+def _one_report(groups: Sequence[Smoothed]) -> LayerReport:
+    first = groups[0].report
+    reports = [each.report for each in groups if isinstance(each.report, SlotReport)]
+    if len(groups) == 1 or not isinstance(first, SlotReport):
+        return first
+    texels = [report.counts["covered"] for report in reports]
+
+    def mean(values: Sequence[float]) -> float:
+        return sum(a * b for a, b in zip(values, texels, strict=True)) / max(1, sum(texels))
+
+    return dataclasses.replace(
+        first,
+        textures=[texture for report in reports for texture in report.textures],
+        counts={key: sum(report.counts[key] for report in reports) for key in first.counts},
+        pitch=mean([report.pitch for report in reports]),
+        samples_per_kernel=round(mean([report.samples_per_kernel for report in reports]), 2),
+        patches=None if first.patches is None else mean([report.patches or 0.0 for report in reports]),
+        change=Change.joined(each.repainted.change for each in groups).summary(),
+    )
+
+
+_HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothReport(FileReport):
+    """What was done to a file; `dataclasses.asdict` gives JSON types.
+
+    Attributes
+    ----------
+    input, output, format : str
+        Paths of the input and output, and the format written.
+    parameters : dict
+        The parameters that were requested. Those named in "free" were chosen from the data; the chosen values are in
+        the records below.
+    vertices : VertexReport or None
+        Statistics of vertex colours, if they were smoothed.
+    textures : list of SlotReport
+        Statistics of each texture slot that was smoothed.
+    stages : dict
+        "wall" and "cpu" seconds per stage.
+    peak_memory : int or None
+        Peak resident size of the process in bytes.
+    written : list of str
+        The files that were written; none on a dry run.
+    warnings : list of str
+        Messages for the user.
+    image : ImageReport or None
+        Statistics of an image, if it was smoothed.
+    levelled : list of LevelReport
+        What was done to exposure steps before, if that was asked for.
+    new_texture : str
+        What kind of texture was made, in words; empty if none was.
+    """
+
+    vertices: VertexReport | None
+    textures: list[SlotReport]
+    image: ImageReport | None = None
+    levelled: list[LevelReport] = field(default_factory=list)
+    new_texture: str = ""
+
+
+def is_report(head: bytes) -> bool:
+    """Whether a file is a `SmoothReport` as JSON, by its first bytes."""
+    return _HEAD.match(head) is not None
 
 
 def smooth_file(

@@ -26,7 +26,7 @@ from beltrami_cli.layers.memory_check import require_memory
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import SLOTS, EmbeddingSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
-from beltrami_cli.surface.lookup import look_up
+from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require_finite
 
 _MOST_NUMBERS = 1 << 31  # of an array, before it is known that it fits

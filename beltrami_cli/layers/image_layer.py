@@ -28,10 +28,9 @@ from beltrami_cli.layers.image_surface import (
     read_surface,
     refuse_options_of_meshes,
 )
-from beltrami_cli.layers.layer import Change, Layer, Part, Repainted, rewritten
+from beltrami_cli.layers.layer import Change, ImageReport, Layer, Part, Repainted, rewritten
 from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import PictureColours, with_chosen_layer
-from beltrami_cli.layers.reports import ImageReport
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import Repainting
 from beltrami_cli.surface import large_arrays

@@ -23,9 +23,9 @@ from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.layers.coded_pictures import plan_on_pictures
 from beltrami_cli.layers.guides import require_size
 from beltrami_cli.layers.memory_check import MAPPED_PIXEL_BYTES, require_memory
+from beltrami_cli.layers.picture_colours import plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Indices, grid_atlas
 from beltrami_cli.surface.records import check_scale

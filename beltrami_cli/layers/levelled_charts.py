@@ -17,8 +17,7 @@ from beltrami_cli.flow.grid_manifold import grid_manifold
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.reports import LevelReport
+from beltrami_cli.layers.layer import Layer, LevelReport
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, on_canvas
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh

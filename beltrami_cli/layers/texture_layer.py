@@ -22,10 +22,9 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture, check_writable, read_texture
 from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
-from beltrami_cli.layers.coded_pictures import plan_on_pictures
 from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
-from beltrami_cli.layers.picture_colours import PictureColours
-from beltrami_cli.layers.reports import LevelReport, SlotReport
+from beltrami_cli.layers.layer import LevelReport, SlotReport
+from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import (
     Repainting,

@@ -21,8 +21,16 @@ from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples
 from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
-from beltrami_cli.layers.layer import Change, ChosenChannels, Layer, Part, Repainted, choose_channels
-from beltrami_cli.layers.reports import LevelReport, VertexReport
+from beltrami_cli.layers.layer import (
+    Change,
+    ChosenChannels,
+    Layer,
+    LevelReport,
+    Part,
+    Repainted,
+    VertexReport,
+    choose_channels,
+)
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology

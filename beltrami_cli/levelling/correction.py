@@ -20,7 +20,7 @@ from beltrami_cli.levelling.steps import (
 from beltrami_cli.levelling.verdict import Verdict, judge
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, refresh_halo
-from beltrami_cli.surface.colour_values import limits_of
+from beltrami_cli.surface.records import limits_of
 
 Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 

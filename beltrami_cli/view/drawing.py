@@ -10,7 +10,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.jobs.job import Progress
-from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import linear_to_srgb
 from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sheet import LUMINANCE, Background, Panel, arranged, detail_size, is_lost_on_white

@@ -27,8 +27,7 @@ from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.file_job import FileReport, open_input
 from beltrami_cli.jobs.job import Job, at_intervals
 from beltrami_cli.jobs.recolour import recolour_in_memory
-from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.jobs.smoothing import Smoothing, SmoothReport, smooth_report
+from beltrami_cli.jobs.smooth import Smoothing, SmoothReport, smooth_file, smooth_report
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.layers import Layers, Shown

@@ -35,9 +35,16 @@ from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.surface.colour_values import VIRIDIS, as_bytes, linear_to_srgb
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import (
+    VIRIDIS,
+    PaintedVertices,
+    Slot,
+    Texture,
+    TexturedSurface,
+    as_bytes,
+    linear_to_srgb,
+)
 from beltrami_cli.view.pages import png_of
 from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of, texture_sheet
 

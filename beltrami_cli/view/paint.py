@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
-from beltrami_cli.surface.lookup import look_up
+from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.records import TexturedSurface, Wrap
 
 Sheet = Float32s

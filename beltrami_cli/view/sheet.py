@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.reading import error_of
-from beltrami_cli.surface.colour_values import as_bytes, linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.camera import Window, pixels_of
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).

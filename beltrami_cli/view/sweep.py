@@ -24,7 +24,7 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.recolour import recolour_in_memory
-from beltrami_cli.jobs.smoothing import Smoothing
+from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
 from beltrami_cli.view.pages import PAGES, data_address, page_from

@@ -17,10 +17,9 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
-from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, srgb_to_linear
 from beltrami_cli.view.camera import Camera, Window
 from beltrami_cli.view.paint import Pyramid, Sheet, TexturePaint, VertexPaint
 from beltrami_cli.view.settings import RenderSettings

@@ -16,7 +16,7 @@ from beltrami_cli.flow.noise.grid_scales import find_grid_noise
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
 from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 from oracles.surfaces import icosphere
 
 SHOT, READ = 0.004, 0.005

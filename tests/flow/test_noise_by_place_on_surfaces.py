@@ -9,8 +9,7 @@ from scipy.ndimage import map_coordinates
 import beltrami_cli
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
-from beltrami_cli.surface.records import SampledSurface
+from beltrami_cli.surface.records import SampledSurface, linear_to_srgb, srgb_to_linear
 from oracles.paintings import photograph, psnr
 from oracles.surfaces import icosphere
 

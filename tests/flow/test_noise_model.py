@@ -9,7 +9,7 @@ import OpenImageIO
 import pytest
 
 from beltrami_cli.jobs.inspect import inspect_file
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 from oracles.paintings import photograph
 
 SIDE = 256

@@ -5,7 +5,7 @@ import pytest
 
 from beltrami_cli import smooth, smooth_image
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, are_levels
-from beltrami_cli.surface.colour_values import limits_of
+from beltrami_cli.surface.records import limits_of
 
 SIDE, SIGMA = 64, 0.05
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.gltf.writer import write_glb, write_gltf
-from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.records import MeshContents, linear_to_srgb
 from formats.gltf_files import Model, joined, numbers, unpacked
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)

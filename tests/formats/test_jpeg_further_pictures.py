@@ -15,7 +15,7 @@ from PIL import Image
 from beltrami_cli import smooth_file
 from beltrami_cli.formats.image import losses, read_image, write_image
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.surface.colour_values import srgb_to_linear
+from beltrami_cli.surface.records import srgb_to_linear
 from formats.image_files import encode
 
 _ADOBE = "http://ns.adobe.com/xap/1.0/\0"

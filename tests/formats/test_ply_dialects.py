@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.surface.polygons import dual
+from beltrami_cli.surface.geometry import dual
 from cli.commands import beltrami, refused
 from formats.image_files import encode
 from formats.ply_files import ENCODINGS, Table, build

@@ -16,7 +16,7 @@ from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.surface.colour_values import linear_to_srgb
+from beltrami_cli.surface.records import linear_to_srgb
 from formats.read_only_files import FACES, LEVELS, SQUARE, coff, opened, stl
 
 

@@ -19,7 +19,7 @@ from beltrami_cli.formats.usd.layers import Package, layer_from
 from beltrami_cli.jobs.check import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.surface.lookup import look_up
+from beltrami_cli.surface.baking import look_up
 from cli.commands import beltrami
 
 pytest.importorskip("pxr", reason="usd-core is not installed")

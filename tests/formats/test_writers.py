@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import write_contents
-from beltrami_cli.surface.colour_values import linear_to_srgb
-from beltrami_cli.surface.records import MeshContents
+from beltrami_cli.surface.records import MeshContents, linear_to_srgb
 from formats.gltf_files import joined
 
 DOCUMENTS = {"obj": ObjDocument, "ply": PlyDocument}

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.batch.item import Item
+from beltrami_cli.batch.item import Item, is_done, is_ours
+from beltrami_cli.batch.item import _read as read_outcomes
 from beltrami_cli.batch.plan import plan
-from beltrami_cli.batch.record import _read as read_outcomes
-from beltrami_cli.batch.record import is_done, is_ours
 from beltrami_cli.cli.batch import _settings
 from beltrami_cli.cli.config import load
 from beltrami_cli.cli.main import group

@@ -11,8 +11,7 @@ import pytest
 
 from batch.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
 from beltrami_cli.batch import run
-from beltrami_cli.batch.item import Attempt, Item, do_item, failed
-from beltrami_cli.batch.record import Record
+from beltrami_cli.batch.item import Attempt, Item, Record, do_item, failed
 from beltrami_cli.batch.run import Batch, Executor
 from beltrami_cli.errors import InputError
 from beltrami_cli.layers.settings import DEFAULTS

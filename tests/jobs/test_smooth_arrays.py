@@ -170,7 +170,7 @@ def test_a_result_that_is_estimated_to_be_worse_is_taken_only_if_an_option_asks_
         done = smooth(plan, progress)
         return done if done.choice is None else replace(done, choice=replace(done.choice, gain=-1.0))
 
-    monkeypatch.setattr("beltrami_cli.jobs.smoothing.smooth", pessimistic)
+    monkeypatch.setattr("beltrami_cli.jobs.smooth.smooth", pessimistic)
     positions, faces = surfaces.plane(24, 24)
     colours = 0.5 + 0.06 * np.random.default_rng(3).standard_normal((len(positions), 3))
     found = beltrami_cli.smooth(positions, faces, colours, **wish).colours

@@ -10,7 +10,7 @@ import pytest
 from beltrami_cli import KernelParameters, SmoothSettings
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.jobs.smoothing import smooth_layer
+from beltrami_cli.jobs.smooth import smooth_layer
 from beltrami_cli.layers.levelled_charts import colours_of, describe_exposure, level
 from beltrami_cli.layers.selection import layers_of, select
 from beltrami_cli.layers.settings import LevelSettings

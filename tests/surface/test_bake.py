@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.baking import bake, border_faces, cover, interpolated, overlap, texels_for_vertices
-from beltrami_cli.surface.lookup import look_up
+from beltrami_cli.surface.baking import (
+    bake,
+    border_faces,
+    cover,
+    interpolated,
+    look_up,
+    overlap,
+    texels_for_vertices,
+)
 from beltrami_cli.surface.unwrap import unwrap
 from oracles import surfaces
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from beltrami_cli import _native
 from beltrami_cli.surface import atlas
 from beltrami_cli.surface.atlas import fill_gutter
-from beltrami_cli.surface.lookup import look_up, noise_around
+from beltrami_cli.surface.baking import look_up, noise_around
 
 CLAMP = ("clamp", "clamp")
 

@@ -17,7 +17,7 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour_in_memory
-from beltrami_cli.jobs.smoothing import Smoothing
+from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 from beltrami_cli.view.parameters import given_values, plain_settings, settings_from

@@ -8,9 +8,8 @@ import time
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.colour_values import linear_to_srgb
 from beltrami_cli.surface.geometry import triangle_areas
-from beltrami_cli.surface.records import Texture, TexturedSurface
+from beltrami_cli.surface.records import Texture, TexturedSurface, linear_to_srgb
 from beltrami_cli.view.camera import fitted, orientation
 from beltrami_cli.view.drawing import draw_views, richest_window
 from beltrami_cli.view.paint import TexturePaint, VertexPaint

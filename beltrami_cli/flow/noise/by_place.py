@@ -16,7 +16,7 @@ from beltrami_cli.flow.clipping import variance_of_clipped
 from beltrami_cli.flow.noise.by_level import OPPONENTS, mixing_for
 from beltrami_cli.flow.noise.grid_scales import corners_of, sums_of_tiles
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.colour_values import at_limits
+from beltrami_cli.surface.records import at_limits
 
 # Cells a side of a tile, tiles a side of a block, and tiles that a block needs.
 _TILE, _BLOCK, _FEWEST_TILES = 8, 4, 6

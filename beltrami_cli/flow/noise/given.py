@@ -40,7 +40,7 @@ class GivenNoise:
         import numpy as np
 
         from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
-        from beltrami_cli.surface.colour_values import srgb_to_linear
+        from beltrami_cli.surface.records import srgb_to_linear
 
         levels = np.linspace(0, 1, _LEVELS) ** 2  # denser where the encoding of colours is steep
         light = srgb_to_linear(levels).astype(np.float64)

@@ -40,7 +40,7 @@ from beltrami_cli.flow.noise.flat_patch_noise import (
     noise_or_paint,
 )
 from beltrami_cli.flow.noise.upper_bound import most_noise
-from beltrami_cli.surface.colour_values import at_limits
+from beltrami_cli.surface.records import at_limits
 
 # Squares per side of a tile, scale by scale: there are few of the coarse ones.
 _TILES = (4, 4, 2, 2)

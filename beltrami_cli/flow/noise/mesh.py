@@ -37,7 +37,7 @@ from beltrami_cli.flow.noise.flat_patch_noise import (
     noise_or_paint,
 )
 from beltrami_cli.flow.vertex_graph import Graph, Level, levels_of
-from beltrami_cli.surface.colour_values import at_limits
+from beltrami_cli.surface.records import at_limits
 
 # The bound of noise by scale is up to a tenth less than there is, on some ten thousand samples.
 _SLACK = 1.12

@@ -11,8 +11,7 @@ from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.compression import draco_extension
 from beltrami_cli.formats.gltf.json_tree import Entry
-from beltrami_cli.surface.geometry import unit_vectors
-from beltrami_cli.surface.polygons import unrolled
+from beltrami_cli.surface.geometry import unit_vectors, unrolled
 
 TRIANGLES, STRIP, FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 

@@ -22,11 +22,17 @@ from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, plain_name, shown_materials
-from beltrami_cli.surface.colour_values import srgb_to_linear
-from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.geometry import triangulate, unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.polygons import triangulate
-from beltrami_cli.surface.records import Frame, ImageFile, Material, MeshContents, TexturedMesh, VertexColours
+from beltrami_cli.surface.records import (
+    Frame,
+    ImageFile,
+    Material,
+    MeshContents,
+    TexturedMesh,
+    VertexColours,
+    srgb_to_linear,
+)
 
 _STORED_AS = {("linear", "uint8"): "<u1", ("linear", "uint16"): "<u2", ("srgb", "uint8"): "<u2"}
 """Component type of COLOR_0 by encoding and type of the source; float32 for all others.

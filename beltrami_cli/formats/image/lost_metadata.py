@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from beltrami_cli.formats.image import exr_header, extra_codecs, metadata, text_headers, tiff_tags
-from beltrami_cli.formats.image.exif import exif_of
+from beltrami_cli.formats.image import extra_codecs, headers, metadata, tiff_tags
+from beltrami_cli.formats.image.metadata import exif_of
 from beltrami_cli.formats.image.picture import Picture, label_of
 from beltrami_cli.formats.image.reading import opened
 
@@ -94,11 +94,11 @@ def _items(data: bytes, known: str) -> set[str]:
         case "tiff":
             return {f"TIFF tag {tag}" for tag in tiff_tags.tags(data)}
         case "openexr":
-            return {f"EXR attribute {name}" for name in exr_header.attributes(data)}
+            return {f"EXR attribute {name}" for name in headers.attributes(data)}
         case "jpeg2000" | "jpegxl":
             return {f"box {kind.decode('latin-1')}" for kind in _boxes(data) if kind not in _BOXES[known]}
         case "hdr" | "pnm":
-            return {*text_headers.header_lines(data, known)}
+            return {*headers.header_lines(data, known)}
         case "targa" if data.endswith(_TARGA_END) and any(data[-len(_TARGA_END) - 4 : -len(_TARGA_END)]):
             return {"developer area"}
         case "ktx2":
@@ -122,7 +122,7 @@ def _unread(picture: Picture) -> set[str]:
             read = {str(tag) for tag in tiff_tags.READ_BY_OPENIMAGEIO}
             return {item for item in items if item.split()[2] not in read}
         case "openexr":
-            return {f"EXR attribute {name}" for name in exr_header.unread(picture.source)}
+            return {f"EXR attribute {name}" for name in headers.unread(picture.source)}
     return items
 
 

@@ -14,9 +14,16 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.layers import colour_part
 from beltrami_cli.formats.image.metadata import first_jpeg, has_palette, is_animated, is_cmyk_jpeg, png_chunks
-from beltrami_cli.formats.image.picture import READABLE, STORED, Picture, described, format_of, label_of
+from beltrami_cli.formats.image.picture import (
+    READABLE,
+    STORED,
+    Picture,
+    colour_part,
+    described,
+    format_of,
+    label_of,
+)
 from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
 from beltrami_cli.surface.records import Texture
 from beltrami_cli.surface.worker_process import temporary_folder

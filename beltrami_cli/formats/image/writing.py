@@ -9,8 +9,8 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
-from beltrami_cli.formats.image.exif import FORMATS_WITH_EXIF, carry_exif, exif_of
 from beltrami_cli.formats.image.lost_metadata import lost_metadata
+from beltrami_cli.formats.image.metadata import FORMATS_WITH_EXIF, carry_exif, exif_of
 from beltrami_cli.formats.image.picture import (
     FORMATS,
     TYPES,
@@ -25,8 +25,7 @@ from beltrami_cli.formats.image.picture import (
 )
 from beltrami_cli.formats.image.reading import error_of, read_image, scratch_file
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.colour_values import linear_to_srgb, srgb_to_linear
-from beltrami_cli.surface.records import ImageFile
+from beltrami_cli.surface.records import ImageFile, linear_to_srgb, srgb_to_linear
 
 _ROWS = 64  # that are compared at a time
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}

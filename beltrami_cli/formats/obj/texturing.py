@@ -16,7 +16,7 @@ from beltrami_cli.formats.obj.materials import ALONG, PAINTED, SLOTS, Map, Mater
 from beltrami_cli.formats.obj.statements import Statements
 from beltrami_cli.formats.obj.vertices import Scan, unit_normals
 from beltrami_cli.surface import records, tiling
-from beltrami_cli.surface.polygons import triangulate_corners
+from beltrami_cli.surface.geometry import triangulate_corners
 
 
 @dataclass(frozen=True)

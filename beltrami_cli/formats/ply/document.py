@@ -21,7 +21,7 @@ from beltrami_cli.formats.ply.header import Header, read_header
 from beltrami_cli.formats.ply.tables import Table, read_tables, with_channels
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import exchange_spans
-from beltrami_cli.surface.polygons import dual
+from beltrami_cli.surface.geometry import dual
 from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
 
 _MEANS = "Vertices get the mean of the colours of their faces."

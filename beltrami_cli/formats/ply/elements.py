@@ -21,8 +21,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.header import Header
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Table, plain
-from beltrami_cli.surface.geometry import unit_vectors
-from beltrami_cli.surface.polygons import unrolled
+from beltrami_cli.surface.geometry import unit_vectors, unrolled
 from beltrami_cli.surface.records import require_finite
 
 POSITION = ("x", "y", "z")

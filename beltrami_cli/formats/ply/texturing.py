@@ -21,7 +21,7 @@ from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.formats.textured_mesh import MeshImages, alpha_mode, usable_coordinates
 from beltrami_cli.surface import records
-from beltrami_cli.surface.polygons import triangulate_corners
+from beltrami_cli.surface.geometry import triangulate_corners
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
 _PREFIXES = ("", "texture_", "texcoord_", "tex_", "t")

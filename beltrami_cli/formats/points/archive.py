@@ -42,8 +42,7 @@ from beltrami_cli.formats.colours import (
     quantised,
 )
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, Written, not_converted
-from beltrami_cli.surface.geometry import shortest_type
-from beltrami_cli.surface.polygons import triangulate
+from beltrami_cli.surface.geometry import shortest_type, triangulate
 from beltrami_cli.surface.records import MeshContents, require_finite
 
 _COLOUR_KEYS = ("colours", "colors", "rgb", "rgba", "point_colours", "point_colors")

@@ -16,7 +16,7 @@ from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
 from beltrami_cli.formats.usd.layers import Layers
 from beltrami_cli.surface import records, tiling
-from beltrami_cli.surface.polygons import triangulate_corners
+from beltrami_cli.surface.geometry import triangulate_corners
 
 _ALL: tuple[records.Slot, ...] = get_args(records.Slot)
 

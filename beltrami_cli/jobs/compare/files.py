@@ -30,8 +30,7 @@ from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
-from beltrami_cli.surface.colour_values import as_bytes, colour_by_value
-from beltrami_cli.surface.records import Slot
+from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 
 _UNLIMITED = Limits()
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.

@@ -34,10 +34,9 @@ from beltrami_cli.layers.texel_colours import all_texel_colours, choose_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
 from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
-from beltrami_cli.surface.colour_values import srgb_to_linear
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, srgb_to_linear
 
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4

@@ -1,14 +1,18 @@
-"""Headers of EXR files: attributes that say nothing of how pixels are stored are copied from one file to another.
+"""Headers of EXR, Radiance HDR and Netpbm files: attributes and comments are copied from one file to another.
 
-A file may have several parts, each with a header and chunks of pixels of its own.
+An EXR file may have several parts, each with a header and chunks of pixels of its own. OpenImageIO leaves out the
+comments and variables in text headers.
 
 References
 ----------
 .. [1] OpenEXR File Layout, Academy Software Foundation: version, headers of parts, tables of chunk addresses.
+.. [2] Radiance File Formats, Greg Ward: lines of text up to an empty one, then the resolution and the pixels.
+.. [3] ppm(5), Netpbm: comments reach from # to the end of a line, anywhere in the header.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from itertools import accumulate, islice, pairwise
 
@@ -131,3 +135,33 @@ def _chunks(data: bytes, at: int, parts: list[Header]) -> list[list[bytes]]:
     if sum(counts) != len(addresses):
         raise ValueError
     return [[*islice(chunks, count)] for count in counts]
+
+
+_END = b"\n\n"  # of the header of an HDR file
+_GAP = rb"(?:\s|#[^\n]*\n)+"
+# P1 and P4 give width and height, the others the largest value, too, or in PFM files the scale.
+_NETPBM = re.compile(rb"P(?:[14]%b\d+%b\d+|[^14]%b\d+%b\d+%b[-+.\deE]+)\s" % ((_GAP,) * 5))
+_AFTER_MARK = 3  # bytes: "P6" and the end of the line
+_MADE_BY_ENCODERS = (b"#?", b"FORMAT=")
+
+
+def with_header(source: bytes, encoded: bytes, known: str) -> bytes:
+    """Return an HDR or Netpbm image with the comments and variables of another file."""
+    if known == "hdr":
+        head, end, _ = source.partition(_END)
+        return b"".join([head, end, encoded.partition(_END)[2]])
+    comments = _comments(source)
+    return b"".join([encoded[:_AFTER_MARK], *comments, encoded[_AFTER_MARK:]])
+
+
+def header_lines(data: bytes, known: str) -> list[str]:
+    """Return the comments and variables of an HDR or Netpbm file."""
+    if known == "hdr":
+        lines = data.partition(_END)[0].splitlines()
+        return [line.decode("latin-1") for line in lines if not line.startswith(_MADE_BY_ENCODERS)]
+    return [line.decode("latin-1").strip() for line in _comments(data)]
+
+
+def _comments(data: bytes) -> list[bytes]:
+    header = _NETPBM.match(data)
+    return re.findall(rb"#[^\n]*\n", header[0]) if header else []
