@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.arrays import smooth as smooth
     from beltrami_cli.jobs.arrays import smooth_image as smooth_image
     from beltrami_cli.jobs.arrays import smooth_textured as smooth_textured
-    from beltrami_cli.jobs.check import CheckReport as CheckReport
-    from beltrami_cli.jobs.check import check_files as check_files
     from beltrami_cli.jobs.compare.files import Comparison as Comparison
     from beltrami_cli.jobs.compare.files import compare_files as compare_files
+    from beltrami_cli.jobs.inspect import CheckReport as CheckReport
+    from beltrami_cli.jobs.inspect import check_files as check_files
     from beltrami_cli.jobs.inspect import inspect_file as inspect_file
+    from beltrami_cli.jobs.job import BakeSettings as BakeSettings
     from beltrami_cli.jobs.job import Job as Job
+    from beltrami_cli.jobs.job import Limits as Limits
+    from beltrami_cli.jobs.job import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.level import LevelFileReport as LevelFileReport
     from beltrami_cli.jobs.level import level_file as level_file
     from beltrami_cli.jobs.new_texture import BakeReport as BakeReport
     from beltrami_cli.jobs.new_texture import bake_file as bake_file
     from beltrami_cli.jobs.noise import NoiseReport as NoiseReport
     from beltrami_cli.jobs.noise import noise_file as noise_file
-    from beltrami_cli.jobs.settings import BakeSettings as BakeSettings
-    from beltrami_cli.jobs.settings import Limits as Limits
-    from beltrami_cli.jobs.settings import NoiseSettings as NoiseSettings
     from beltrami_cli.jobs.smooth import SmoothReport as SmoothReport
     from beltrami_cli.jobs.smooth import smooth_file as smooth_file
     from beltrami_cli.layers.image_surface import ImageSurface as ImageSurface

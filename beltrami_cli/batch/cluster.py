@@ -21,8 +21,7 @@ from beltrami_cli.batch.run import Executor
 from beltrami_cli.batch.storage import is_url, place_of
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.fields import with_files
-from beltrami_cli.formats.access import is_file
-from beltrami_cli.formats.data_text import CONFIGURATION, parse_json, read_bounded
+from beltrami_cli.formats.access import CONFIGURATION, is_file, parse_json, read_bounded
 from beltrami_cli.jobs.job import at_intervals
 
 LOST = "the connection to the scheduler was lost"

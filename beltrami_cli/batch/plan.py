@@ -18,8 +18,15 @@ from typing import Any
 
 from beltrami_cli.batch.storage import find_at, fixed_part, is_url, joined, place_of, without_scheme
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import is_file, is_there
-from beltrami_cli.formats.data_text import MANIFEST, parse_json, parse_toml, read_bounded, require_text
+from beltrami_cli.formats.access import (
+    MANIFEST,
+    is_file,
+    is_there,
+    parse_json,
+    parse_toml,
+    read_bounded,
+    require_text,
+)
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS
 from beltrami_cli.layers.settings import IMAGE_FORMATS, IMAGE_SUFFIXES
 

@@ -19,8 +19,8 @@ from beltrami_cli.cli.console import NO_NOISE, Messages, printable
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.formats.access import Access, is_file
+from beltrami_cli.jobs.job import BakeSettings, NoiseSettings
 from beltrami_cli.jobs.output import Overwrite
-from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:

@@ -1,12 +1,24 @@
-"""The command `beltrami blender-extension`."""
+"""The command `beltrami blender-extension`: the sources in `beltrami_cli/blender`, with the parameters, as a file."""
 
 from __future__ import annotations
+
+import io
+import json
+import sys
+import zipfile
+from collections.abc import Iterator
+from importlib import resources
+from typing import Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages
+from beltrami_cli.fields import Parameter, parameters
+from beltrami_cli.formats.document import Written
+from beltrami_cli.jobs.output import Output
+from beltrami_cli.layers.settings import SmoothSettings
 
 EPILOG = """\b
 Examples:
@@ -28,7 +40,58 @@ def blender_extension(target: str, overwrite: bool, messages: Messages) -> None:
 
     Its panel has the parameters of `beltrami smooth`, and calls the program that wrote it.
     """
-    from beltrami_cli.jobs.blender_extension import write_blender_extension
-
     count = write_blender_extension(target, overwrite=overwrite)
     messages.say(f"{target}: an extension for Blender 4.2 and newer, with {count} parameters")
+
+
+_FILES = {"addon.py": "__init__.py"}  # all others keep their names
+# Blender chooses the colours, their files and their surface itself, and has nothing else that could guide.
+_GROUPS = ("Kernel", "Colours", "Textures")
+_LEFT_OUT = ("on", "slots", "materials", "names", "image_suffix", "jpeg_quality", "small")
+_SINCE = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs write equal files
+
+
+def write_blender_extension(target: str, *, overwrite: bool) -> int:
+    """Write the extension as a .zip file; return the number of its parameters."""
+    output = Output(target, overwrite=overwrite, what="extension")
+    declared = list(declared_parameters())
+    about = {"command": [sys.executable, "-P", "-m", "beltrami_cli"], "parameters": declared}
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for source in sorted(resources.files("beltrami_cli").joinpath("blender").iterdir(), key=str):
+            if source.is_file():
+                name = _FILES.get(source.name, source.name)
+                archive.writestr(zipfile.ZipInfo(name, _SINCE), source.read_bytes())
+        archive.writestr(zipfile.ZipInfo("parameters.json", _SINCE), json.dumps(about, indent=1))
+    output.write(Written(main=[buffer.getvalue()]))
+    return len(declared)
+
+
+def declared_parameters() -> Iterator[dict[str, Any]]:
+    """Give the parameters of smoothing that the extension shows, in JSON types."""
+    for each in parameters(SmoothSettings, deep=True):
+        if each.flags is None or each.group not in _GROUPS or each.name in _LEFT_OUT:
+            continue
+        flags = (*each.flags, f"--{each.name.replace('_', '-')}")
+        flag = next(flag for flag in flags if flag.startswith("--")).partition("/")[0]
+        is_number = each.kind in (bool, int, float) and each.parse is None and not each.several
+        yield {
+            "name": each.name,
+            "flag": flag,
+            "label": flag.lstrip("-").replace("-", " ").capitalize(),
+            "kind": each.kind.__name__ if is_number else "text",
+            "default": _default(each),
+            "choices": list(each.choices) if each.parse is None else [],
+            "low": each.low,
+            "high": each.high,
+            "help": f"{each.help}{f' In {each.unit}.' if each.unit else ''}",
+            "unset": each.unset.format(default=each.default),
+            "daily": each.is_daily,
+            "group": each.group,
+        }
+
+
+def _default(declared: Parameter) -> Any:
+    if declared.parse is not None:
+        return None if declared.unset else declared.show(declared.default)
+    return None if declared.default in (None, ()) else declared.default

@@ -11,7 +11,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.smooth import besides, show_levelled, written
-from beltrami_cli.jobs.settings import BakeSettings, NoiseSettings
+from beltrami_cli.jobs.job import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
 
 _LEVEL_EPILOG = """\b

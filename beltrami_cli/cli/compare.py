@@ -14,7 +14,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
 from beltrami_cli.cli.console import Messages, counted, printable
 from beltrami_cli.flow.parameters import KernelParameters, Weights
-from beltrami_cli.jobs.settings import Limits
+from beltrami_cli.jobs.job import Limits
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
@@ -280,7 +280,7 @@ def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **r
     Colours and the pixels of images may differ. Anything else is an error: positions, faces, materials, names,
     comments, whatever the format holds. So is an image whose colours under an alpha of 0 were cleared.
     """
-    from beltrami_cli.jobs.check import check_files
+    from beltrami_cli.jobs.inspect import check_files
 
     with options.reading_from(reading, before) as access:
         report = check_files(before, after, access)

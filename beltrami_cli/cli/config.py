@@ -31,7 +31,7 @@ from beltrami_cli.cli.commands import (
 from beltrami_cli.cli.console import printable
 from beltrami_cli.cli.options import ParameterOption
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.data_text import CONFIGURATION, parse_toml, read_bounded, text_in
+from beltrami_cli.formats.access import CONFIGURATION, parse_toml, read_bounded, text_in
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, TUNABLE, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import Job, default_memory, limited_memory, parse_size
-from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.jobs.job import BakeSettings, Job, default_memory, limited_memory, parse_size
 from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]

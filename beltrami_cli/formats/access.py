@@ -1,16 +1,23 @@
-"""Limits of reading: which files, how large, and from where; and reading them."""
+"""Limits of reading: which files, how large, and from where; and reading them.
+
+JSON and TOML may be from anybody: configurations, manifests, reports, records. Their length, their nesting and the
+length of lines are bounded, and no text in them has characters that no name of a file can have. Whatever is wrong with
+them is a ValueError.
+"""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import stat
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.fields import Checked, names_in, parameter
@@ -152,3 +159,72 @@ def _read_stdin(access: Access) -> bytes:
         cause = f"cannot be read ({error.strerror or error})"
         raise InputError("<stdin>", cause, "pipe the model in, or give a file") from error
     return b"".join(blocks)
+
+
+CONFIGURATION, MANIFEST, REPORT = 1 << 20, 1 << 24, 1 << 24  # bytes that such a file has at most
+_DEEPEST = 50  # levels of tables and lists
+_LARGEST = 1 << 64
+# Characters of TOML, whose parser takes the square of the time for keys with very many dots.
+_LONGEST_LINE = 1 << 13
+_UNFIT = re.compile("[\0\ud800-\udc7f\udd00-\udfff]")  # the other surrogates stand for bytes of names
+
+
+def read_bounded(path: Path, most: int) -> str:
+    """Return the text of a regular file; OSError, or ValueError if it is longer than `most` bytes or no UTF-8."""
+    with open_regular(path) as file:
+        return text_in(file, most)
+
+
+def text_in(file: BinaryIO, most: int) -> str:
+    """Return the text of an opened file; ValueError as `read_bounded`."""
+    data = file.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"it has more than {most} bytes")
+    return data.decode("utf-8-sig")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return what JSON says; ValueError if it is damaged, or its text and nesting cannot be used."""
+    return _checked(lambda: json.loads(text))
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return what TOML says; ValueError as `parse_json`."""
+    import tomllib
+
+    if any(len(line) > _LONGEST_LINE for line in text.splitlines()):
+        raise ValueError(f"it has a line of more than {_LONGEST_LINE} characters")
+    tree: dict[str, Any] = _checked(lambda: tomllib.loads(text))
+    return tree
+
+
+def require_text(text: str) -> str:
+    """Return a text; ValueError if it has characters that no name of a file can have."""
+    unfit = _UNFIT.search(text)
+    if unfit is not None:
+        raise ValueError(f"it has the character U+{ord(unfit[0]):04X}, which no name can have")
+    return text
+
+
+def _checked(load: Callable[[], Any]) -> Any:
+    too_deep = ValueError(f"it is nested more than {_DEEPEST} levels deep")
+    try:
+        tree = load()
+    except RecursionError:
+        raise too_deep from None
+    level = [tree]
+    for _ in range(_DEEPEST):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, str):
+                require_text(value)
+            elif isinstance(value, int) and abs(value) > _LARGEST:
+                raise ValueError("it has a whole number of more than 64 bits")
+            elif isinstance(value, dict):
+                inner += [*value, *value.values()]
+            elif isinstance(value, list):
+                inner += value
+        if not inner:
+            return tree
+        level = inner
+    raise too_deep

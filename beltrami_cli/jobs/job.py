@@ -1,8 +1,12 @@
-"""How a job is done: what it may read and write, how it reports progress, and what memory and time it takes."""
+"""How a job is done: what it may read and write, how it reports progress, and what memory and time it takes.
+
+Also the parameters of added noise and of new textures, and the limits of comparisons. Light enough to import anywhere.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import re
 import sys
@@ -13,14 +17,16 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar, get_args
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
     from beltrami_cli.jobs.output import FileSet, Output
+
 
 Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
 
@@ -263,3 +269,139 @@ def _status(name: str) -> int | None:
         return None
     fields = dict(line.split(":", 1) for line in _STATUS.read_text().splitlines())
     return int(fields[name].split()[0]) * 1024 if name in fields else None
+
+
+_SMALLEST_SIDE, _LARGEST_SIDE = 16, 16384  # of a texture: less is of no use, graphics cards take no more
+
+Kind = Literal["gaussian", "salt-pepper", "speckle", "poisson", "white", "camera", "grain", "jpeg"]
+_WITHOUT_SIGMA = ("camera", "jpeg")
+
+
+def amount(text: str) -> float:
+    """Read a part of full scale: 20 is 20/255, and 20/255, 1310/65535 and 8% are what they say; or ValueError."""
+    try:
+        value, is_plain = number_in(text)
+    except ValueError:
+        raise ValueError(f"is {text!r}, but must be an amount such as 20 (of 255), 20/255 or 8%") from None
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f"is {text!r}, but must be a number from 0 on")
+    return value / 255 if is_plain else value
+
+
+def sure_amount(text: str) -> float:
+    """Read it, but refuse plain numbers between 0 and 1, which may be of 255 or of 1."""
+    value = amount(text)
+    if value > 1:
+        raise ValueError(f"is {text.strip()}, but must be at most 255 (of 255), or 100%")
+    if 0 < value < 1 / 255 and not set(text) & set("/%"):
+        number = text.strip()
+        remedy = f"write {number}/255 or {100 * float(number):g}%"
+        raise ValueError(f"is {number}, which may be of 255 or of full scale; {remedy}")
+    return value
+
+
+@dataclass(frozen=True)
+class NoiseSettings(Checked):
+    """What noise is added; UsageError if a value is out of its range."""
+
+    group: ClassVar[str] = "Noise"
+
+    sigma: float | None = parameter(
+        None,
+        "How much, of full scale: 20 is 20/255, as `beltrami info` shows noise; or as 20/255, 1310/65535 or "
+        "8%. Needed by all kinds but camera and jpeg.",
+        kind=float, low=0, high=1, metavar="S", parse=sure_amount, is_daily=True,
+    )  # fmt: skip
+    kind: Kind = parameter(
+        "gaussian",
+        "Of the same deviation everywhere (white is the same); black and white samples; in proportion to the "
+        "colour; to its square root; as a camera makes it; shared by neighbours; or as JPEG makes it.",
+        choices=get_args(Kind), is_daily=True,
+    )  # fmt: skip
+    seed: int = parameter(
+        0, "The same seed gives the same noise, for any number of threads.", low=0, metavar="K", is_daily=True
+    )
+    shot: float = parameter(
+        0.01, "Of a camera: A of the variance A L + B^2 of the light L, which is linear, 0 to 1.",
+        low=0, high=1, metavar="A", is_daily=True,
+    )  # fmt: skip
+    read: float = parameter(
+        0.005, "Of a camera: B of that variance, the deviation in the dark.",
+        low=0, high=1, metavar="B", is_daily=True,
+    )  # fmt: skip
+    size: float = parameter(
+        2.0, "Of grain: how far neighbours share it; from this distance on they hardly do.",
+        low=1, high=64, unit="distances of samples", metavar="N", is_daily=True,
+    )  # fmt: skip
+    quality: int = parameter(
+        85, "Of jpeg: the quality at which each picture is coded, with colour at half the resolution (4:2:0).",
+        low=1, high=100, metavar="Q", is_daily=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sigma is None and self.kind not in _WITHOUT_SIGMA:
+            raise UsageError(f"--sigma says how much {self.kind} noise is added, such as --sigma 20; give it")
+
+    @property
+    def deviation(self) -> float:
+        """`sigma`, or 0 where it means nothing."""
+        return 0.0 if self.sigma is None else self.sigma
+
+
+@described
+@dataclass(frozen=True)
+class BakeSettings:
+    """How a new texture is made."""
+
+    group: ClassVar[str] = "New textures"
+
+    size: int | None = parameter(
+        None, "Longest side of the new texture.", kind=int, low=_SMALLEST_SIDE, high=_LARGEST_SIDE, unit="texels",
+        unset="two texels along an edge, at most 8192; or as in the old texture", metavar="N",
+    )  # fmt: skip
+    padding: int = parameter(
+        4, "Distance between the charts of a new texture.", low=0, high=64, unit="texels", metavar="N"
+    )
+    keep_uv: bool = parameter(False, "Use the texture coordinates of INPUT rather than make new ones.")
+    max_unwrap_faces: int = parameter(
+        100_000,
+        "The largest mesh to unwrap: 16 thousand triangles take some 7 s, 82 thousand 2 minutes, as the "
+        "time grows faster than their number.",
+        low=1, unit="triangles", metavar="COUNT", lifts_limit=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.size is not None and self.size <= 4 * self.padding:
+            raise UsageError(f"a size of {self.size} leaves no room between paddings of {self.padding}")
+
+
+@dataclass(frozen=True)
+class Limits(Checked):
+    """What a comparison must keep to; None: anything goes. UsageError if nothing could keep to it."""
+
+    group: ClassVar[str] = "Limits"
+
+    min_psnr: float | None = parameter(
+        None, "Lowest PSNR allowed.", kind=float, unit="dB", metavar="DB", is_daily=True
+    )
+    min_ssim: float | None = parameter(
+        None, "Lowest structural similarity allowed; 1 is equal.",
+        kind=float, high=1, metavar="S", is_daily=True,
+    )  # fmt: skip
+    max_delta_e: float | None = parameter(
+        None, "Largest mean Delta E 2000 allowed.", kind=float, low=0, metavar="E", is_daily=True
+    )
+    max_seam_jump: float | None = parameter(
+        None,
+        "How much larger the mean colour step over seams may be than in REFERENCE: 1 is 1/255; or as 1/255 "
+        "or 0.4%.",
+        kind=float, metavar="X", parse=amount, is_daily=True,
+    )  # fmt: skip
+    max_move: float | None = parameter(
+        None,
+        "How far a vertex may be from its place in REFERENCE, such as 0.1%. With other limits alone, it may "
+        "not move by more than rounding.",
+        kind=float, low=0, unit="longest sides of the model", metavar="SHARE", parse=share_in,
+    )  # fmt: skip

@@ -16,8 +16,7 @@ from beltrami_cli.formats.image import Picture, read_texture, to_float, without_
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import write_contents, write_textured
 from beltrami_cli.jobs.file_job import FileReport, begin
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress
-from beltrami_cli.jobs.settings import BakeSettings
+from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job, Progress
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.baking import (

@@ -18,10 +18,9 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.jobs.file_job import FileReport
-from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
 from beltrami_cli.jobs.noise_targets import NoiseTargets, coded_as_jpeg, positions_of, repainted, targets_of
 from beltrami_cli.jobs.recolour import Painter, recolour
-from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.layer import Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.surface import large_arrays

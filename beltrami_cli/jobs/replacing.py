@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from beltrami_cli.formats.data_text import parse_json
+from beltrami_cli.formats.access import parse_json
 from beltrami_cli.signals import ENDING_SIGNALS
 
 if TYPE_CHECKING:

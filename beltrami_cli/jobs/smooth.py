@@ -22,9 +22,8 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import write_textured
 from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
-from beltrami_cli.jobs.job import PLAIN_JOB, Job
+from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
 from beltrami_cli.jobs.recolour import Painter, paint, recolour
-from beltrami_cli.jobs.settings import BakeSettings
 from beltrami_cli.layers.layer import (
     Change,
     ImageReport,

@@ -12,8 +12,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.formats.access import Access, read_source
-from beltrami_cli.formats.data_text import REPORT, parse_json, text_in
+from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source, text_in
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.jobs.compare.figures import ComparedColours, figures
 from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both

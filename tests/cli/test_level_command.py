@@ -11,7 +11,7 @@ import pytest
 import beltrami_cli
 from beltrami_cli.flow.canvas import canvas_colours, painted
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.settings import DEFAULTS

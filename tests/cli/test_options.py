@@ -13,7 +13,7 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.main import group
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override, parameters
-from beltrami_cli.jobs.settings import BakeSettings, Limits, NoiseSettings
+from beltrami_cli.jobs.job import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 from cli.commands import COMMAND, SAMPLES, beltrami, refused

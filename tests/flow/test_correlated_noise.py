@@ -15,9 +15,9 @@ from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covaria
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.flow.tuning.sure import RiskEstimate
+from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.jobs.noise import seen_by_camera
 from beltrami_cli.jobs.noise_targets import NoiseTargets, as_jpeg
-from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.layer import describe_choice
 from beltrami_cli.surface.baking import Cells
 from formats.image_files import encode

@@ -17,8 +17,8 @@ from beltrami_cli.flow.beltrami_flow import smooth as smooth_plan
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
 from beltrami_cli.jobs.compare.files import compare_files
+from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,

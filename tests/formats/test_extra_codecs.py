@@ -15,7 +15,7 @@ from beltrami_cli.formats.image import extra_codecs, read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_files import only_input_errors, opened, picture

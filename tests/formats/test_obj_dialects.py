@@ -14,7 +14,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import beltrami

@@ -9,7 +9,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.points.text_document import TextPointsDocument, write_csv
 from beltrami_cli.formats.registry import open_bytes
-from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import check_files
 from formats.points_files import patched
 
 COUNT = 400

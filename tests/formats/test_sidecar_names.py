@@ -7,10 +7,9 @@ import pytest
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.job import Job, NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.jobs.settings import NoiseSettings
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_files import Textured
 from formats.gltf_images import with_better_image

@@ -10,10 +10,10 @@ import zipfile
 
 import pytest
 
+from beltrami_cli.cli.blender_extension import declared_parameters, write_blender_extension
 from beltrami_cli.errors import OutputError
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.blender_extension import declared_parameters, write_blender_extension
 
 # What Blender's Python has; os, shutil and subprocess run the program and nothing else.
 MAY_IMPORT = {

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES, beltrami
 from formats.ply_files import ENCODINGS, Table, build, coloured

@@ -20,7 +20,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.model_folder import tile_name
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.check import check_files
+from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers import memory_check

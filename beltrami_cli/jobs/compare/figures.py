@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.models import ROUNDED_MOVE, Moves
-from beltrami_cli.jobs.settings import Limits
+from beltrami_cli.jobs.job import Limits
 
 # Linear sRGB -> XYZ [2]; rows add up to the white point.
 _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])

@@ -25,9 +25,8 @@ from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_li
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.file_job import open_any, require_level_set
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
-from beltrami_cli.jobs.settings import Limits
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
