@@ -12,12 +12,14 @@ References
 
 from __future__ import annotations
 
+import io
 import re
 import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +52,6 @@ _METADATA = (
     *range(0xE0, 0xEE),
     0xEF,
 )  # but Adobe's segment, which says how these very samples are coded
-_FRAMES = (*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
-_PROGRESSIVE = (0xC2, 0xC6, 0xCA, 0xCE)  # frames
 _MOST_BITS_OF_A_PALETTE = 8
 _MPF = b"MPF\0"  # the mark of an index of pictures
 _MP_ENTRIES = 0xB002  # tag of its entries
@@ -113,16 +113,6 @@ def has_palette(data: bytes, known: str) -> bool:
 def is_lossless_webp(data: bytes) -> bool:
     """Whether the (first) picture of a WebP file is coded without loss."""
     return any(kind == b"VP8L" or b"VP8L" in payload[16:40] for kind, payload in webp_chunks(data))
-
-
-def is_cmyk_jpeg(data: bytes) -> bool:
-    """Whether a JPEG file has four components."""
-    return any(marker in _FRAMES and segment[9:10] == b"\x04" for marker, segment in jpeg_segments(data))
-
-
-def is_progressive_jpeg(data: bytes) -> bool:
-    """Whether a JPEG file is made of scans that become finer."""
-    return any(marker in _PROGRESSIVE for marker, _ in jpeg_segments(data))
 
 
 def png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
@@ -349,17 +339,8 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-_TABLES, _ADOBE = 0xDB, 0xEE
-
-# Frames of 8-bit samples that are coded by Huffman's code: baseline, extended and progressive ones.
-_HUFFMAN_FRAMES = 0xC0, 0xC1, 0xC2
-_RGB = [*b"RGB"]  # components that are no luma and chroma
-
-# The places of coefficients, row * 8 + column, in the order in which tables store them: along the diagonals, of which
-# every second one is gone up.
-_ZIGZAG = sorted(range(64), key=lambda at: (at // 8 + at % 8, at // 8 if (at // 8 + at % 8) % 2 else at % 8))
-
 CODED_TOGETHER = 16  # blocks of all planes begin at rows and columns that are multiples of this
+_RGB = [*b"RGB"]  # identifiers of components that are no luma and chroma
 
 
 @dataclass(frozen=True)
@@ -370,52 +351,41 @@ class JpegTables:
     span: tuple[int, int]  # rows, columns: 1 or 2 each
 
 
+def is_progressive_jpeg(data: bytes) -> bool:
+    """Whether a JPEG file is made of scans that become finer."""
+    header = _jpeg_header(data)
+    return header is not None and "progressive" in header.info
+
+
 def read_jpeg_tables(data: bytes | memoryview) -> JpegTables | None:
     """Read the tables of a grey or YCbCr picture; None of any other, or if they are damaged."""
+    header = _jpeg_header(data)
+    if header is None or not header.layer:
+        return None
+    tables = {number: np.array(table, np.float64) for number, table in header.quantization.items()}
+    identifiers, across, down, used = zip(*header.layer, strict=True)
+    if not all(number in tables and len(tables[number]) == 64 for number in used):
+        return None
+    steps, span = np.stack([tables[number].reshape(8, 8) for number in used]), (1, 1)
+    if len(used) > 1:
+        is_ycbcr = header.info.get("adobe_transform", 1) == 1 and [*identifiers] != _RGB
+        if len(used) != 3 or not is_ycbcr or {*across[1:], *down[1:]} != {1} or (steps[1] != steps[2]).any():
+            return None
+        steps, span = steps[:2], (down[0], across[0])
+    # Decoders let steps of 0 pass, which have no multiples.
+    return JpegTables(steps, span) if steps.min() >= 1 and {*span} <= {1, 2} else None
+
+
+def _jpeg_header(data: bytes | memoryview) -> Any:
+    """Return the header of a JPEG file as Pillow reads it; None if it is none, or damaged."""
     if data[: len(_JPEG_START)] != _JPEG_START:
         return None
-    tables: dict[int, Float64s] = {}
-    frame, transform = b"", 1
+    from PIL.JpegImagePlugin import JpegImageFile
+
     try:
-        for marker, segment in jpeg_segments(data):
-            body = segment[4:]
-            if marker == _TABLES:
-                tables |= _tables(body)
-            elif marker in _HUFFMAN_FRAMES:
-                frame = bytes(body)
-            elif marker == _ADOBE and body[:5] == b"Adobe":
-                transform = body[11]
-        found = _of_frame(frame, tables, transform)
-    except (IndexError, KeyError, ValueError):
+        return JpegImageFile(io.BytesIO(data))
+    except (OSError, SyntaxError, ValueError):
         return None
-    # Decoders let steps of 0 pass, which have no multiples.
-    return None if found is None or found.steps.min() < 1 or min(found.span) < 1 else found
-
-
-def _tables(body: bytes | memoryview) -> dict[int, Float64s]:
-    """Return the tables of a segment by their numbers, each of shape (8, 8)."""
-    found, at = {}, 0
-    while at < len(body):
-        kind = ">u2" if body[at] >> 4 else "u1"
-        table = np.empty(64)
-        table[_ZIGZAG] = np.frombuffer(body, kind, 64, at + 1)
-        found[body[at] & 15] = table.reshape(8, 8)
-        at += 1 + 64 * np.dtype(kind).itemsize
-    return found
-
-
-def _of_frame(frame: bytes, tables: dict[int, Float64s], transform: int) -> JpegTables | None:
-    components = [frame[at : at + 3] for at in range(6, 6 + 3 * frame[5], 3)]
-    if len(components) == 1:
-        return JpegTables(tables[components[0][2]][None], (1, 1))
-    identities = [component[0] for component in components]
-    if len(components) != 3 or transform != 1 or identities == _RGB:
-        return None
-    luma, blue, red = components
-    span = luma[1] & 15, luma[1] >> 4
-    if max(span) > 2 or not blue[1] == red[1] == 0x11 or (tables[blue[2]] != tables[red[2]]).any():
-        return None
-    return JpegTables(np.stack([tables[luma[2]], tables[blue[2]]]), span)
 
 
 FORMATS_WITH_EXIF = ("png", "jpeg", "webp", "tiff")

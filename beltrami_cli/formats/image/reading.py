@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, decoded, measured
-from beltrami_cli.formats.image.metadata import first_jpeg, has_palette, is_animated, is_cmyk_jpeg, png_chunks
+from beltrami_cli.formats.image.metadata import first_jpeg, has_palette, is_animated, png_chunks
 from beltrami_cli.formats.image.picture import (
     READABLE,
     STORED,
@@ -33,6 +33,7 @@ _MOST_CHANNELS = 64
 _MOST_MEGABYTES = 8192  # of decoded pixels
 _NOT_BUILT_IN = ("support is not configured", "is not implemented")  # of a compression, as libtiff says
 _COLOURED = 3  # channels
+_INKS = ("CMYK", "YCbCrK")  # as OpenImageIO calls them in JPEG files
 _PALETTE_IN_TIFF = 3  # its photometric interpretation
 _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImageIO writes
 _WHOLE_BYTES = (8, 16, 32)
@@ -131,8 +132,6 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         raise InputError(name, "the content is of no known image format", READABLE)
     if known in EXTRA_CODECS:
         return _read_extra(data, name, known)
-    if known == "jpeg" and is_cmyk_jpeg(data):
-        raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
     if known not in OpenImageIO.get_string_attribute("input_format_list").split(","):
         cause = f"this build of OpenImageIO does not read {label_of(known)}"
         raise InputError(name, cause, "convert it to PNG or EXR")
@@ -209,7 +208,7 @@ def _check(spec: Any, format_name: str, known: str, name: str) -> None:
     if not kinds <= STORED.keys() or (len(kinds) > 1 and not kinds <= {"half", "float"}):
         raise InputError(name, f"its samples are {' and '.join(sorted(kinds))}", _EXPORT)
     colour_space = spec.get_string_attribute("tiff:ColorSpace")
-    if "CMYK" in colour_space.upper():
+    if "CMYK" in colour_space.upper() or spec.get_string_attribute("jpeg:ColorSpace") in _INKS:
         raise InputError(name, "its colours are the inks of print (CMYK)", "convert it to RGB")
     if colour_space.endswith("LAB"):  # OpenImageIO makes a yellow of its white, and 8 bits of 16
         raise InputError(name, f"its colours are {colour_space}", "convert it to RGB")
