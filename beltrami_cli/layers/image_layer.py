@@ -24,13 +24,13 @@ from beltrami_cli.formats.image.writing import upright
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.layers.image_surface import (
     ImageSurface,
-    plan_on_image,
+    canvas_of_image,
     read_surface,
     refuse_options_of_meshes,
 )
 from beltrami_cli.layers.layer import Change, ImageReport, Layer, Part, Repainted, rewritten
 from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
-from beltrami_cli.layers.picture_colours import PictureColours, with_chosen_layer
+from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures, with_chosen_layer
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import Repainting
 from beltrami_cli.surface import large_arrays
@@ -100,12 +100,12 @@ class ImageLayer(Layer):
         )  # fmt: skip
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        return plan_on_image(
+        make, atlas, kernel = canvas_of_image(
             self.surface, partial(self.colours.working, self.picture), self.settings.kernel,
-            guides=self.guides, metric_channels=self.colours.metric_channels, tick=tick, noise=self.noise,
-            coded=(self.picture.pixels, self.tables) if self.colours.shows_all else None,
-            light_in=self.colours.light_space,
+            guides=self.guides, metric_channels=self.colours.metric_channels, noise=self.noise,
         )  # fmt: skip
+        coded = [(self.picture.pixels, self.tables)] if self.colours.shows_all else []
+        return plan_on_pictures(make, atlas, coded, kernel, tick=tick, light_in=self.colours.light_space)
 
     def require_writable(self) -> None:
         check_writable(self.picture, self.suffix)

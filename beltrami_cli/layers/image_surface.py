@@ -1,4 +1,4 @@
-"""The surface that an image lies on, and its holes, from other images of the same size; and the flow on it."""
+"""The surface that an image lies on, and its holes, from other images of the same size; and its canvas."""
 
 from __future__ import annotations
 
@@ -10,24 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
-from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
-from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import require_size
 from beltrami_cli.layers.memory_check import MAPPED_PIXEL_BYTES, require_memory
-from beltrami_cli.layers.picture_colours import plan_on_pictures
+from beltrami_cli.layers.picture_colours import Make
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
-from beltrami_cli.surface.atlas import Indices, grid_atlas
+from beltrami_cli.surface.atlas import Atlas, grid_atlas
 from beltrami_cli.surface.records import check_scale
 
 Pixels = NDArray[np.int64]
@@ -138,23 +135,18 @@ def _opaque(picture: Picture) -> NDArray[np.bool_]:
     return np.asarray(picture.pixels[..., picture.alpha] != 0)
 
 
-def plan_on_image(
+def canvas_of_image(
     surface: ImageSurface,
     colours_of: Callable[[Pixels], NDArray[np.float32]],
     kernel: KernelParameters,
     *,
     guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
-    tick: Callable[[], None] | None = None,
     noise: NDArray[np.float32] | None = None,
-    rows: Indices | None = None,
-    coded: tuple[Array, JpegTables | None] | None = None,
-    light_in: Space | None = None,
-) -> Plan[GridManifold]:
-    """Plan the smoothing of an image, whose owned texels are the pixels that are not holes, row by row.
+) -> tuple[Make, Atlas, KernelParameters]:
+    """Return how the manifold of an image is made, its atlas, and the parameters in its unit of length.
 
-    Guides and noise have a row for each pixel, or `rows` names their rows for the pixels. `coded`: the pixels, if they
-    are as a JPEG file has them.
+    Owned texels are the pixels that are not holes, row by row. Guides and noise have a row for each pixel.
     """
     # Over heights, as on the plane, the unit of length is the pixel, and not the spacing along the surface: samples on
     # slopes are further apart, so they are smoothed less.
@@ -167,7 +159,7 @@ def plan_on_image(
         kernel = dataclasses.replace(kernel, units="world")
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as all that follows
-    own = atlas.owned_texels if rows is None else rows[atlas.owned_texels]
+    own = atlas.owned_texels
     unit = None if surface.heights is None else 1.0
 
     def manifold(planes: NDArray[np.float32] | None, found: FoundNoise | None) -> GridManifold:
@@ -185,7 +177,7 @@ def plan_on_image(
             deviations=None if noise is None else noise[own],
         )
 
-    return plan_on_pictures(manifold, atlas, [coded] if coded else [], kernel, tick=tick, light_in=light_in)
+    return manifold, atlas, kernel
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:
