@@ -27,8 +27,27 @@ _NOUNS = {bool: "True or False", int: "a whole number", float: "a number", str: 
 
 
 @dataclasses.dataclass(frozen=True)
+class Option:
+    """How a value is given on the command line, in files and variables."""
+
+    flags: (
+        tuple[str, ...] | None
+    ) = ()  # as click takes them; empty: from the name of the parameter; None: no option
+    metavar: str | None = None
+    repeatable: bool = False  # whether the option of several values is given once for each
+    # Makes the value from text; ValueError names the fault.
+    parse: Callable[[str], Any] | None = None
+    show: Callable[[Any], str] = str  # makes that text from the value
+    words: tuple[str, ...] = ()  # texts that `parse` takes, for completion
+    is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
+
+
+_OF_OPTIONS = {each.name for each in dataclasses.fields(Option)}
+
+
+@dataclasses.dataclass(frozen=True)
 class Parameter:
-    """The declaration of a parameter."""
+    """The declaration of a parameter: which values it can have, and its option."""
 
     name: str
     default: Any
@@ -45,20 +64,27 @@ class Parameter:
     allowed: str = ""  # in words, where the record checks it by itself
     unit: str = ""
     unset: str = ""  # behaviour without a value, if it differs from the default
-    # Of the option, as click takes them; empty: from the name; None: no option.
-    flags: tuple[str, ...] | None = ()
-    metavar: str | None = None
-    repeatable: bool = False  # whether the option of several values is given once for each
-    # Makes the value from text; ValueError names the fault.
-    parse: Callable[[str], Any] | None = None
-    show: Callable[[Any], str] = str  # makes that text from the value
-    words: tuple[str, ...] = ()  # texts that `parse` takes, for completion
-    is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
     group: str = ""  # of options in the help: the `group` of the record
     is_file: bool = False  # names files that are read
     # Returns the file at the end of a value that may name one, or "".
     file_in: Callable[[str], str] | None = None
     lifts_limit: bool = False
+    option: Option = Option()
+
+    def changed(self, **details: Any) -> Parameter:
+        """Return the declaration with other attributes, of its option or its own."""
+        of_option = {name: details.pop(name) for name in _OF_OPTIONS & details.keys()}
+        return dataclasses.replace(self, option=dataclasses.replace(self.option, **of_option), **details)
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """The spellings of the option, and click's name of it if that differs."""
+        return self.option.flags or (f"--{self.name.replace('_', '-')}",)
+
+    @property
+    def flag(self) -> str:
+        """The option as users know it."""
+        return next((each for each in self.flags if each.startswith("--")), self.flags[0])
 
     def is_deliberate(self, value: Any) -> bool:
         """Whether only users may set it to a value, and no configuration file that was merely found."""
@@ -81,12 +107,12 @@ class Parameter:
         """What holds where nothing is given; empty if that is nothing."""
         if self.unset:
             return self.unset.format(default=self.default)
-        if self.kind is bool and self.flags and "/" in self.flags[0]:
+        if self.kind is bool and "/" in self.flags[0]:
             yes, no = self.flags[0].replace("--", "").split("/")
             return yes if self.default else no
         if self.kind is bool or self.default in (None, (), REQUIRED):
             return ""
-        return self.show(self.default)
+        return self.option.show(self.default)
 
     def files(self, value: Any) -> list[str]:
         if value is None or not (self.is_file or self.file_in):
@@ -149,12 +175,12 @@ class Parameter:
 
 
 def parameter(default: Any, meaning: str, **details: Any) -> Any:
-    """Declare a field of a record as a parameter; the details are attributes of `Parameter`."""
+    """Declare a field of a record as a parameter; the details are attributes of `Parameter` and `Option`."""
     several = isinstance(default, tuple)
     sample = default[0] if several and default else None if several else default
-    known = {"kind": str if sample is None else type(sample), "several": several, "optional": default is None}
+    kind = str if sample is None else type(sample)
     # The name is known only when the class is made, see `parameters`.
-    declared = Parameter("", default, meaning, **known | details)
+    declared = Parameter("", default, meaning, kind, several, optional=default is None).changed(**details)
     return dataclasses.field(default=default, metadata={_PARAMETER: declared})
 
 
@@ -209,7 +235,7 @@ def _parameters_of(record: type, deep: bool) -> tuple[Parameter, ...]:
 def given_options(record: object, *names: str) -> list[str]:
     """Return the options of a record, or some of them by the names of parameters, that are not as by default."""
     return [
-        declared.flags[0] if declared.flags else f"--{declared.name.replace('_', '-')}"
+        declared.flags[0]
         for declared in parameters(record)
         if (not names or declared.name in names) and getattr(record, declared.name) != declared.default
     ]

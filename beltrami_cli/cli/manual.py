@@ -14,7 +14,6 @@ import click
 
 from beltrami_cli.cli.commands import DAILY, HelpfulCommand
 from beltrami_cli.cli.main import COMMANDS, group
-from beltrami_cli.cli.options import flags_of
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
@@ -69,7 +68,8 @@ def parameter_table() -> str:
 
 
 def _cells(declared: Parameter) -> tuple[str, str, str]:
-    flags = [] if declared.flags is None else [flag for flag in flags_of(declared) if flag.startswith("-")]
+    has_option = declared.option.flags is not None
+    flags = [flag for flag in declared.flags if flag.startswith("-")] if has_option else []
     default = "required" if declared.default is REQUIRED else declared.default_in_words
     return (
         ", ".join(f"`{flag}`" for flag in flags),

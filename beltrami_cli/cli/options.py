@@ -36,7 +36,7 @@ class ParameterOption(GroupedOption):
     """An option that is made from the field of a parameter."""
 
     def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
-        super().__init__(*arguments, group="" if declared.is_daily else declared.group, **attributes)
+        super().__init__(*arguments, group="" if declared.option.is_daily else declared.group, **attributes)
         self.declared = declared
 
 
@@ -44,32 +44,28 @@ class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newe
     """What the field of a parameter allows; text that it parses stays text, as configuration files have it."""
 
     def __init__(self, declared: Parameter) -> None:
+        self._declared = declared
         # Errors name the option, which may be called otherwise than the field.
-        self._declared = dataclasses.replace(declared, name=_flag(declared), flags=flags_of(declared))
+        self._named = dataclasses.replace(declared, name=declared.flag)
         self.name = {int: "integer", float: "float"}.get(declared.kind, "text")
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        return [CompletionItem(word) for word in self._declared.words if word.startswith(incomplete)]
+        return [CompletionItem(word) for word in self._declared.option.words if word.startswith(incomplete)]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the value, or its text; UsageError if it is out of its range."""
-        declared = self._declared
+        declared, option = self._declared, self._declared.option
+        kind: Any = {int: click.INT, float: click.FLOAT}.get(declared.kind, click.STRING)
         try:
-            if declared.parse is not None:
-                text = str(value)
-                made = parsed(declared, text)
-                declared.check((made,) if declared.repeatable else made)
-                return text
-            kind: Any = {int: click.INT, float: click.FLOAT}.get(declared.kind, click.STRING)
-            made = kind.convert(value, param, ctx)
-            declared.check((made,) if declared.repeatable else made)
+            made = kind.convert(value, param, ctx) if option.parse is None else parsed(declared, str(value))
+            self._named.check((made,) if option.repeatable else made)
         except UsageError as error:
             variable = variable_behind(param, ctx)
             origin = f" (from the environment: {variable})" if variable else ""
             raise UsageError(f"{error}{origin}") from None
-        return made
+        return made if option.parse is None else str(value)
 
 
 def options_of(
@@ -78,11 +74,11 @@ def options_of(
     without: Collection[str] = (),
     changed: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Decorator:
-    """Return a decorator that adds the options of a record; `changed`: attributes of `Parameter` that differ."""
+    """Return a decorator that adds the options of a record; `changed`: attributes of parameters that differ."""
     chosen = [
-        dataclasses.replace(each, **(changed or {}).get(each.name, {}))
+        each.changed(**(changed or {}).get(each.name, {}))
         for each in parameters(record, deep=True)
-        if each.flags is not None and (only is None or each.name in only) and each.name not in without
+        if each.option.flags is not None and (only is None or each.name in only) and each.name not in without
     ]
 
     return adding(chosen)
@@ -99,32 +95,23 @@ def adding(parameters: Sequence[Parameter]) -> Decorator:
     return decorate
 
 
-def flags_of(declared: Parameter) -> tuple[str, ...]:
-    """Return the spellings of a parameter's option, and click's name of it if that differs."""
-    return declared.flags or ("--" + declared.name.replace("_", "-"),)
-
-
-def _flag(declared: Parameter) -> str:
-    """Return the option of a parameter as users know it."""
-    return next((each for each in flags_of(declared) if each.startswith("--")), flags_of(declared)[0])
-
-
 def _option_of(declared: Parameter) -> Decorator:
     attributes: dict[str, Any] = {}
+    option = declared.option
     if declared.kind is bool:
         attributes = {"is_flag": True, "default": declared.default}
-    elif declared.choices and declared.parse is None:
+    elif declared.choices and option.parse is None:
         attributes = {"type": click.Choice(declared.choices)}
     else:
-        attributes = {"type": _Value(declared), "metavar": declared.metavar}
-    if declared.repeatable:
+        attributes = {"type": _Value(declared), "metavar": option.metavar}
+    if option.repeatable:
         attributes["multiple"] = True
     elif declared.default is REQUIRED:
         attributes["required"] = True
     elif not declared.unset and declared.default is not None:
-        attributes["default"] = declared.show(declared.default) if declared.parse else declared.default
+        attributes["default"] = option.show(declared.default) if option.parse else declared.default
     return click.option(
-        *flags_of(declared), cls=ParameterOption, declared=declared, help=_help(declared), **attributes
+        *declared.flags, cls=ParameterOption, declared=declared, help=_help(declared), **attributes
     )
 
 
@@ -134,9 +121,10 @@ def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) ->
         value = values.get(_destination(declared))
         if declared.name in made or value in (None, ()):
             continue
-        if declared.parse is not None:
-            several = declared.repeatable
-            value = tuple(parsed(declared, text) for text in value) if several else parsed(declared, value)
+        if declared.option.repeatable:
+            value = tuple(parsed(declared, text) for text in value)
+        elif declared.option.parse is not None:
+            value = parsed(declared, value)
         made[declared.name] = value
     for name, kind in parts(record).items():
         if name not in made:
@@ -146,12 +134,12 @@ def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) ->
 
 def parsed(declared: Parameter, text: str) -> Any:
     """Make the value of a parameter from the text of its option."""
-    if declared.parse is None:
+    if declared.option.parse is None:
         return text
     try:
-        return declared.parse(text)
+        return declared.option.parse(text)
     except ValueError as error:
-        raise UsageError(f"{_flag(declared)} {error}") from None
+        raise UsageError(f"{declared.flag} {error}") from None
 
 
 preset = click.option(
@@ -182,20 +170,20 @@ def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
                 is_given = declared.name not in settings.kernel.free and value is not None
             else:
                 is_given = value != default
-            if is_given and declared.flags is not None:
+            if is_given and declared.option.flags is not None:
                 words += _typed(declared, value)
     return words
 
 
 def _typed(declared: Parameter, value: Any) -> list[str]:
-    flag = flags_of(declared)[0].partition("/")[0]
+    flag = declared.flags[0].partition("/")[0]
     if declared.kind is bool:
         return [flag]
-    if declared.repeatable:
+    if declared.option.repeatable:
         return [word for each in value for word in (flag, _in_short(each))]
     if declared.several:
         return [flag, ",".join(map(_in_short, value)) or "none"]
-    return [flag, _in_short(value) if declared.parse is None else declared.show(value)]
+    return [flag, _in_short(value) if declared.option.parse is None else declared.option.show(value)]
 
 
 def _in_short(value: Any) -> str:
@@ -346,10 +334,10 @@ def job_from(values: Mapping[str, Any], source: str, messages: Messages) -> Iter
 
 def _destination(declared: Parameter) -> str:
     """Return the name that click has for the option of a parameter; empty if there is none."""
-    if declared.flags is None:
+    if declared.option.flags is None:
         return ""
-    named = [flag for flag in flags_of(declared) if flag.isidentifier()]
-    return named[0] if named else flags_of(declared)[-1].partition("/")[0].lstrip("-").replace("-", "_")
+    named = [flag for flag in declared.flags if flag.isidentifier()]
+    return named[0] if named else declared.flags[-1].partition("/")[0].lstrip("-").replace("-", "_")
 
 
 def _help(declared: Parameter) -> str:

@@ -8,7 +8,6 @@ import os
 import shlex
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Literal
 
 import click
@@ -109,9 +108,8 @@ def _listed(declared: Parameter) -> Parameter:
             raise ValueError(f"is {text!r}, but must be a list of numbers such as 4,8,16") from None
         return tuple(dict.fromkeys(values))
 
-    return replace(
-        declared, default=None, several=True, optional=True, unset="one value, as for smooth", metavar="A,B,...",
-        parse=values_in,
+    return declared.changed(
+        default=None, several=True, optional=True, unset="one value, as for smooth", metavar="A,B,...", parse=values_in
     )  # fmt: skip
 
 

@@ -117,7 +117,7 @@ def test_groups_are_those_of_the_records_that_declare_the_options(name):
     for title, options in groups_of(name).items():
         for option in options:
             if isinstance(option, ParameterOption):
-                assert title == (DAILY if option.declared.is_daily else option.declared.group)
+                assert title == (DAILY if option.declared.option.is_daily else option.declared.group)
 
 
 def test_manual_pages_have_the_groups():
