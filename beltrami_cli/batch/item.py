@@ -75,7 +75,22 @@ class Outcome:
     exit_code: int = 0  # that of `beltrami smooth` for the same file
     read: dict[str, str] = field(default_factory=dict)  # SHA-256 of every file that was read, by its name
     written: dict[str, str] = field(default_factory=dict)
-    report: dict[str, object] | None = None  # of `beltrami smooth`, or of what `beltrami noise` added
+    report: dict[str, Any] | None = None  # of `beltrami smooth`, or of what `beltrami noise` added
+
+    def figures(self) -> tuple[float, float, bool] | None:
+        """Return the strongest noise, the largest mean change, and whether no iterations were chosen."""
+        report = self.report or {}
+        parts = [
+            each
+            for each in (report.get("vertices"), report.get("image"), *report.get("textures", ()))
+            if each
+        ]
+        if self.status == "failed" or not parts:
+            return None
+        noise = max((float(value) for part in parts for value in part["noise"].values()), default=0.0)
+        is_chosen = "iterations" in report.get("parameters", {}).get("free", ())
+        is_left = is_chosen and not any(part["iterations"] for part in parts)
+        return noise, max(float(part["change"]["mean"]) for part in parts), is_left
 
 
 @dataclass(frozen=True)
@@ -167,6 +182,13 @@ _START = b'{"input": "'
 _LONGEST = 1 << 26  # bytes of a line
 _LONGEST_HEAD = 1 << 16  # bytes in which a report is recognised
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+_UNFIT = (
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    OverflowError,
+)  # of lines that are not from a report
 
 
 class Record:
@@ -272,7 +294,7 @@ def _read_record(path: str) -> dict[str, Outcome]:
             for number, line in enumerate(iter(partial(file.readline, _LONGEST), b""), 1):
                 try:
                     outcome = _outcome_in(line)
-                except (ValueError, TypeError):
+                except _UNFIT:
                     is_cut_off = line[: len(_START)] == _START[: len(line)] and not line.endswith(b"\n")
                     if is_cut_off and not file.read(1):
                         break
@@ -286,10 +308,12 @@ def _read_record(path: str) -> dict[str, Outcome]:
 
 
 def _outcome_in(line: bytes) -> Outcome:
-    """Return what a line says; ValueError or TypeError if it cannot be from `_line`."""
+    """Return what a line says; an error of `_UNFIT` if it cannot be from `_line`."""
     outcome = Outcome(**parse_json(line))
     source, target = require_name(outcome.input), require_name(outcome.output)
-    texts = (outcome.parameters_sha256, outcome.error)
+    outcome.figures()  # which the table shows
+    report = outcome.report or {}
+    texts = (outcome.parameters_sha256, outcome.error, *report.get("warnings", ()))
     is_valid = (
         outcome.status in get_args(Status)
         and all(isinstance(text, str) for text in texts)
@@ -297,7 +321,8 @@ def _outcome_in(line: bytes) -> Outcome:
         and type(outcome.exit_code) is int
         and _are_hashes(outcome.read, source)
         and _are_hashes(outcome.written, target)
-        and (outcome.report is None or _is_report(outcome.report))
+        and isinstance(outcome.report, dict | None)
+        and isinstance(report.get("textures", []), list)
     )
     if not is_valid:
         raise ValueError("a value is of another kind, or out of its range")
@@ -317,27 +342,6 @@ def _are_hashes(values: object, file: str) -> bool:
         and (not is_url(require_name(name)) or (is_url(file) and is_below(name)))
         for name, digest in values.items()
     )
-
-
-def _is_report(report: object) -> bool:
-    """Whether a report of `beltrami smooth` has what the table of a batch shows of it."""
-    if not isinstance(report, dict):
-        return False
-    textures, warnings = report.get("textures", []), report.get("warnings", [])
-    if not isinstance(textures, list) or not isinstance(warnings, list):
-        return False
-    parts = [part for part in (report.get("vertices"), report.get("image"), *textures) if part is not None]
-    return all(isinstance(warning, str) for warning in warnings) and all(
-        isinstance(part, dict)
-        and _are_numbers(part.get("noise"))
-        and _are_numbers(part.get("change"))
-        and "mean" in part["change"]
-        for part in parts
-    )
-
-
-def _are_numbers(values: object) -> bool:
-    return isinstance(values, dict) and all(_is_number(value) for value in values.values())
 
 
 def _is_number(value: object) -> bool:

@@ -383,40 +383,24 @@ def show_table(outcomes: Sequence[Outcome]) -> None:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("remark", overflow="fold")
     for outcome in outcomes:
-        cells = [outcome.output, outcome.status, *_figures(outcome), _remark(outcome)]
+        cells = [outcome.output, outcome.status, *_cells(outcome)]
         texts = [Text(printable(cell)) for cell in cells]
         texts[1].stylize(_COLOURS.get(outcome.status, ""))
         table.add_row(*texts)
     Console(stderr=True, width=None if sys.stderr.isatty() else _WIDTH).print(table)
 
 
-def _figures(outcome: Outcome) -> tuple[str, str, str]:
+def _cells(outcome: Outcome) -> list[str]:
     seconds = f"{outcome.seconds:.1f} s" if outcome.seconds else ""
-    report: dict[str, Any] = outcome.report or {}
-    parts = _parts_of(report)
-    if outcome.status == "failed" or not parts:
-        return seconds, "", ""
-    noise = max((max(part["noise"].values(), default=0.0) for part in parts), default=0.0)
-    change = max(part["change"]["mean"] for part in parts)
-    return seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"
-
-
-def _parts_of(report: dict[str, Any]) -> list[dict[str, Any]]:
-    parts = [report.get("vertices"), report.get("image"), *report.get("textures", [])]
-    return [part for part in parts if part]
-
-
-def _remark(outcome: Outcome) -> str:
     if outcome.status == "failed":
-        return "see above"  # where `finished` reported it
-    report: dict[str, Any] = outcome.report or {}
-    remarks = list(report.get("warnings", []))
-    parts = _parts_of(report)
-    is_chosen = "iterations" in report.get("parameters", {}).get("free", ())
-    if parts and is_chosen and not any(part["iterations"] for part in parts):
-        is_changed = any(part["change"]["mean"] for part in parts)  # by levelling
-        remarks.append(f"noise {NO_NOISE}, so it is {'not smoothed' if is_changed else 'left as it is'}")
-    return "; ".join(remarks)
+        return [seconds, "", "", "see above"]  # where `finished` reported it
+    remarks, found = list((outcome.report or {}).get("warnings", ())), outcome.figures()
+    if found is None:
+        return [seconds, "", "", "; ".join(remarks)]
+    noise, change, is_left = found
+    if is_left:  # it may be changed by levelling
+        remarks.append(f"noise {NO_NOISE}, so it is {'not smoothed' if change else 'left as it is'}")
+    return [seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255", "; ".join(remarks)]
 
 
 def _bar(*, is_shown: bool) -> Progress:

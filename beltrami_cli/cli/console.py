@@ -104,12 +104,15 @@ class Messages:
             self.warn(text if text.startswith(shown) else f"{shown}: {text}")
 
     @contextmanager
-    def warnings_shown(self) -> Iterator[None]:
-        """Print the warnings that the package logs."""
+    def log_shown(self) -> Iterator[None]:
+        """Print what the package logs: warnings, and, within `work_shown`, how much work is ahead."""
         import logging
 
-        handler, log = logging.Handler(logging.WARNING), logging.getLogger("beltrami_cli")
-        handler.emit = lambda record: self.warn(record.getMessage())  # type: ignore[method-assign]
+        def show(record: logging.LogRecord) -> None:
+            (self.warn if record.levelno >= logging.WARNING else self.say)(record.getMessage())
+
+        handler, log = logging.Handler(), logging.getLogger("beltrami_cli")
+        handler.emit = show  # type: ignore[method-assign]
         log.addHandler(handler)
         try:
             yield
@@ -118,22 +121,15 @@ class Messages:
 
     @contextmanager
     def work_shown(self, *, wanted: bool) -> Iterator[None]:
-        """Show how much work is ahead, which the package logs before it starts."""
+        """Have the package log how much work is ahead, before it starts."""
         import logging
 
-        if not wanted:
-            yield
-            return
-        handler, log = logging.Handler(logging.INFO), logging.getLogger("beltrami_cli")
-        handler.addFilter(lambda record: record.levelno < logging.WARNING)  # see `warnings_shown`
-        handler.emit = lambda record: self.say(record.getMessage())  # type: ignore[method-assign]
+        log = logging.getLogger("beltrami_cli")
         before = log.level
-        log.addHandler(handler)
-        log.setLevel(logging.INFO)
+        log.setLevel(logging.INFO if wanted else before)
         try:
             yield
         finally:
-            log.removeHandler(handler)
             log.setLevel(before)
 
     @contextmanager

@@ -296,7 +296,7 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def with_messages(*, quiet: bool, verbose: int, **given: Any) -> Any:
         messages = Messages(quiet=quiet, verbose=verbose)
-        with messages.warnings_shown():
+        with messages.log_shown():
             return command(messages=messages, **given)
 
     return quiet(verbose(with_messages))
