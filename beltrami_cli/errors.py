@@ -1,6 +1,8 @@
-"""Every exception that beltrami raises, each with the exit code of the command line."""
+"""How work ends early: the exceptions that beltrami raises, each with its exit code, and signals that end a process."""
 
 from __future__ import annotations
+
+import signal
 
 _LONGEST = 1000  # characters; what a file has for a name may be a million
 
@@ -60,3 +62,19 @@ class OutputError(FileError):
     """The output cannot be written, or must not be."""
 
     exit_code = 4
+
+
+# Signals whose default is not to end a process, that cannot be caught, or that mean faults in native code,
+# which would fault again and again if Python handled them.
+_OTHERS = (
+    "SIGCHLD", "SIGCONT", "SIGINFO", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGURG", "SIGWINCH",
+    "SIGKILL", "SIGSTOP",
+    "SIGBUS", "SIGEMT", "SIGFPE", "SIGILL", "SIGSEGV", "SIGSYS", "SIGTRAP",
+)  # fmt: skip
+ENDING_SIGNALS = frozenset(map(int, signal.valid_signals() - {getattr(signal, each, 0) for each in _OTHERS}))
+
+
+def unhandled_endings() -> set[int]:
+    """Return the signals that would end this process; ignored ones, as under nohup, are left out."""
+    ends = (signal.SIG_DFL, signal.default_int_handler)
+    return {number for number in ENDING_SIGNALS if signal.getsignal(number) in ends}

@@ -34,10 +34,9 @@ from beltrami_cli.batch.item import (
     outcome_of,
 )
 from beltrami_cli.batch.storage import exists, make_folder_of
-from beltrami_cli.errors import OutputError
+from beltrami_cli.errors import OutputError, unhandled_endings
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import at_intervals
-from beltrami_cli.signals import unhandled_endings
 
 _GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
 _PAUSE = 0.1  # seconds between two messages on progress

@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
 import click
 
-from beltrami_cli.errors import OutputError, one_line
-from beltrami_cli.signals import unhandled_endings
+from beltrami_cli.errors import OutputError, one_line, unhandled_endings
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer

@@ -22,17 +22,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar, NoReturn
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
+from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate
 from beltrami_cli.surface.records import PaintedVertices
-
-if TYPE_CHECKING:
-    from beltrami_cli.formats.image.picture import Picture
 
 NewImages = Mapping[tuple[records.Slot, str], records.ImageFile]  # by slot and `Texture.key`
 PlannedImages = Mapping[tuple[records.Slot, str], records.PlannedImage]
@@ -296,3 +294,27 @@ class Document(ABC):
     @abstractmethod
     def facts(self) -> dict[str, object]:
         """Return facts about the file for `beltrami info`, in JSON types, in the order to be shown."""
+
+
+class ImageDocument(Document):
+    """An image, which is decoded when its picture is asked for."""
+
+    format: ClassVar[str] = "image"
+    kind: ClassVar[str] = "image"
+
+    @cached_property
+    def _picture(self) -> Picture:
+        return read_image(self.data, self.name, finite=False)
+
+    def picture(self) -> Picture:
+        return self._picture
+
+    @property
+    def _mesh(self) -> NoReturn:
+        raise InputError(self.name, "it is an image, and no model")
+
+    def facts(self) -> dict[str, object]:
+        return {"format": self._picture.format, "bytes": len(self.data)}
+
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        return Written([image.data for image in new.images.values()] or [self.data])

@@ -134,7 +134,7 @@ def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", *
 _is_image = _asks("image.picture.is_image")
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
-    Format("image", _is_image, "image_document", "ImageDocument", kind="image"),
+    Format("image", _is_image, "document", "ImageDocument", kind="image"),
     Format("volume", _asks("volume.arrays.is_volume", *_VOLUMES), "volume.arrays", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(

@@ -20,9 +20,8 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.document import Changes, Document, Naming, Written
+from beltrami_cli.formats.document import Changes, Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.image_document import ImageDocument
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job

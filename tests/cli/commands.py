@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from beltrami_cli.cli.main import main
-from beltrami_cli.signals import unhandled_endings
+from beltrami_cli.errors import unhandled_endings
 from hostile.folders import snapshot
 
 SAMPLES = Path(__file__).parents[2] / "sample_data"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import time
 import zlib
 from pathlib import Path
@@ -13,6 +14,7 @@ import OpenImageIO
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import read_image
@@ -104,10 +106,12 @@ def test_what_is_no_image_is_refused_whatever_its_name():
         read_image(b"hello", "x.tga")
 
 
-def test_inks_of_print_are_refused():
-    jpeg = bytearray(sample("jpeg"))
-    frame = jpeg.index(b"\xff\xc0")
-    jpeg[frame + 9] = 4
+@pytest.mark.parametrize("transform", [0, 2])  # Adobe's: none, or luma and chroma of the inks
+def test_inks_of_print_are_refused(transform):
+    file = io.BytesIO()
+    Image.fromarray(noise("uint8", 4), "CMYK").save(file, "JPEG")
+    jpeg = bytearray(file.getvalue())
+    jpeg[jpeg.index(b"Adobe") + 11] = transform
     with pytest.raises(InputError, match="CMYK"):
         read_image(bytes(jpeg), "print.jpg")
     tiff = encode(noise("uint8", 4), "tiff", tiff__ColorSpace="CMYK")
