@@ -30,7 +30,7 @@ from beltrami_cli.view.settings import RenderSettings
 
 _ENVIRONMENT = (
     "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. What counts is, first "
-    "to last: the command line, variables, the file, the default; beltrami config {} shows what is in force."
+    "to last: the command line, variables, the file, the default; beltrami config {} shows the values in force."
 )
 _FILES = (
     "beltrami.toml, or [tool.beltrami] in pyproject.toml, in the working folder or above it; or --config FILE"

@@ -60,7 +60,7 @@ def scans(tmp_path):
 
 @pytest.mark.slow
 def test_files_whole_and_in_partitions_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path):
-    """That a batch on one machine gives what `smooth` gives is tested beside it."""
+    """That a batch on one machine gives what `smooth` gives has its own test."""
     batch("scans", "--out-dir", "here", *QUICK, "-n", "2", cwd=tmp_path)
     expected = files_in(tmp_path / "here")
     assert len(expected) == 4
@@ -300,7 +300,7 @@ def certificates(tmp_path):
     return {f"{TLS}CA_FILE": str(certificate), **roles}
 
 
-# 6 s: a scheduler, a worker and three commands, each of which loads Dask.
+# 6 s: a scheduler, a worker and three commands that load Dask each.
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
 def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path, monkeypatch):

@@ -48,7 +48,7 @@ def beltrami(*arguments, code=0, stdin=b"", cwd=None, env=None, text=False):
 
 
 def refused(folder, *arguments, code, said="", env=None):
-    """Run a command in a folder, which must say in a line what is wrong, and change nothing; return the line."""
+    """Run a command in a folder, which must fail with one line and change nothing; return the line."""
     before = snapshot(folder)
     run = beltrami(*arguments, code=code, cwd=folder, env=env, text=True)
     assert said in run.stderr

@@ -166,7 +166,7 @@ def test_unwrap_smooths_textures_as_well_as_they_are_smoothed_without(tmp_path):
         beltrami("smooth", source, result, "--unwrap", "--fast", *number)
     reported = (beltrami("compare", truth, result, "--json").stdout for result in (before, after))
     psnr_before, psnr_after = (json.loads(text)["overall"]["psnr"] for text in reported)
-    # In the new texture lookups average the noise of texels, by 3 dB; what is left would be taken for a pattern.
+    # In the new texture lookups average the noise of texels, by 3 dB; the rest would be taken for a pattern.
     assert psnr_after > psnr_before + 6
 
 

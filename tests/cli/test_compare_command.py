@@ -293,7 +293,7 @@ def test_a_limit_that_cannot_be_measured_is_no_success(limit, settings):
 
 
 def test_a_limit_must_be_measured_for_every_part(tmp_path):
-    """A small texture beside a large one has no window of 11 x 11; no map is drawn then, and nothing is printed."""
+    """A texture much smaller than another has no window of 11 x 11; no map is drawn then, and nothing is printed."""
     for folder in ("one", "other"):
         (tmp_path / folder).mkdir()
         textured_squares(tmp_path / folder / "m.obj", ("a.png", 0, (0, 1)), ("b.png", 2, (0, 1)))

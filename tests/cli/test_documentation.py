@@ -26,7 +26,7 @@ def command(name):
 
 
 def typed(text):
-    """The calls of beltrami in lines of shell, as lists of words, without what is behind redirections."""
+    """The calls of beltrami in lines of shell, as lists of words, without redirections."""
     lines = re.sub(r"\\\n\s*", " ", text).splitlines()
     for line in lines:
         words = shlex.split(line, comments=True)
@@ -144,7 +144,7 @@ RUN_PAGES = {
     "pictures.md",
     "tuning.md",
 }
-# Not those of pipes, and not the live view, which runs until its page is closed; tests/view has its tests.
+# Neither calls with pipes nor the live view, which runs until its page is closed; tests/view has its tests.
 FOUND = [words for page, words in WRITTEN if page in RUN_PAGES and not {"-", "{}", "view"} & set(words)]
 RUN = list({" ".join(words): words for words in FOUND}.values())
 
@@ -158,7 +158,7 @@ def test_the_commands_of_the_readme_and_of_pages_to_start_with_run(words, stand_
     monkeypatch.chdir(folder)
     (folder / "other.toml").write_text("[smooth]\nbeta = 8\n")
     for each in ("SMOOTH", "BATCH", "INFO", "KERNEL", "SWEEP"):
-        monkeypatch.setenv(f"BELTRAMI_{each}_FAST", "1")  # what is chosen is not the point here
+        monkeypatch.setenv(f"BELTRAMI_{each}_FAST", "1")  # the choice is not the point here
     name = next(word for word in words if word in COMMANDS)
     own = command(name).params
     small = ["--size", "40"] if name in ("render", "sweep") else []  # the last one counts

@@ -16,7 +16,7 @@ ROWS, COLUMNS = 60, 80
 
 @pytest.fixture
 def photo(tmp_path):
-    """A photo of two colours with noise of 0.06, a depth map beside it, and a mask."""
+    """A photo of two colours with noise of 0.06, a depth map and a mask."""
     y, x = np.mgrid[:ROWS, :COLUMNS]
     clean = np.where((x + y > 70)[..., None], [0.7, 0.4, 0.3], [0.2, 0.5, 0.6])
     noisy = clean + np.random.default_rng(1).normal(0, 0.06, clean.shape)

@@ -1,4 +1,4 @@
-"""`beltrami info` describes what is there and what smoothing would do."""
+"""`beltrami info` describes a file and what smoothing would do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""--patches: when patches are estimated, what is said of them, and that an interrupt ends them."""
+"""--patches: when patches are estimated, the messages about them, and that an interrupt ends them."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ def mesh(tmp_path):
 
 
 def smoothed(source, *options):
-    """Smooth a file beside it; return what is said, the part of the report on its colours, and the result."""
+    """Smooth a file into its folder; return the messages, the report on its colours, and the result."""
     target, report = source.with_stem("result"), source.with_name("report.json")
     run = beltrami("smooth", source, target, "-v", "--report", report, "--overwrite", *options, text=True)
-    told = json.loads(report.read_text())
-    (part,) = (told[name] for name in ("vertices", "image") if told.get(name))
+    reported = json.loads(report.read_text())
+    (part,) = (reported[name] for name in ("vertices", "image") if reported.get(name))
     return run.stderr, part, target.read_bytes()
 
 
@@ -129,18 +129,18 @@ def test_clean_files_stay_byte_for_byte(name, tmp_path):
 
 
 # Says when the patches begin, and runs the command.
-TOLD = """
+REPORTING = """
 import sys
 from beltrami_cli.cli.main import main
 from beltrami_cli.flow.{module} import {manifold}
 
 own = {manifold}.collaborate
 
-def told(*arguments, **others):
+def reported(*arguments, **others):
     print("patches begin", file=sys.stderr, flush=True)
     return own(*arguments, **others)
 
-{manifold}.collaborate = told
+{manifold}.collaborate = reported
 main()
 """
 
@@ -170,7 +170,7 @@ def test_an_interrupt_while_patches_are_estimated_ends_at_once(source, module, m
         "--threads",
         "1",
     ]
-    command = [sys.executable, "-P", "-c", TOLD.format(module=module, manifold=manifold), *arguments]
+    command = [sys.executable, "-P", "-c", REPORTING.format(module=module, manifold=manifold), *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, cwd=tmp_path) as process:
         assert process.stderr is not None
         for line in process.stderr:

@@ -198,8 +198,8 @@ def test_reports_of_one_sample_are_json_and_hold_no_estimate(tmp_path):
     report = tmp_path / "run.json"
     beltrami("smooth", tmp_path / "one.png", tmp_path / "out.png", "--noise", 15, "--report", report)
     assert not re.search("Infinity|NaN", report.read_text())
-    told = beltrami("info", tmp_path / "one.png", "--noise", 15, text=True).stdout
-    assert "PSNR is undefined for a single sample" in told
+    printed = beltrami("info", tmp_path / "one.png", "--noise", 15, text=True).stdout
+    assert "PSNR is undefined for a single sample" in printed
 
 
 def test_the_guard_on_samples_warns_when_it_bites(tmp_path):

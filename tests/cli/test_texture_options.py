@@ -1,4 +1,4 @@
-"""Every option for textures does what its help says, and files beside a model come whole or not at all."""
+"""Every option for textures does what its help says, and sidecar files come whole or not at all."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ def test_another_image_format_is_named_in_the_material_and_opens_again(source, k
 
 @pytest.mark.parametrize("target", ["out.obj", "out.ply"])
 def test_another_image_format_is_written_without_iterations(target, tmp_path):
-    """In the same format and in another: no pixel is changed, and the line says what is."""
+    """In the same format and in another: no pixel is changed, and the line names the change."""
     out = tmp_path / target
     run = beltrami("smooth", MIRRORED, out, "-n", "0", "--texture-format", "tif")
     assert run.stderr.splitlines()[-1].endswith(b"only the type of images is changed")

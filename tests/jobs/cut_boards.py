@@ -18,7 +18,7 @@ SIDE, CHART, FIRST, STRIDE = 32, 16, 4, 24
 
 
 def write_board(path, image):
-    """Write the board with its texture, (48, 48, 3), beside it."""
+    """Write the board and its texture, (48, 48, 3)."""
     surface = BOARD.surface()
     lines = [f"mtllib {path.stem}.mtl", "usemtl board"]
     lines += [f"v {x} {y} {z}" for x, y, z in surface.positions]

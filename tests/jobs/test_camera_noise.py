@@ -100,9 +100,9 @@ def test_grain_is_of_the_place_on_the_surface_on_both_sides_of_seams(tmp_path):
     change = (stored(tmp_path / "n.png").astype(int) - 30000) / 6553.5
     inside = slice(FIRST, FIRST + CHART)
     left, right = change[inside, :STRIDE], change[inside, STRIDE:]
-    beside = left[:, FIRST + CHART - 1] - right[:, FIRST]  # a texel apart, across the seam
+    across = left[:, FIRST + CHART - 1] - right[:, FIRST]  # a texel apart, across the seam
     within = left[:, FIRST + CHART - 1] - left[:, FIRST + CHART - 2]
-    assert np.square(beside).mean() < 2 * np.square(within).mean() < 0.5
+    assert np.square(across).mean() < 2 * np.square(within).mean() < 0.5
     for step in range(3):
         np.testing.assert_allclose(left[:, FIRST + CHART + step], right[:, FIRST + step], atol=1e-3)
 

@@ -173,7 +173,7 @@ def test_every_member_of_a_gltf_counts(name, tmp_path):
                 missed.append((*parents, last))
         except (InputError, UsageError):
             continue
-    # How buffers are called and how long they are counts by what is read from them; as does where colours are.
+    # How buffers are called and how long they are counts by their content; as does where colours are.
     colours = {
         primitive["attributes"].get("COLOR_0") for mesh in tree["meshes"] for primitive in mesh["primitives"]
     }

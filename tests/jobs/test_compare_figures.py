@@ -1,4 +1,4 @@
-"""The figures of a comparison agree with published values, with other programs, and with what is known in advance."""
+"""The figures of a comparison agree with published values, with other programs, and with exact results."""
 
 from __future__ import annotations
 
@@ -130,9 +130,9 @@ def test_near_a_seam_are_four_texels_on_either_side():
     near = np.zeros((BOARD.size, BOARD.size), bool)
     near.reshape(-1)[atlas.owned_texels] = near_seams(atlas)
     at = np.arange(SIDE)
-    beside = np.abs(at + 0.5 - CHART) < 4
+    near_seam = np.abs(at + 0.5 - CHART) < 4
     rows, columns = BOARD.texel_places()
-    np.testing.assert_array_equal(near[rows, columns], beside[:, None] | beside)
+    np.testing.assert_array_equal(near[rows, columns], near_seam[:, None] | near_seam)
 
 
 def test_a_step_over_a_seam_is_measured_and_a_slope_is_none():

@@ -1,4 +1,4 @@
-"""Two models are compared in all that is coloured, and what is not compared is said."""
+"""Two models are compared in all that is coloured, and a notice names the rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PLACES = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 
 
 def write(folder, *, seed=0, other="", places=PLACES, without="", opacity=False):
-    """Write a square with vertex colours and textures in three slots, of which one may be another, or missing."""
+    """Write a square with vertex colours and textures in three slots; one may differ, or be missing."""
     folder.mkdir()
     shade = 0.75 if other == "vertex colours" else 0.25
     vertices = [f"v {x} {y} {z} {shade} 0.5 0.5" for x, y, z in places]
@@ -63,7 +63,7 @@ def test_equal_files_are_equal_in_everything(tmp_path):
     compared = compare_files(one, one, Limits(min_psnr=60, max_delta_e=0, min_ssim=1))
     assert compared.passed
     assert len(compared.parts) == 4
-    assert compared.overall["samples"] == 32 * 32  # of what is measured, the base colour
+    assert compared.overall["samples"] == 32 * 32  # the measured part, the base colour
     assert b"nothing differs" in beltrami("report", one, one, tmp_path / "page.html").stderr
 
 

@@ -1,4 +1,4 @@
-"""Files beside an output: named after it, never in the way of those of others, and none is written twice."""
+"""Sidecar files of an output: named after it, never in the way of other files, and none is written twice."""
 
 from __future__ import annotations
 
@@ -178,9 +178,9 @@ def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path):
     source, out = model(tmp_path / "in", "obj", PICTURE), tmp_path / "out"
     out.mkdir()
     settings, meant = SmoothSettings(kernel=KERNEL), out / "one_skin.png"
-    job = Job(overwrite=True, progress=lambda *_: meant.write_bytes(b"of somebody else"))
+    job = Job(overwrite=True, progress=lambda *_: meant.write_bytes(b"of another program"))
     smooth_file(source, out / "one.obj", settings, job=job)
-    assert meant.read_bytes() == b"of somebody else"
+    assert meant.read_bytes() == b"of another program"
     assert texture(out / "one.obj").name == "one_skin-2.png"
 
 

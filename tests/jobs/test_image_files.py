@@ -1,4 +1,4 @@
-"""Image files through `smooth_file`: what is kept, what is a hole, and what is refused."""
+"""Image files through `smooth_file`: what stays, which pixels are holes, and what is refused."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ KINDS = [
 
 
 def pixels_of(kind, channels, seed=0):
-    """Two colours with noise; alpha from 0 to 1 over the columns, in the middle of which 0."""
+    """Two colours with noise; alpha from 0 to 1 over the columns, 0 in the middle."""
     y, x = np.mgrid[:ROWS, :COLUMNS]
     base = 0.3 + 0.3 * (x > y)[..., None] + np.linspace(0, 0.2, channels)
     values = np.clip(base + np.random.default_rng(seed).normal(0, 0.05, base.shape), 0, 1)
@@ -236,7 +236,7 @@ def test_heights_and_positions_are_read_from_images(tmp_path):
     expected = smooth_image(
         pixels, surface=ImageSurface(positions=places, valid=seen > 0), **fixed, space="data"
     ).colours
-    # OpenEXR has alpha multiplied in, of which 0 leaves nothing.
+    # OpenEXR has alpha multiplied in, and 0 leaves nothing.
     assert np.abs(smoothed(positions=positions) - expected)[seen > 0].max() < 1e-6
 
 

@@ -98,48 +98,42 @@ def mean_of(kernel):
     return [np.average(table[channel], weights=table["weight"]) for channel in ("red", "green", "blue")]
 
 
-@pytest.mark.parametrize("kernel", OF_VERTICES)
-def test_the_samples_of_a_vertex_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
-    settings = as_data(OF_VERTICES[kernel])
-    facts = kernel_of(folder / "mesh.ply", "64", tmp_path, settings)
-    vertex = vertices_of(smoothed(folder / "mesh.ply", tmp_path / "out.ply", settings))[64]
-    truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
-    # float32 twice: what is stored, and the sums in the kernel.
-    np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
+def vertex_colour(path, facts):
+    row = vertices_of(path)[facts.table["vertex"][0]]
+    return [float(row[channel]) for channel in ("red", "green", "blue")]
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_the_samples_of_a_range_image_give_what_smoothing_makes_of_it(kernel, folder, tmp_path):
-    settings = as_data(KERNELS[kernel])
-    vertex = vertices_of(smoothed(folder / "range.ply", tmp_path / "out.ply", settings))[64]
-    facts = kernel_of(folder / "range.ply", "64", tmp_path, settings)
-    assert facts.table["vertex"][0] == 64
-    truth = [float(vertex[channel]) for channel in ("red", "green", "blue")]
-    np.testing.assert_allclose(mean_of(facts), truth, atol=1e-6)
+def pixel_colour(path, facts):
+    (image,) = [path] if path.suffix == ".exr" else path.parent.glob("*.png")
+    return read_pixels(image)[facts.table["y"][0], facts.table["x"][0]]
 
 
-@pytest.mark.parametrize("surface", ["plane", "heights"])
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_the_samples_of_a_pixel_give_what_smoothing_makes_of_it(kernel, surface, folder, tmp_path):
-    on = {"height": str(folder / "heights.exr")} if surface == "heights" else {}
-    settings = as_data(KERNELS[kernel], **on)
-    image = read_pixels(smoothed(folder / "image.exr", tmp_path / "out.exr", settings))
-    for column, row in ((18, 11), (39, 0)):  # the second is in a corner, where the window is cut
-        facts = kernel_of(folder / "image.exr", f"{column},{row}", tmp_path, settings)
-        np.testing.assert_allclose(mean_of(facts), image[row, column], atol=1e-6)
-        assert (facts.table["x"][0], facts.table["y"][0]) == (column, row)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_the_samples_of_a_texel_give_what_smoothing_makes_of_it(kernel, tmp_path):
-    source = SAMPLES / "head-tex-noisy.obj"
-    facts = kernel_of(source, "0.3,0.7", tmp_path, KERNELS[kernel])
-    column, row = facts.table["x"][0], facts.table["y"][0]
-    smoothed(source, tmp_path / "out.obj", KERNELS[kernel])
-    (image,) = tmp_path.glob("*.png")
-    # The file has 8 bits.
-    np.testing.assert_allclose(mean_of(facts), read_pixels(image)[row, column], atol=0.5 / 255 + 1e-6)
+# Of float32 twice: what is stored, and the sums in the kernel; the last file has 8 bits.
+@pytest.mark.parametrize(
+    ("name", "at", "settings", "colour", "tolerance"),
+    [
+        *(("mesh.ply", "64", as_data(each), vertex_colour, 1e-6) for each in OF_VERTICES.values()),
+        *(("range.ply", "64", as_data(each), vertex_colour, 1e-6) for each in KERNELS.values()),
+        *(("image.exr", "18,11", as_data(each), pixel_colour, 1e-6) for each in KERNELS.values()),
+        *(("image.exr", "39,0", as_data(each), pixel_colour, 1e-6) for each in KERNELS.values()),  # window is cut
+        *(("image.exr", "18,11", as_data(each, height="heights.exr"), pixel_colour, 1e-6) for each in KERNELS.values()),
+        *(
+            pytest.param(SAMPLES / "head-tex-noisy.obj", "0.3,0.7", each, pixel_colour, 0.5 / 255 + 1e-6,
+                         marks=pytest.mark.slow)
+            for each in KERNELS.values()
+        ),
+    ],
+)  # fmt: skip
+def test_the_samples_of_a_kernel_give_what_smoothing_makes(
+    name, at, settings, colour, tolerance, folder, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(folder)  # where the heights are
+    facts = kernel_of(folder / name, at, tmp_path, settings)
+    out = smoothed(folder / name, tmp_path / f"out{Path(name).suffix}", settings)
+    np.testing.assert_allclose(mean_of(facts), colour(out, facts), atol=tolerance)
+    if "." not in at:  # no texture coordinates
+        place = [facts.table[column][0] for column in (("vertex",) if "," not in at else ("x", "y"))]
+        assert ",".join(map(str, place)) == at
 
 
 def test_a_kernel_of_a_later_iteration_continues_those_before_it(folder, tmp_path):

@@ -44,7 +44,7 @@ def test_colours_come_from_another_file_alike(source, tmp_path):
         other = write(tmp_path / "points.ply", ply("double x y z, uchar red green blue", rows))
     settings = SmoothSettings(level_set=LevelSetSettings(colours=str(other)))
     painted = opened(volume, settings).painted()
-    # What is linear is exact; the pattern bends by less than 6 and points are some 0.05 away.
+    # Linear colours are exact; the pattern bends by less than 6 and points are some 0.05 away.
     np.testing.assert_allclose(painted.colours, pattern(directions(painted.positions)), atol=0.05)
     with pytest.raises(InputError, match="--colours"):
         opened(volume)

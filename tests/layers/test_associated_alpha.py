@@ -60,16 +60,16 @@ def smoothed_texture(path, settings=SETTINGS):
 @pytest.mark.parametrize("smoothed", [smoothed_image, smoothed_texture])
 @pytest.mark.parametrize(
     ("suffix", "kind", "step"),
-    # Half of a step in the stored colours, and as much again in those of all neighbours.
+    # Half of a step in the stored colours, and as much again in the colours of all neighbours.
     [("tif", "float", 1e-6), ("exr", "float", 1e-6), ("exr", "half", 2**-11), ("tif", "uint16", 1 / 65535)],
 )
 def test_colours_become_what_they_become_beside_alpha(smoothed, suffix, kind, step, tmp_path):
     source = noisy_and_soft()
-    write(tmp_path / "beside.tif", source, "float", associated=False)
+    write(tmp_path / "straight.tif", source, "float", associated=False)
     write(tmp_path / f"within.{suffix}", source, kind, associated=True)
     if kind == "uint16":  # as sRGB, where the numbers are what they are in the other
-        write(tmp_path / "beside.tif", source, kind, associated=False)
-    expected, found = smoothed(tmp_path / "beside.tif"), smoothed(tmp_path / f"within.{suffix}")
+        write(tmp_path / "straight.tif", source, kind, associated=False)
+    expected, found = smoothed(tmp_path / "straight.tif"), smoothed(tmp_path / f"within.{suffix}")
     before = pixels_of(tmp_path / f"within.{suffix}")
     seen = (source[..., 3] > 0.05) & (found != before).any(axis=2)
     assert seen.sum() > SIDE * SIDE / 8
@@ -112,7 +112,7 @@ def test_colours_that_are_smoothed_along_with_alpha_are_taken_as_they_are_stored
     write(tmp_path / "within.tif", source, "float", associated=True)
     stored = source.copy()
     stored[..., :3] *= stored[..., 3:]
-    write(tmp_path / "beside.tif", stored, "float", associated=False)
+    write(tmp_path / "straight.tif", stored, "float", associated=False)
     settings = SmoothSettings(kernel=KERNEL, textures=TextureSettings(alpha="smooth"))
-    expected = smoothed_texture(tmp_path / "beside.tif", settings)
+    expected = smoothed_texture(tmp_path / "straight.tif", settings)
     assert np.array_equal(smoothed_texture(tmp_path / "within.tif", settings), expected)

@@ -53,7 +53,7 @@ def noisy(level=128.0, sigma=SIGMA):
 
 @pytest.mark.parametrize("distance", [2, 9])
 def test_what_a_face_without_texels_shows_keeps_its_colour(tmp_path, distance):
-    """Beside the halo of a chart, and where the gutter is filled from it."""
+    """Next to the halo of a chart, and where the gutter is filled from it."""
     column, row = LEFT[1] + distance, 24
     pixels = noisy()
     patch = slice(row - 3, row + 3), slice(column - 2, column + 3)
@@ -71,7 +71,7 @@ def test_a_noisy_gutter_that_continues_its_chart_is_refilled(tmp_path):
     rows = slice(TOP + CLEAR, BOTTOM - CLEAR)
     for column in (LEFT[0] - 1, LEFT[1], RIGHT[0] - 1, RIGHT[1]):
         assert pixels[rows, column].std() > 0.7 * SIGMA
-        # A few may be noise too rare to be told from another colour.
+        # A few may be noise too rare to be distinguished from another colour.
         errors = np.abs(found[rows, column] - 128).max(axis=1)
         assert np.mean(errors < 2 * SIGMA) > 0.9
         assert found[rows, column].std() < 0.5 * SIGMA

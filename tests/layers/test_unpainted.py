@@ -1,4 +1,4 @@
-"""What is said of models in which nothing can be smoothed."""
+"""Messages about models in which nothing can be smoothed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is a chart, what is a seam, and what lies beyond."""
+"""Charts, seams, and neighbours beyond seams."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_texture_that_tiles_needs_one_period_only_and_wraps():
 
 @pytest.mark.parametrize(("wrap", "covered"), [("repeat", 48), ("mirror", 24), ("clamp", 24)])
 def test_what_lies_beyond_the_image_follows_the_wrap_mode(wrap, covered):
-    """A square half of which lies over the image's right border, 3 texels."""
+    """A square that lies half over the image's right border, 3 texels."""
     positions, faces = quads(1, 1, 8, np.zeros((1, 1)))
     corners = positions[faces][..., :2] * [0.75, 1] + [13, 4]
     atlas = build_atlas(textured(positions, faces, corners, [(16, 16)], wrap=(wrap, "repeat")), [(16, 16)], 3)

@@ -16,7 +16,7 @@ ABOVE = np.array([[0, 0, 50], [16, 0, 50], [16, 16, 50]], float)  # places of a 
 
 
 def with_face(places, corners):
-    """Make a square of 16 texels, and a triangle beside it: its places, some of them the square's, and its corners."""
+    """Make a square of 16 texels, and a triangle next to it: its places, some of them the square's, and its corners."""
     faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
     texels = np.concatenate([SQUARE[[0, 1, 2]], SQUARE[[0, 2, 3]], corners]).reshape(-1, 3, 2)
     positions = np.concatenate([PLACES, places])
@@ -74,7 +74,7 @@ def test_a_face_smaller_than_a_texel_between_texel_centres_is_without_texels():
 
 
 def test_a_face_without_area_on_a_border_shows_the_chart():
-    """Two of its corners are those of the square, in the image, too, and the third lies between them there."""
+    """Two of its corners are corners of the square, in the image, too, and the third lies between them there."""
     corners = np.array([[20, 4], [20, 20], [20, 12]], float)
     atlas = with_face(np.array([[16, 0, 0], [16, 16, 0], [24, 8, 0]]), corners)
     assert atlas.border_texels.tolist() == ring(4, 20).tolist()
@@ -84,7 +84,7 @@ def test_a_face_without_area_on_a_border_shows_the_chart():
 
 
 def test_mirrored_halves_look_up_what_their_owner_does():
-    """The second chart owns no texel, but covers those of the first."""
+    """The second chart owns no texel, but covers texels of the first."""
     mirrored = np.array([[-16, 0, 0], [0, 0, 0], [0, 16, 0]], float)
     corners = np.array([[20, 4], [4, 4], [4, 20]], float)
     atlas = with_face(mirrored, corners)
@@ -95,14 +95,14 @@ def test_mirrored_halves_look_up_what_their_owner_does():
 
 
 def test_the_gutter_of_an_open_border_is_not_the_halo_of_another_chart():
-    """A seam joins two strips; beside it, in the image, lies a third one, which is joined to none."""
+    """A seam joins two strips; next to it, in the image, lies a third one, which is joined to none."""
     surface = strips([((0, 8), (4, 12)), ((8, 16), (20, 28)), ((40, 48), (14, 18))], (32, 16))
     atlas = build_atlas(surface, [(32, 16)], 6)
     column, row = atlas.gutter_texels % 32, atlas.gutter_texels // 32
     beside_third = (row >= 4) & (row < 12) & ((column == 13) | (column == 18))
     assert len(column)
     assert not beside_third.any()
-    # What is a texel away from all three is the nearest chart's.
+    # A texel away from all three, the nearest chart counts.
     assert ((column == 12) & (row == 8)).any()
 
 

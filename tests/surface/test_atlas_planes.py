@@ -99,5 +99,5 @@ def test_beyond_a_seam_texels_are_interpolated_where_the_plane_goes_on(angle, sc
     whole = of_first & ((atlas.halo_weights > 0).sum(axis=1) == 4)
     assert of_first.sum() == 16 * MARGIN
     assert np.allclose(shown[whole], wanted[whole], atol=1e-4)
-    # Where texels around the place are missing at the border, what is shown is off by less than two of them.
+    # Where texels around the place are missing at the border, the colour is off by less than two of them.
     assert np.abs(shown[of_first] - wanted[of_first]).max() < 2 / scale

@@ -162,7 +162,7 @@ def test_a_slit_through_the_centres_of_texels_leaves_each_on_one_side():
         (np.ones(sum(e.shape[1] for e in edges)), np.concatenate(edges, axis=1)), (atlas.kind.size,) * 2
     )
     part = connected_components(graph, directed=False)[1]
-    left, right = (set(part[(row < 14) & beside]) for beside in (column < 8, (column > 8) & (column < 99)))
+    left, right = (set(part[(row < 14) & side]) for side in (column < 8, (column > 8) & (column < 99)))
     assert (len(left), len(right)) == (1, 1)
     assert left != right
     assert set(part[(row < 14) & (column == 8)]) <= left | right

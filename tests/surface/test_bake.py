@@ -92,7 +92,7 @@ def test_border_faces_are_those_at_the_edge_of_a_chart():
     uv = positions[faces][:, :, :2] / 4
     on_border = ((uv == 0) | (uv == 1)).any(axis=2).sum(axis=1) >= 2
     assert set(border_faces(uv)) <= set(np.flatnonzero(on_border))
-    assert len(border_faces(uv)) == 14  # 16 edges around, of which two corners' triangles have two each
+    assert len(border_faces(uv)) == 14  # 16 edges around; the triangles of two corners have two each
     mirrored = np.concatenate([uv, uv[:, :, ::-1] + 2])
     assert len(border_faces(mirrored)) == 28
 

@@ -1,4 +1,4 @@
-"""Lookups are those of a renderer; gutters take the nearest covered colour, and nothing else changes."""
+"""Lookups agree with a renderer; gutters take the nearest covered colour, and nothing else changes."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def test_lookups_beyond_the_image_follow_the_wrap_mode(wrap):
     padded = np.pad(image, ((15, 15), (0, 0), (0, 0)), modes[wrap[1]])
     padded = np.pad(padded, ((0, 0), (21, 21), (0, 0)), modes[wrap[0]])
     uv = random.uniform(-2.4, 3.4, (500, 2))
-    beside = (uv + 3) / 7  # the same place in the image that is continued
-    assert np.allclose(look_up(image, uv, wrap), look_up(padded, beside, CLAMP), atol=1e-6)
+    repeated = (uv + 3) / 7  # the same place in the image that is continued
+    assert np.allclose(look_up(image, uv, wrap), look_up(padded, repeated, CLAMP), atol=1e-6)
 
 
 def test_a_lookup_at_a_centre_gives_that_texel():

@@ -99,8 +99,8 @@ def test_details_as_fine_as_the_rounding_stay():
 
 def test_borders_that_are_further_apart_than_rounding_are_two():
     places, faces = sheet()
-    beside = places + np.float32([1, 0, 0]) + np.float32([2.0**-16, 0, 0])
-    both = np.concatenate([places, beside]).astype(np.float64)
+    shifted = places + np.float32([1, 0, 0]) + np.float32([2.0**-16, 0, 0])
+    both = np.concatenate([places, shifted]).astype(np.float64)
     _, first = group_places(both, None, np.concatenate([faces, faces + len(places)]))
     assert len(first) == len(both)
 

@@ -70,7 +70,7 @@ def test_of_points_at_random_only_wide_gaps_are_left_open():
     found = as_set(found[np.isin(found, middle).all(axis=1)])
     left_open = np.array(sorted(expected - found))
     assert len(left_open) < 0.01 * len(expected)
-    assert (radii(flat, left_open) > 1).all()  # those of half the triangles are below 0.73
+    assert (radii(flat, left_open) > 1).all()  # half of all are below 0.73
     # Four points as good as on one circle are joined in both ways.
     assert len(found - expected) < 0.001 * len(expected)
 
