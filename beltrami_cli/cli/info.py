@@ -30,7 +30,7 @@ _SHOWN_IMAGES = 6
 _NO_SAMPLES = "there are no samples"
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
-_INFO_EPILOG = """\b
+INFO_EPILOG = """\b
 Examples:
   beltrami info scan.ply
   beltrami info scan.ply --json | jq .noise                  of vertex colours
@@ -41,7 +41,7 @@ Examples:
 """
 
 
-@click.command("info", cls=HelpfulCommand, epilog=_INFO_EPILOG)
+@click.command("info", cls=HelpfulCommand, epilog=INFO_EPILOG)
 @click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; of several files a line each.")
 @options.smoothing

@@ -12,17 +12,18 @@ from numpy.typing import NDArray
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
+from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import require_size
 from beltrami_cli.layers.memory_check import MAPPED_PIXEL_BYTES, require_memory
-from beltrami_cli.layers.picture_colours import Make
+from beltrami_cli.layers.picture_colours import Make, plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, grid_atlas
 from beltrami_cli.surface.records import check_scale
@@ -178,6 +179,20 @@ def canvas_of_image(
         )
 
     return manifold, atlas, kernel
+
+
+def plan_on_image(
+    surface: ImageSurface,
+    colours_of: Callable[[Pixels], NDArray[np.float32]],
+    kernel: KernelParameters,
+    *,
+    tick: Callable[[], None] | None = None,
+    light_in: Space | None = None,
+    **options: Any,
+) -> Plan[GridManifold]:
+    """Plan the smoothing of an image that no file holds; options as for `canvas_of_image`."""
+    make, atlas, kernel = canvas_of_image(surface, colours_of, kernel, **options)
+    return plan_on_pictures(make, atlas, (), kernel, tick=tick, light_in=light_in)
 
 
 def options_of_meshes(settings: SmoothSettings) -> list[str]:

@@ -20,7 +20,7 @@ from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold, samples_per_kernel
 from beltrami_cli.flow.moving_positions import GeometryParameters
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.layers.image_surface import ImageSurface, canvas_of_image
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.layer import (
     Change,
     ChosenChannels,
@@ -31,7 +31,6 @@ from beltrami_cli.layers.layer import (
     VertexReport,
     choose_channels,
 )
-from beltrami_cli.layers.picture_colours import plan_on_pictures
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
@@ -236,13 +235,12 @@ class GridLayer(PaintedLayer):
             positions = np.full((*self.grid.shape, 3), np.nan)
             positions[measured] = self.painted.positions[self.grid[measured]]
             surface = ImageSurface(positions=positions, valid=measured)
-        make, atlas, kernel = canvas_of_image(
-            surface, self._working, self.settings.kernel, metric_channels=self.channels.metric,
+        return plan_on_image(
+            surface, self._working, self.settings.kernel, metric_channels=self.channels.metric, tick=tick,
+            light_in=space if self.painted.encoding == "linear" and space != "data" else None,
             guides=[dataclasses.replace(each, values=self._by_pixel(each.values)) for each in self.guides],
             noise=None if self.noise is None else self._by_pixel(self.noise),
         )  # fmt: skip
-        light_in = space if self.painted.encoding == "linear" and space != "data" else None
-        return plan_on_pictures(make, atlas, (), kernel, tick=tick, light_in=light_in)
 
     def _by_pixel(self, values: Array) -> Array:
         """Return rows of vertices as rows of pixels; zeros at holes."""

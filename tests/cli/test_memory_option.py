@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.jobs import job, smoothing
+from beltrami_cli.jobs import job, smooth
 from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size, show_size
 from cli.commands import COMMAND, beltrami
 from formats.tile_files import tiled_model
@@ -91,7 +91,7 @@ def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(tmp_path
     model = tiled_model(tmp_path / "in", size=3)
     cause = b"0.0415 million texels do not fit into memory to be drawn; raise --max-memory, or leave out --preview\n"
     options = ("--preview", tmp_path / "look.png", "--max-memory", "600K", "-n", "1", "--beta", "20")
-    monkeypatch.setattr(smoothing, "smooth_layer", None)
+    monkeypatch.setattr(smooth, "smooth_layer", None)
     monkeypatch.setattr(job, "_data_limit", lambda _: nullcontext())  # which is for a process of its own
     for more in ((), ("--unwrap",)):
         run = beltrami("smooth", model, tmp_path / "new.obj", *options, *more, code=3)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.batch.item import Item, is_done, is_ours
-from beltrami_cli.batch.item import _read as read_outcomes
+from beltrami_cli.batch.item import Item, _read_record, is_done, is_ours
 from beltrami_cli.batch.plan import plan
 from beltrami_cli.cli.batch import _settings
 from beltrami_cli.cli.config import load
@@ -62,7 +61,7 @@ def read_record(data: bytes) -> None:
         path = Path(folder) / "batch.jsonl"
         path.write_bytes(data)
         item = Item(str(Path(folder) / "a.ply"), str(Path(folder) / "b.ply"), DEFAULTS)
-        for outcome in read_outcomes(str(path)).values():
+        for outcome in _read_record(str(path)).values():
             assert not is_done(item, outcome)
             is_ours(outcome)
 
