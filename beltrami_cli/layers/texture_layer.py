@@ -98,8 +98,9 @@ class TextureLayer(layer.Layer):
         atlas = without_transparent(atlas, colours, pictures, surface.textures)
         noise = guides = None
         if guided is not None:
-            noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
-            noise = None if noise is None else noise[atlas.owned_texels]
+            if kernel.given_noise is not None:
+                noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
+                noise = None if noise is None else noise[atlas.owned_texels]
             if settings.embedding.guides:
                 guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
         label = f"{slot} textures" + ("" if group is None else f", {group.label}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from beltrami_cli.formats.image.conversion import losses
 from beltrami_cli.formats.image.picture import (
     WRITABLE,
     Picture,
@@ -15,7 +16,7 @@ from beltrami_cli.formats.image.picture import (
     without_alpha,
 )
 from beltrami_cli.formats.image.reading import read_image, read_texture
-from beltrami_cli.formats.image.writing import check_writable, is_exact, losses, write_image
+from beltrami_cli.formats.image.writing import check_writable, is_exact, write_image
 
 __all__ = [
     "WRITABLE", "Picture", "check_writable", "format_of", "format_of_suffix",

@@ -1,80 +1,33 @@
-"""Writing pixels as the kind of file that they came from, or as another kind, and notices of losses."""
+"""Writing pixels as the kind of file that they came from, or as another kind, and which metadata are lost by that."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
-from beltrami_cli.formats.image import extra_codecs, metadata, tiff_tags
-from beltrami_cli.formats.image.lost_metadata import lost_metadata
+from beltrami_cli.formats.image import extra_codecs, headers, metadata, tiff_tags
+from beltrami_cli.formats.image.conversion import converted
 from beltrami_cli.formats.image.metadata import FORMATS_WITH_EXIF, carry_exif, exif_of
 from beltrami_cli.formats.image.picture import (
     FORMATS,
     TYPES,
     WRITABLE,
     Picture,
-    as_stored,
     format_of_suffix,
     full_scale_one,
-    is_associated,
     label_of,
-    without_alpha,
 )
-from beltrami_cli.formats.image.reading import error_of, read_image, scratch_file
+from beltrami_cli.formats.image.reading import error_of, opened, read_image, scratch_file
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.records import ImageFile, linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import ImageFile
 
 _ROWS = 64  # that are compared at a time
-_BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
-_INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much
 _LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")  # compressions of EXR; TIFF is written without any
-_TECHNICAL = (
-    "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
-    "rla:", "gif:", "psd:",
-    "hdrgm:", "Container:", "Item:", "rdf:",  # of a gain map, which stays behind
-)  # fmt: skip
-_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "textureformat")
 _SPLICED = ("png", "jpeg", "webp")  # formats whose metadata are carried over as bytes
-_TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show pictures obey
-
-
-def losses(picture: Picture, suffix: str) -> tuple[str, ...]:
-    """Return notices of losses and changes when a picture is written with the suffix of another format."""
-    known = format_of_suffix(suffix)
-    if known is None or known == picture.format:
-        return ()
-    traits, name, label = FORMATS[known], picture.name, suffix.lower().lstrip(".").upper()
-    source, stored = _finest(picture, known), _type_in(_finest(picture, known), known)
-    found = []
-    if picture.alpha is not None and not traits.alpha:
-        found.append(f"{name}: {label} has no alpha, which is dropped.")
-    if len(picture.channels) > len(picture.colour) + (picture.alpha is not None) and not _holds_any(known):
-        found.append(f"{name}: {label} holds colours and alpha only; other channels are dropped.")
-    if len(picture.parts) > 1:
-        found.append(
-            f"{name}: {label} holds one part only; all but {picture.parts[picture.part or 0]} are dropped."
-        )
-    if known == "openexr" and _has_hidden_colours(picture):
-        found.append(f"{name}: {label} multiplies colours by alpha, so those under an alpha of 0 are lost.")
-    if metadata.further_pictures(picture.source):
-        dropped = (
-            "what follows it in the JPEG file is dropped (a gain map for HDR displays, previews, a video)"
-        )
-        found.append(f"{name}: {label} holds one picture; {dropped}.")
-    if _needs_three(picture, known):
-        found.append(f"{name}: {label} has no such grey; it becomes equal red, green and blue.")
-    if picture.encoding == "linear" and stored.startswith("uint"):
-        found.append(f"{name}: floats become {_BITS[stored]}-bit integers in {label}, clipped to 0..1.")
-    elif _BITS[stored] < _BITS[source]:
-        found.append(f"{name}: {_BITS[source]}-bit samples become {_BITS[stored]}-bit ones in {label}.")
-    if stored.startswith("uint") and picture.pixels.dtype.kind == "f" and np.isnan(picture.pixels).any():
-        found.append(f"{name}: NaN becomes 0 in {label}.")
-    if known in _INEXACT:
-        found.append(f"{name}: {label} is not exact, so untouched colours change slightly as well.")
-    return tuple(found)
 
 
 def is_exact(picture: Picture) -> bool:
@@ -86,22 +39,6 @@ def is_exact(picture: Picture) -> bool:
     return picture.spec.get_string_attribute("compression") not in _LOSSY
 
 
-def upright(picture: Picture, pixels: Array, suffix: str | None) -> tuple[Array, list[str]]:
-    """Turn pixels as they are to be seen, if another format has no tag that says so; return also a notice."""
-    known = None if suffix is None else format_of_suffix(suffix)
-    turned = picture.spec.get_int_attribute("Orientation", 1)  # by EXIF, 1 to 8
-    if known in (None, picture.format, *_TURNED_BY_TAGS) or turned not in range(2, 9):
-        return pixels, []
-    if turned in (5, 6, 7, 8):
-        pixels = pixels.swapaxes(0, 1)
-    if turned in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
-    if turned in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    what = "has no tag that says how a picture is turned, so the pixels are turned"
-    return pixels, [f"{picture.name}: {label_of(known)} {what}."]
-
-
 def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str, ...]:
     """Return a notice if noise is written in the image's own format, and that is not exact."""
     if suffix is not None or is_exact(picture):
@@ -109,96 +46,6 @@ def noise_losses(picture: Picture, suffix: str | None, remedy: str) -> tuple[str
     kind = label_of(picture.format)
     what = "is not exact and takes some of the noise away, most of all in hues"
     return (f"{picture.name}: {kind} {what}; {remedy}",)
-
-
-def converted(picture: Picture, pixels: Array, known: str, *, as_data: bool) -> tuple[Array, Any]:
-    """Return pixels as another format stores them, and their OpenImageIO.ImageSpec for it."""
-    # Unless they are data, colours become linear light in floats and sRGB in integers.
-    stored = _type_in(_finest(picture, known), known)
-    kept = _kept_channels(picture, known)
-    values = without_alpha(picture, full_scale_one(pixels))[:, :, kept]
-    colour = [kept.index(channel) for channel in picture.colour]
-    alpha = kept.index(picture.alpha) if picture.alpha in kept else None
-    if not as_data and picture.encoding == "linear" and stored.startswith("uint"):
-        values[:, :, colour] = linear_to_srgb(np.maximum(values[:, :, colour], 0))
-    if not as_data and picture.encoding == "srgb" and stored.startswith("float"):
-        values[:, :, colour] = srgb_to_linear(values[:, :, colour])
-    if known == "openexr" and alpha is not None:  # where alpha is always multiplied in
-        values[:, :, colour] *= values[:, :, [alpha]]
-    names = [picture.channels[channel] for channel in kept]
-    if known != "openexr":  # elsewhere channels have no names of their own, but roles
-        names[:] = [_role(picture, channel) for channel in kept]
-    if _needs_three(picture, known):
-        values = values[:, :, [colour[0]] * 3 + ([alpha] if alpha is not None else [])]
-        names = ["R", "G", "B", *(["A"] if alpha is not None else [])]
-    return as_stored(values, stored), _spec(picture, values.shape, names, stored, known)
-
-
-def _finest(picture: Picture, known: str) -> str:
-    """Return the type of the channels that another format takes over, the finest if they differ."""
-    return max((picture.kinds[channel] for channel in _kept_channels(picture, known)), key=_BITS.__getitem__)
-
-
-def _type_in(stored: str, known: str) -> str:
-    """Return the type that a format stores samples of a type in: the coarsest that holds them, or the finest."""
-    types = FORMATS[known].types
-    if stored in types:
-        return stored
-    finer = [kind for kind in types if _BITS[kind] > _BITS[stored] or stored == "uint8"]
-    return finer[0] if finer else types[-1]
-
-
-def _holds_any(known: str) -> bool:
-    """Whether a format holds channels besides colours and alpha."""
-    return known in ("tiff", "openexr", "rla")
-
-
-def _kept_channels(picture: Picture, known: str) -> list[int]:
-    """Return the channels that a format holds, colours and alpha first."""
-    alpha = [picture.alpha] if picture.alpha is not None and FORMATS[known].alpha else []
-    first = [*picture.colour, *alpha]
-    further = [channel for channel in range(len(picture.channels)) if channel not in first]
-    return [*first, *further] if _holds_any(known) else first
-
-
-def _role(picture: Picture, channel: int) -> str:
-    """Return R, G, B, Y or A for a colour or alpha, and the name of any other channel."""
-    if channel == picture.alpha:
-        return "A"
-    if channel not in picture.colour:
-        return picture.channels[channel]
-    return "RGB"[picture.colour.index(channel)] if len(picture.colour) == 3 else "Y"
-
-
-def _needs_three(picture: Picture, known: str) -> bool:
-    return len(_kept_channels(picture, known)) not in FORMATS[known].channels and len(picture.colour) == 1
-
-
-def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: str, known: str) -> Any:
-    import OpenImageIO
-
-    height, width, channels = shape
-    spec = OpenImageIO.ImageSpec(width, height, channels, TYPES[stored])
-    # Names in an EXR file need not be UTF-8.
-    spec.channelnames = tuple(
-        name.encode(errors="surrogateescape").decode(errors="replace") for name in names
-    )
-    # Copied one by one from Python, integers of 16 bits are lost, and texts that are no UTF-8 cannot be.
-    spec.extra_attribs = picture.spec.extra_attribs
-    # By patterns: names that are no UTF-8 cannot be given from Python.
-    for pattern in (*(f"{prefix}.*" for prefix in _TECHNICAL), *_ALSO_TECHNICAL):
-        spec.erase_attribute(pattern)
-    if known not in _TURNED_BY_TAGS:
-        spec.erase_attribute("Orientation")
-    profile = picture.spec.getattribute("ICCProfile")
-    fits = picture.encoding == "srgb" and stored.startswith("uint")
-    if profile is not None and fits and channels - ("A" in names) == len(picture.colour):
-        spec.attribute("ICCProfile", OpenImageIO.TypeDesc(f"uint8[{len(profile)}]"), profile)
-    if "A" in names:
-        spec.alpha_channel = names.index("A")
-        spec.attribute("oiio:UnassociatedAlpha", 1)
-    spec.attribute("jpeg:subsampling", "4:4:4")
-    return spec
 
 
 # Single fields of the profile would be kept as well; samples of fewer bits would lose the new values. One image is
@@ -256,14 +103,6 @@ def write_image(
         if known == "webp":
             notices = [extra_codecs.encoding_cost(known, pixels, again, picture.name)]
     return _with_metadata(picture, data, notices)
-
-
-def _has_hidden_colours(picture: Picture) -> bool:
-    """Whether there are colours under an alpha of 0 that is not multiplied into them."""
-    if picture.alpha is None or is_associated(picture):
-        return False
-    parts = (picture.pixels[rows] for rows in large_arrays.blocks(len(picture.pixels), _ROWS))
-    return any(bool(part[part[..., picture.alpha] == 0][:, list(picture.colour)].any()) for part in parts)
 
 
 def _square_error(some: Array, others: Array) -> float:
@@ -414,3 +253,138 @@ def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> b
         if not (written and closed):
             raise _unwritten(name, known, error.replace(str(path), "it"))
         return path.read_bytes()
+
+
+# Attributes of OpenImageIO that describe samples, compression or how it reads: of any format, and of its own.
+_TECHNICAL = ("oiio:", "compression", "ICCProfile:")
+_OF_OTHER_FORMATS = (
+    *_TECHNICAL, "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "jpegxl:", "pnm:", "dpx:", "rla:",
+    "gif:", "psd:", "thumbnail_", "planarconfig", "textureformat", "hdrgm:", "Container:", "Item:", "rdf:",
+)  # fmt: skip
+_OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
+_MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
+# Values that mean the same as no attribute; the chromaticities are from Rec. 709.
+_DEFAULTS: dict[str, Any] = {
+    "Orientation": 1, "PixelAspectRatio": 1.0, "ResolutionUnit": "in", "screenWindowWidth": 1.0,
+    "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
+}  # fmt: skip
+_CARRIED = ("png", "jpeg", "webp", "tiff", "openexr")  # formats whose metadata are carried over as bytes
+_PNG_STRUCTURE = (b"tRNS", b"acTL", b"fcTL", b"fdAT")  # other notices tell what becomes of these
+_PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
+_TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
+_APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
+# Another notice reports that the pictures of an index (MPF) are dropped.
+_JPEG_READ = ("JFIF", "MPF", "Exif", "http://ns.adobe.com/xap/1.0/", "ICC_PROFILE", "Photoshop 3.0", "COM")
+_BOXES = {
+    "jpeg2000": (b"jP  ", b"ftyp", b"jp2h", b"jp2c"),
+    "jpegxl": (b"JXL ", b"ftyp", b"jxlc", b"jxlp", b"jxll", b"jxli"),
+}
+
+
+def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:
+    """Return a notice that names the metadata of a picture that a file of a format, made from it, does not have."""
+    is_own = known == picture.format
+    try:
+        lost = _items(picture.source, known) - _items(data, known) if is_own else _unread(picture)
+        if not is_own or known not in _CARRIED:
+            lost |= _lost_attributes(picture, data, known)
+    except metadata.DAMAGED:
+        return (f"{picture.name}: its metadata are damaged, and only a part of them is kept.",)
+    if not lost:
+        return ()
+    return (f"{picture.name}: these metadata are not kept in {label_of(known)}: {', '.join(sorted(lost))}.",)
+
+
+def _lost_attributes(picture: Picture, data: bytes, known: str) -> set[str]:
+    """Return the names of the attributes in OpenImageIO's view that the new file lacks."""
+    now = set[str]()
+    if known not in extra_codecs.EXTRA_CODECS:
+        with opened(data) as (file, _):
+            now = {each.name.lower() for each in file.spec().extra_attribs}
+    exif, new_exif = (
+        tiff_tags.exif_tags(exif_of(*each)) for each in ((picture.source, picture.format), (data, known))
+    )
+    technical = _TECHNICAL if known == picture.format else _OF_OTHER_FORMATS
+    # In another format OpenImageIO calls some of EXIF otherwise, or does not read them.
+    seen = (*technical, *_OF_EXIF) if exif and new_exif else technical
+    lost = {
+        f"EXIF tag {tag}" for tag in exif.keys() - new_exif.keys() if new_exif or tag.endswith(_MAKER_NOTE)
+    }
+    return lost | {
+        each.name
+        for each in picture.spec.extra_attribs
+        if not each.name.startswith(seen) and each.name.lower() not in now and not _is_default(each)
+    }
+
+
+def _is_default(attribute: Any) -> bool:
+    default = _DEFAULTS.get(attribute.name)
+    if default is None or isinstance(default, str):
+        return default is not None and attribute.value == default
+    return np.shape(attribute.value) == np.shape(default) and np.allclose(attribute.value, default, atol=1e-6)
+
+
+def _items(data: bytes, known: str) -> set[str]:
+    """Return names for the pieces of metadata in a file."""
+    match known:
+        case "png":
+            kinds = {bytes(kind) for kind, _ in metadata.png_chunks(data) if kind[:1].islower()}
+            return {f"PNG chunk {kind.decode('latin-1')}" for kind in kinds - {*_PNG_STRUCTURE}}
+        case "jpeg":
+            return {f"JPEG segment {name}" for name in _jpeg_names(data)}
+        case "webp":
+            return {f"WebP chunk {kind.decode('latin-1')}" for kind, _ in metadata.webp_metadata(data)}
+        case "tiff":
+            return {f"TIFF tag {tag}" for tag in tiff_tags.tags(data)}
+        case "openexr":
+            return {f"EXR attribute {name}" for name in headers.attributes(data)}
+        case "jpeg2000" | "jpegxl":
+            return {f"box {kind.decode('latin-1')}" for kind in _boxes(data) if kind not in _BOXES[known]}
+        case "hdr" | "pnm":
+            return {*headers.header_lines(data, known)}
+        case "targa" if data.endswith(_TARGA_END) and any(data[-len(_TARGA_END) - 4 : -len(_TARGA_END)]):
+            return {"developer area"}
+        case "ktx2":
+            return {f"KTX2 key {name}" for name in extra_codecs.ktx2_keys(data)}
+        case "avif":
+            return {name.upper() for name in extra_codecs.avif_metadata(data) if name != "icc_profile"}
+    return set()
+
+
+def _unread(picture: Picture) -> set[str]:
+    """Return the items of a picture's file that OpenImageIO does not read, and so cannot write in another format."""
+    items, known = _items(picture.source, picture.format), picture.format
+    match known:
+        case "png":
+            return items - {f"PNG chunk {kind}" for kind in _PNG_READ}
+        case "jpeg":
+            return items - {f"JPEG segment {name}" for name in _JPEG_READ}
+        case "webp":
+            return items - {f"WebP chunk {kind}" for kind in ("ICCP", "EXIF", "XMP ")}
+        case "tiff":
+            read = {str(tag) for tag in tiff_tags.READ_BY_OPENIMAGEIO}
+            return {item for item in items if item.split()[2] not in read}
+        case "openexr":
+            return {f"EXR attribute {name}" for name in headers.unread(picture.source)}
+    return items
+
+
+def _jpeg_names(data: bytes) -> Iterator[str]:
+    for marker, segment in metadata.jpeg_segments(data):
+        if marker == _COMMENT:
+            yield "COM"
+        elif _APP0 <= marker <= _APP15 and marker != _APP14:
+            yield bytes(segment[4:]).partition(b"\0")[0][:40].decode("latin-1")
+
+
+def _boxes(data: bytes) -> Iterator[bytes]:
+    """Give the types of the boxes of an ISO file; a bare stream of code has none."""
+    at = 0
+    while at + 8 <= len(data) and data[4:8] in (b"jP  ", b"JXL "):
+        size, kind = int.from_bytes(data[at : at + 4]), data[at + 4 : at + 8]
+        yield kind
+        if size == 1:
+            size = int.from_bytes(data[at + 8 : at + 16])
+        if size < 8:  # up to the end of the file
+            return
+        at += size
