@@ -1,7 +1,11 @@
-"""Accessors: descriptions checked against their views, numbers decoded from bytes and brought back into their type.
+"""Accessors: descriptions checked against their views, numbers decoded from bytes, and what primitives draw of them.
 
 A stride need not be a multiple of four and elements need not be aligned: what the specification forbids there can
-still be read in only one way.
+still be read in only one way. Draco [1]_ compresses whole primitives; their accessors are decoded when needed.
+
+References
+----------
+.. [1] KHR_draco_mesh_compression, in the registry of glTF extensions.
 """
 
 from __future__ import annotations
@@ -15,8 +19,8 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
-from beltrami_cli.formats.gltf.compression import draco_attribute, draco_mesh
-from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.gltf.container import Entry
+from beltrami_cli.surface.polygons import unrolled
 from beltrami_cli.surface.records import require_finite
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -24,6 +28,12 @@ COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5
 
 SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 """Components of one element by glTF's type."""
+
+DRACO = "KHR_draco_mesh_compression"  # extension of a primitive
+_DRACO_MAGIC = b"DRACO"
+_DRACO_MESH = b"\1"  # the kind of geometry, after the magic and the version
+
+TRIANGLES, _STRIP, _FAN = 4, 5, 6  # drawing modes with faces; 0 to 3 are points and lines
 
 # Corners, for all slots together: a byte is an index at least, and vertices take a dozen each.
 _LEAST_DRAWN, _MOST_DRAWN = 1 << 20, 16
@@ -97,7 +107,12 @@ class Accessors:
         number = packed.entry("attributes").integer(name)
         key = view, number, accessor.component.str, accessor.shape, accessor.normalised
         if key not in self._decoded:
-            self._decoded[key] = self._add(accessor, _fitted(draco_attribute(packed, mesh, name), accessor))
+            data = (each["data"] for each in mesh.attributes if each["unique_id"] == number)
+            numbers = next(data, None)
+            if numbers is None:
+                cause = f"is {number}, but there is no such attribute in the data"
+                raise packed.entry("attributes").fault(name, cause)
+            self._decoded[key] = self._add(accessor, _fitted(np.asarray(numbers), accessor))
         return self._decoded[key]
 
     def decoded_indices(self, packed: Entry, index: int) -> int:
@@ -116,7 +131,7 @@ class Accessors:
         """Return a view that Draco has compressed, and its mesh, which is decoded once."""
         view = packed.integer("bufferView", below=len(self.views))
         if view not in self._meshes:
-            self._meshes[view] = draco_mesh(packed, self.buffers.viewed(self.views[view]))
+            self._meshes[view] = _draco_mesh(packed, self.buffers.viewed(self.views[view]))
         return view, self._meshes[view]
 
     def _add(self, described: Accessor, numbers: Stored) -> int:
@@ -281,3 +296,96 @@ def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> Spars
     first, second = (part.integer("bufferView", below=len(views)) for part in (where, what))
     indices = _layout(where, views[first], first, index_type.itemsize, replaced)
     return Sparse(indices, index_type, _layout(what, views[second], second, size, replaced))
+
+
+def draco_extension(primitive: Entry) -> Entry | None:
+    """Return the extension of a primitive that Draco has compressed, None if it is not."""
+    extensions = primitive.entry("extensions")
+    return extensions.entry(DRACO) if DRACO in extensions else None
+
+
+def _draco_mesh(packed: Entry, data: bytes) -> Any:
+    try:
+        import DracoPy
+    except ImportError:
+        cause = f"to decode {DRACO}, the package DracoPy is needed"
+        raise packed.fault("", cause, "install it with: pip install 'beltrami-cli[draco]'") from None
+    # Points could claim to be any number, and would be given the memory for it.
+    if data[:5] == _DRACO_MAGIC and data[7:8] != _DRACO_MESH:
+        raise packed.fault("bufferView", "holds points, not triangles")
+    try:
+        return DracoPy.decode(data)
+    except (DracoPy.FileTypeException, TypeError, ValueError) as error:
+        raise packed.fault("bufferView", f"holds damaged data ({error})") from None
+
+
+def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:
+    """Return the accessor of an attribute, the decoded one if the primitive is compressed."""
+    index = primitive.entry("attributes").integer(name, below=len(accessors))
+    packed = draco_extension(primitive)
+    if packed is None or name not in packed.entry("attributes"):
+        return index
+    return accessors.decoded_attribute(packed, name, index)
+
+
+def fitting_accessor(primitive: Entry, name: str, accessors: Accessors, shape: str, count: int) -> int:
+    """Return the accessor of an attribute, which must have so many elements of a shape, and no large integers."""
+    index = attribute_accessor(primitive, name, accessors)
+    accessor = accessors[index]
+    if (accessor.shape, accessor.count) != (shape, count) or accessor.component.name == "uint32":
+        cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {count} {shape}"
+        raise primitive.entry("attributes").fault(name, cause)
+    return index
+
+
+def position_accessor(primitive: Entry, accessors: Accessors) -> int:
+    """Return the accessor of positions, whose bytes are there."""
+    index = attribute_accessor(primitive, "POSITION", accessors)
+    accessor = accessors[index]
+    if accessor.shape != "VEC3" or accessor.component.name == "uint32":
+        cause = f"is {accessor.shape} of {accessor.component.name}, not a position"
+        raise primitive.entry("attributes").fault("POSITION", cause)
+    accessors.require_bytes(index)
+    return index
+
+
+def drawing_mode(primitive: Entry) -> int:
+    """Return the drawing mode of the indices: triangles if it is missing, or if strips were decoded."""
+    mode = primitive.integer("mode", below=7, default=TRIANGLES)
+    return mode if draco_extension(primitive) is None else TRIANGLES
+
+
+def drawing_key(primitive: Entry, accessors: Accessors) -> Hashable:
+    """Return equal keys for primitives that draw their vertices in the same way."""
+    index = _index_accessor(primitive, accessors)
+    return drawing_mode(primitive), None if index is None else accessors.identity(index)
+
+
+def drawn_triangles(primitive: Entry, accessors: Accessors, count: int) -> Int64s:
+    """Return the triangles of a primitive, shape (F, 3), as vertex indices in [0, count), with glTF's winding."""
+    index, mode = _index_accessor(primitive, accessors), drawing_mode(primitive)
+    accessors.count_drawn(primitive, count if index is None else accessors[index].count)
+    corners = np.arange(count)
+    if index is not None:
+        accessor = accessors[index]
+        if accessor.shape != "SCALAR" or accessor.component.kind != "u":
+            cause = f"is {accessor.shape} of {accessor.component.name}, not indices"
+            raise primitive.fault("indices", cause)
+        corners = accessors.stored(index)[:, 0].astype(np.int64)
+        if corners.max() >= count:
+            raise primitive.fault("indices", f"names vertex {corners.max()}, but there are only {count}")
+    if mode == TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    if mode == _STRIP:
+        return unrolled(corners, np.array([0, len(corners)]))
+    if mode != _FAN or len(corners) < 3:
+        return np.empty((0, 3), np.int64)
+    first = np.arange(len(corners) - 2)
+    return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]
+
+
+def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
+    packed = draco_extension(primitive)
+    if packed is not None:
+        return accessors.decoded_indices(packed, primitive.integer("indices", below=len(accessors)))
+    return primitive.integer("indices", below=len(accessors)) if "indices" in primitive else None

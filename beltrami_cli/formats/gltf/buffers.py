@@ -1,4 +1,11 @@
-"""The buffers of a glTF file and the views into them, the URIs of sidecar files: bytes are read when needed."""
+"""The buffers of a glTF file and the views into them, the URIs of sidecar files: bytes are read when needed.
+
+A bufferView may be compressed by meshoptimizer [1]_; its bytes are then a buffer of their own, decoded when needed.
+
+References
+----------
+.. [1] EXT_meshopt_compression and KHR_meshopt_compression, in the registry of glTF extensions.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +16,44 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import unquote, unquote_to_bytes
 
-from beltrami_cli.formats import model_folder
+import numpy as np
+from numpy.typing import NDArray
+
+from beltrami_cli.arrays import Array
+from beltrami_cli.formats.access import is_too_dense
 from beltrami_cli.formats.document import Bytes
-from beltrami_cli.formats.gltf.compression import Packed, read_packed, unpacked
-from beltrami_cli.formats.gltf.container import Container
-from beltrami_cli.formats.gltf.json_tree import Entry, Tree, objects, objects_within
+from beltrami_cli.formats.gltf.container import TRUNCATED, Container, Entry, Tree, objects, objects_within
+from beltrami_cli.formats.model_folder import (
+    ModelFolder,
+    UnfitReferenceError,
+    checked_path,
+    is_outside,
+    remedy_for,
+)
+
+MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
+"""Extensions of a bufferView; both have the same members."""
+
+_STRIDES = {
+    "ATTRIBUTES": range(4, 257, 4),
+    "TRIANGLES": (2, 4),
+    "INDICES": (2, 4),
+    "OCTAHEDRAL": (4, 8),
+    "QUATERNION": (8,),
+    "EXPONENTIAL": range(4, 257, 4),
+    "COLOR": (4, 8),
+}
+"""Bytes of an element that each mode and each filter allows."""
+
+_FILTERS = {"NONE": "", "OCTAHEDRAL": "oct", "QUATERNION": "quat", "EXPONENTIAL": "exp", "COLOR": ""}
+"""Encodings of elements before their compression, with the names of the library's decoders."""
 
 
 def is_data(uri: str) -> bool:
-    """Return whether a URI carries its bytes itself."""
+    """Whether a URI carries its bytes itself."""
     return uri[:5].lower() == "data:"
 
 
@@ -31,14 +64,14 @@ def data_uri(old: str, data: Bytes) -> str:
     return f"{head},{base64.b64encode(data).decode('ascii')}"
 
 
-def relative_name(uri: str, folder: model_folder.ModelFolder, *, outside: bool = False) -> str:
+def relative_name(uri: str, folder: ModelFolder, *, outside: bool = False) -> str:
     """Return the path that a URI names, whether or not a file is there; UnfitReferenceError if it is not followed."""
-    with suppress(model_folder.UnfitReferenceError):
+    with suppress(UnfitReferenceError):
         return located(uri, folder)
-    return _checked(uri, unquote(uri), lambda name: model_folder.checked_path(name, outside=outside))
+    return _checked(uri, lambda name: checked_path(name, outside=outside))
 
 
-def located(uri: str, folder: model_folder.ModelFolder) -> str:
+def located(uri: str, folder: ModelFolder) -> str:
     """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if there is none.
 
     Exporters write queries, such as "?v=3" against caches, and encode twice, so that a blank is "%2520".
@@ -46,86 +79,109 @@ def located(uri: str, folder: model_folder.ModelFolder) -> str:
     bare = re.split("[?#]", uri, maxsplit=1)[0]
     names = dict.fromkeys((unquote(uri), unquote(bare), unquote(unquote(bare))))
     found = next((path for name in names if (path := folder.find(name)) is not None), None)
-    return found if found is not None else _checked(uri, unquote(uri), folder.locate)
+    return found if found is not None else _checked(uri, folder.locate)
 
 
-def _checked(uri: str, name: str, check: Callable[[str], str]) -> str:
+def _checked(uri: str, check: Callable[[str], str]) -> str:
     try:
-        if "\0" in name:
-            raise model_folder.UnfitReferenceError("is not a path as glTF spells it")
-        return check(name)
-    except model_folder.UnfitReferenceError as error:
-        raise model_folder.UnfitReferenceError(f"{_short(uri)} {error}") from None
+        if "\0" in unquote(uri):
+            raise UnfitReferenceError("is not a path as glTF spells it")
+        return check(unquote(uri))
+    except UnfitReferenceError as error:
+        raise UnfitReferenceError(f"{_short(uri)} {error}") from None
 
 
-def read(uri: str, folder: model_folder.ModelFolder) -> bytes:
+def read(uri: str, folder: ModelFolder) -> bytes:
     """Return the bytes that a URI stands for, its own or a file's; UnfitReferenceError if there are none."""
-    if is_data(uri):
-        return _embedded(uri)
-    try:
-        return folder.read(located(uri, folder))
-    except OSError as error:
-        raise model_folder.UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
-
-
-def _embedded(uri: str) -> bytes:
+    if not is_data(uri):
+        try:
+            return folder.read(located(uri, folder))
+        except OSError as error:
+            raise UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
     head, comma, payload = uri.partition(",")
     if not comma:
-        raise model_folder.UnfitReferenceError("is a data URI without a comma")
+        raise UnfitReferenceError("is a data URI without a comma")
     octets = unquote_to_bytes(payload)
     if not head.lower().endswith(";base64"):
         return octets
     try:
         return base64.b64decode(octets + b"=" * (-len(octets) % 4), validate=True)
     except binascii.Error as error:
-        raise model_folder.UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
+        raise UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
 
 
 def _short(uri: str) -> str:
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
 
-def files_beside(root: Entry, folder: model_folder.ModelFolder) -> tuple[list[str], list[str]]:
-    """Return the relative paths of named files that exist inside the folder, and a notice for each that does not."""
+def present_files(root: Entry, folder: ModelFolder) -> tuple[list[str], list[str]]:
+    """Return the relative paths of the named files that exist inside the folder, and notices of the missing ones."""
     names: dict[str, None] = {}
     notices: dict[str, None] = {}
     for entry, uri in _external(root):
         try:
             path = located(uri, folder)
-            if not model_folder.is_outside(path):
+            if not is_outside(path):
                 names[path] = None
-        except model_folder.UnfitReferenceError as error:
+        except UnfitReferenceError as error:
             notices[f"{entry.place}: {error}."] = None
     return list(names), list(notices)
 
 
-def named_files(root: Entry, folder: model_folder.ModelFolder) -> set[str]:
+def named_files(root: Entry, folder: ModelFolder) -> set[str]:
     """Return the relative paths of all files that a glTF names, whether they exist or not."""
     names = set()
     for _, uri in _external(root):
-        try:
+        with suppress(UnfitReferenceError):  # no output can overwrite what lies elsewhere
             names.add(relative_name(uri, folder))
-        except model_folder.UnfitReferenceError:
-            continue  # not a name in the file's folder, so no output can overwrite it
     return names
 
 
-def file_key(uri: str | None, index: int, folder: model_folder.ModelFolder) -> Hashable:
-    """Return the same for all that one file is named for; what has bytes of its own is known by its index."""
-    try:
+def file_key(uri: str | None, index: int, folder: ModelFolder) -> Hashable:
+    """Return the key that identifies a stored file; the index for bytes that are in no file of their own."""
+    with suppress(UnfitReferenceError):  # an error when its bytes are asked for
         if uri is not None and not is_data(uri):
             return relative_name(uri, folder, outside=folder.access.outside)
-    except model_folder.UnfitReferenceError:
-        pass  # an error when its bytes are asked for
     return index
 
 
 def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
-    """Give the buffers and images that are files of their own, with their URIs."""
+    """Iterate over the buffers and images that are separate files, with their URIs."""
     for entry in [*root.entries("buffers"), *root.entries("images")]:
         uri = entry.text("uri")
         if uri is not None and not is_data(uri):
             yield entry, uri
+
+
+@dataclass(frozen=True)
+class Packed:
+    """How meshoptimizer has compressed a bufferView."""
+
+    entry: Entry  # the extension's JSON, for messages
+    extension: str
+    buffer: int
+    offset: int  # of the compressed bytes, as is their length
+    length: int
+    count: int  # elements
+    stride: int  # bytes of an element when decompressed
+    mode: str
+    filter: str  # encoding of the elements before their compression
+
+
+@dataclass(frozen=True)
+class View:
+    """A bufferView; of a compressed one, where its bytes are once they are decoded."""
+
+    buffer: int
+    offset: int
+    length: int
+    stride: int = 0  # 0: elements without gaps
+    packed: Packed | None = None
+    fallback: tuple[int, int] | None = None  # buffer and offset of the bytes uncompressed, if there are any
+
+    @property
+    def end(self) -> int:
+        return self.offset + self.length
 
 
 Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
@@ -135,7 +191,7 @@ Source = Literal["chunk", "data", "file", "nowhere", "decoded"]
 class Buffers:
     """All buffers of one file, then decoded ones; missing bytes are an error when asked for."""
 
-    def __init__(self, container: Container, folder: model_folder.ModelFolder) -> None:
+    def __init__(self, container: Container, folder: ModelFolder) -> None:
         self._container, self._folder = container, folder
         self._entries = container.root.entries("buffers")
         self._loaded: dict[int, Bytes] = {}
@@ -150,12 +206,19 @@ class Buffers:
         return len(self._entries)
 
     def add(self, length: int, decode: Callable[[], Bytes]) -> int:
-        """Add a buffer whose bytes are made when they are asked for; its number is beyond the JSON's."""
+        """Add a buffer that is decoded when it is needed; return its index, which is beyond those of the JSON."""
         self._decoded.append((length, decode))
         return len(self) + len(self._decoded) - 1
 
-    def length(self, index: int) -> int:
-        return self.lengths[index] if index < len(self) else self._decoded[index - len(self)][0]
+    def extent(self, index: int) -> int:
+        """Return a length that no view of this buffer, or of another over the same file, goes beyond."""
+        if index >= len(self):
+            return self._decoded[index - len(self)][0]
+        return max(
+            self.lengths[other]
+            for other in range(len(self))
+            if self.canonical(other) == self.canonical(index)
+        )
 
     def canonical(self, index: int) -> int:
         """Return the first buffer that is the same file as this one, usually itself."""
@@ -181,15 +244,15 @@ class Buffers:
         if uri is not None:
             try:
                 data: Bytes = read(uri, self._folder)
-            except model_folder.UnfitReferenceError as error:
-                raise entry.fault("uri", str(error), model_folder.remedy_for(str(error))) from None
+            except UnfitReferenceError as error:
+                raise entry.fault("uri", str(error), remedy_for(str(error))) from None
         elif self.source(index) == "chunk":
             data = self._container.binary or b""
         else:
             raise entry.fault("", "has neither a uri nor a BIN chunk, so it has no bytes")
         if len(data) < self.lengths[index]:
             cause = f"is {self.lengths[index]}, but there are only {len(data)} bytes"
-            raise entry.fault("byteLength", cause, "the file may be cut short: copy or export it again")
+            raise entry.fault("byteLength", cause, TRUNCATED)
         return data
 
     def viewed(self, view: View) -> bytes:
@@ -202,22 +265,6 @@ class Buffers:
         return len(self._container.data) + sum(len(data) for data in self._loaded.values())
 
 
-@dataclass(frozen=True)
-class View:
-    """A bufferView; of a compressed one, where its bytes are once they are decoded."""
-
-    buffer: int
-    offset: int
-    length: int
-    stride: int = 0  # 0: elements without gaps
-    packed: Packed | None = None
-    fallback: tuple[int, int] | None = None  # buffer and offset of the bytes uncompressed, if there are any
-
-    @property
-    def end(self) -> int:
-        return self.offset + self.length
-
-
 def read_views(root: Entry, buffers: Buffers) -> list[View]:
     """Read all bufferViews."""
     views = []
@@ -227,7 +274,7 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
         if offset + length > buffers.lengths[buffer]:
             raise entry.fault("", f"its bytes {offset} to {offset + length} leave buffers[{buffer}]")
         stride = entry.integer("byteStride", least=1, below=1 << 16) if "byteStride" in entry else 0
-        packed = read_packed(entry, length, buffers.lengths)
+        packed = _read_packed(entry, length, buffers.lengths)
         if packed is None:
             views.append(View(buffer, offset, length, stride))
         else:
@@ -236,8 +283,92 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
     return views
 
 
+def _read_packed(view: Entry, length: int, lengths: Sequence[int]) -> Packed | None:
+    """Read how a bufferView of `length` bytes is compressed, None if it is not; `lengths` of all buffers."""
+    extensions = view.entry("extensions")
+    extension = next((name for name in MESHOPT if name in extensions), None)
+    if extension is None:
+        return None
+    entry = extensions.entry(extension)
+    buffer = entry.integer("buffer", below=len(lengths))
+    offset, packed = entry.integer("byteOffset", default=0), entry.integer("byteLength", least=1)
+    if offset + packed > lengths[buffer]:
+        raise entry.fault("", f"its bytes {offset} to {offset + packed} leave buffers[{buffer}]")
+    count, stride = entry.integer("count", least=1), entry.integer("byteStride", least=1)
+    mode, kind = entry.text("mode") or "", entry.text("filter") or "NONE"
+    if mode not in ("ATTRIBUTES", "TRIANGLES", "INDICES"):
+        raise entry.fault("mode", f"is {mode!r}, which {extension} does not define")
+    if kind not in _FILTERS or (kind != "NONE" and mode != "ATTRIBUTES"):
+        raise entry.fault("filter", f"is {kind!r}, which {extension} does not define for {mode}")
+    if stride not in _STRIDES[mode] or (kind != "NONE" and stride not in _STRIDES[kind]):
+        raise entry.fault("byteStride", f"is {stride}, which {extension} does not allow here")
+    if is_too_dense(packed, count * stride):
+        raise entry.fault("count", f"is {count}: {count * stride} bytes in {packed}, more than any model has")
+    if count * stride != length:
+        raise entry.fault("count", f"is {count}: {count * stride} bytes, but the view has {length}")
+    return Packed(entry, extension, buffer, offset, packed, count, stride, mode, kind)
+
+
+def unpacked(packed: Packed, stored: Callable[[int], Bytes]) -> bytes:
+    """Decompress the bytes of a view; `stored` gives the bytes of a buffer."""
+    library, data = _library(packed), stored(packed.buffer)
+    source = bytes(data[packed.offset : packed.offset + packed.length])
+    try:
+        if packed.mode == "ATTRIBUTES":
+            kind = np.dtype(f"V{packed.stride}")
+            octets = library.decode_vertex_buffer(packed.count, packed.stride, source, kind).view(np.uint8)
+            if packed.filter == "COLOR":
+                octets = _colours(octets.view("<u1" if packed.stride == 4 else "<u2").reshape(-1, 4))
+            elif packed.filter != "NONE":
+                unfilter = getattr(library, f"decode_filter_{_FILTERS[packed.filter]}")
+                octets = np.asarray(unfilter(octets, packed.count, packed.stride))
+            return bytes(octets.tobytes())
+        decode = library.decode_index_buffer if packed.mode == "TRIANGLES" else library.decode_index_sequence
+        indices: NDArray[np.uint32] = decode(packed.count, 4, source)
+    except (RuntimeError, ValueError) as error:
+        raise packed.entry.fault("", f"its compressed data is damaged ({error})") from None
+    if packed.stride == 2 and indices.max() > np.iinfo(np.uint16).max:
+        raise packed.entry.fault("byteStride", f"is 2, but there is an index {indices.max()}")
+    return indices.astype(f"<u{packed.stride}").tobytes()
+
+
+def repacked(packed: Packed, data: Bytes, old: Bytes) -> bytes:
+    """Compress the bytes of vertex data again, without loss; `old` is the buffer, for the version of the encoding."""
+    if packed.mode != "ATTRIBUTES":
+        raise packed.entry.fault("mode", f"is {packed.mode}, which is not for vertex data")
+    library = _library(packed)
+    library.encode_vertex_version(old[packed.offset] & 0x0F)
+    elements = np.frombuffer(data, np.uint8).reshape(packed.count, packed.stride)
+    return bytes(library.encode_vertex_buffer(elements, packed.count, packed.stride))
+
+
+def _library(packed: Packed) -> Any:
+    try:
+        import meshoptimizer
+    except ImportError:
+        cause = f"to decode {packed.extension}, the package meshoptimizer is needed"
+        raise packed.entry.fault("", cause, "install it with: pip install 'beltrami-cli[meshopt]'") from None
+    return meshoptimizer
+
+
+def _colours(stored: Array) -> Array:
+    # All four have K bits; the highest bit of opacity says what K is, and stands for no opacity itself.
+    bits = 8 * stored.dtype.itemsize
+    luma, alpha = stored[:, 0].astype(np.int64), stored[:, 3].astype(np.int64)
+    orange, green = stored[:, 1:3].view(f"<i{stored.dtype.itemsize}").astype(np.int64).T
+    full = alpha
+    for shift in (1, 2, 4, 8):
+        full = full | full >> shift  # all ones below the highest one
+    opacity = (alpha << 1 & full) | (alpha & 1)
+    values = np.stack([luma + orange - green, luma + green, luma - orange - green, opacity], axis=1)
+    # In single precision, as the decoders of viewers do.
+    scale = np.float32(2**bits - 1) / np.maximum(full, 1).astype(np.float32)
+    rounded = np.rint(values.astype(np.float32) * scale[:, None])
+    return np.clip(rounded, 0, 2**bits - 1).astype(stored.dtype)
+
+
 def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int, str | None], View]]:
-    """Give the bytes that views and their extensions name, with the view's index and extension."""
+    """Iterate over the bytes that views and their extensions name, with the view's index and extension."""
     for index, view in enumerate(objects(tree.get("bufferViews"))):
         for name, holder in [(None, view), *view.get("extensions", {}).items()]:
             if not isinstance(holder, dict):
@@ -250,6 +381,6 @@ def named_places(tree: Tree, lengths: Sequence[int]) -> Iterator[tuple[tuple[int
 
 
 def named_views(value: object) -> Iterator[int]:
-    """Give every member called "bufferView", in images and in extensions that we do not know."""
+    """Iterate over all members called "bufferView", in images and in unknown extensions too."""
     named = (each.get("bufferView") for each in objects_within(value))
     return (index for index in named if isinstance(index, int))

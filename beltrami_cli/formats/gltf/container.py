@@ -1,33 +1,204 @@
-"""The container of a glTF file, GLB chunks or plain JSON text: taken apart and put together again.
+"""A glTF file as JSON and binary chunks: GLB or plain text, taken apart and put together again.
 
-Encoding the JSON again would change spacing, escapes and digits of numbers. So the text of the source is walked along
-the new tree, and only members that differ are rewritten, in the source's style.
+Readers check the members of the JSON that they use through `Entry`, which knows its place for errors;
+`require_structure` checks the others. Encoding the JSON again would change spacing, escapes and digits of numbers. So
+the text of the source is walked along the new tree, and only members that differ are rewritten, in the source's style.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Bytes
-from beltrami_cli.formats.gltf.json_tree import Entry, Tree, spelled
+
+Tree = dict[str, Any]
+T = TypeVar("T")
+
+_EACH = "*"  # stands for all members of an object that are not named
+_OBJECTS = {_EACH: dict[str, Any]()}
+_INDICES = {_EACH: int}
+_EXTENDED = {"extensions": _OBJECTS}
+_PRIMITIVE = {
+    "attributes": _INDICES,
+    "targets": [_INDICES],
+    "indices": int,
+    "material": int,
+    "extensions": {"KHR_draco_mesh_compression": {"attributes": _INDICES}, **_OBJECTS},
+}
+_SPARSE = {"indices": {"bufferView": int}, "values": {"bufferView": int}}
+_SHAPE = {
+    "extensionsUsed": [str],
+    "extensionsRequired": [str],
+    "accessors": [{"bufferView": int, "sparse": _SPARSE, **_EXTENDED}],
+    "animations": [{"samplers": [{"input": int, "output": int}], **_EXTENDED}],
+    "buffers": [_EXTENDED],
+    "bufferViews": [_EXTENDED],
+    "images": [{"bufferView": int, **_EXTENDED}],
+    "materials": [_EXTENDED],
+    "meshes": [{"primitives": [_PRIMITIVE], **_EXTENDED}],
+    "nodes": [{"extensions": {"EXT_mesh_gpu_instancing": {"attributes": _INDICES}, **_OBJECTS}}],
+    "skins": [{"inverseBindMatrices": int, **_EXTENDED}],
+    "textures": [{"source": int, **_EXTENDED}],
+    "extensions": {"EXT_lights_image_based": {"lights": [{}]}, **_OBJECTS},
+}
+_NAMES = {dict: "an object", list: "an array", int: "an integer", str: "a string", bool: "true or false"}
 
 _MAGIC = b"glTF"
 JSON_CHUNK = 0x4E4F534A
 BIN_CHUNK = 0x004E4942
 
-_BOM = b"\xef\xbb\xbf"
-_TRUNCATED = "the file may be cut short: copy or export it again"
+_BOM = "\ufeff"
+TRUNCATED = "the file may be cut short: copy or export it again"
 _DEEPEST = 100  # levels of nesting; glTF needs about ten, and recursion must stay far from Python's limit
 _DECODER = json.JSONDecoder()
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _SPACE = re.compile(r"[ \t\n\r]*")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One JSON object of a file; members that are missing give None, an empty array or object, or false."""
+
+    name: str  # of the file, for messages
+    place: str  # such as "meshes[3].primitives[0]"; empty for the outermost object
+    value: Tree
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.value
+
+    def at(self, key: str) -> str:
+        return f"{self.place}.{key}" if self.place else key
+
+    def fault(self, key: str, cause: str, remedy: str = "") -> InputError:
+        """Return the error that something is wrong with a member (or with the object, if `key` is empty)."""
+        return InputError(self.name, f"{self.at(key) if key else self.place}: {cause}", remedy)
+
+    def integer(
+        self, key: str, *, least: int = 0, below: int | None = None, default: int | None = None
+    ) -> int:
+        value = self.value.get(key, default)
+        if value is None:
+            raise self.fault(key, "is missing")
+        return self._integer(value, key, least, below)
+
+    def _integer(self, value: object, key: str, least: int, below: int | None) -> int:
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise self.fault(key, f"is {spelled(value)} instead of an integer")
+        if value < least or (below is not None and value >= below):
+            end = f" and below {below}" if below is not None else ""
+            raise self.fault(key, f"is {spelled(value)}, but must be at least {least}{end}")
+        return value
+
+    def integers(self, key: str, *, below: int) -> list[int]:
+        values = enumerate(self._of_kind(key, list[Any]()))
+        return [self._integer(value, f"{key}[{index}]", 0, below) for index, value in values]
+
+    def numbers(self, key: str, length: int) -> list[float] | None:
+        if key not in self.value:
+            return None
+        array = self._of_kind(key, list[Any]())
+        if len(array) != length or not all(_is_finite(value) for value in array):
+            raise self.fault(key, f"must be {length} finite numbers")
+        return [float(value) for value in array]
+
+    def number(self, key: str, *, default: float) -> float:
+        value = self.value.get(key, default)
+        if not _is_finite(value):
+            raise self.fault(key, f"is {spelled(value)} instead of a finite number")
+        return float(value)
+
+    def flag(self, key: str) -> bool:
+        return self._of_kind(key, False)
+
+    def text(self, key: str) -> str | None:
+        return None if self.value.get(key) is None else self._of_kind(key, "")
+
+    def texts(self, key: str) -> list[str]:
+        array = self._of_kind(key, list[Any]())
+        if not all(isinstance(value, str) for value in array):
+            raise self.fault(key, "must be an array of strings")
+        return array
+
+    def entry(self, key: str) -> Entry:
+        return Entry(self.name, self.at(key), self._of_kind(key, Tree()))
+
+    def entries(self, key: str) -> list[Entry]:
+        found = []
+        for index, value in enumerate(self._of_kind(key, list[Any]())):
+            if not isinstance(value, dict):
+                raise self.fault(f"{key}[{index}]", f"is {spelled(value)} instead of an object")
+            found.append(Entry(self.name, f"{self.at(key)}[{index}]", value))
+        return found
+
+    def _of_kind(self, key: str, default: T) -> T:
+        value = self.value.get(key, default)
+        if not isinstance(value, type(default)):
+            raise self.fault(key, f"is {spelled(value)} instead of {_NAMES[type(default)]}")
+        return value
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def spelled(value: object) -> str:
+    """Spell a value for a message: objects and arrays by their kind."""
+    text = repr(value) if not isinstance(value, dict | list) else type(value).__name__
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def require_structure(root: Entry) -> None:
+    """Check the kinds of all members that are looked through without an `Entry`."""
+    stack: list[tuple[str, Any, Any]] = [("", root.value, _SHAPE)]
+    while stack:
+        place, value, shape = stack.pop()
+        kind: Any = shape if isinstance(shape, type) else type(shape)
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise root.fault(place, f"is {spelled(value)} instead of {_NAMES[kind]}")
+        if isinstance(shape, list):
+            stack += [(f"{place}[{index}]", child, shape[0]) for index, child in enumerate(value)]
+        elif isinstance(shape, dict):
+            for key, child in value.items():
+                if key in shape or _EACH in shape:
+                    inner = shape.get(key, shape.get(_EACH))
+                    stack.append((f"{place}.{key}" if place else key, child, inner))
+
+
+def objects_within(value: object) -> Iterator[Tree]:
+    """Iterate over all objects in a value, itself included."""
+    stack = [value]
+    while stack:
+        value = stack.pop()
+        if isinstance(value, list):
+            stack += value
+        elif isinstance(value, dict):
+            stack += value.values()
+            yield value
+
+
+def objects(values: object) -> list[Tree]:
+    """Return the objects among the values of an array that should hold nothing else."""
+    return [value for value in values if isinstance(value, dict)] if isinstance(values, list) else []
+
+
+def primitives_of(tree: Tree) -> Iterator[tuple[tuple[int, int], Tree]]:
+    """Iterate over the primitives of all meshes, each with the index of its mesh and its own within the mesh."""
+    for mesh, holder in enumerate(objects(tree.get("meshes"))):
+        for part, primitive in enumerate(objects(holder.get("primitives"))):
+            yield (mesh, part), primitive
 
 
 @dataclass(frozen=True)
@@ -47,9 +218,9 @@ class Container:
     data: bytes  # the whole file
     text: str  # the JSON, without byte order mark and without the padding of its chunk
     tree: Tree  # the JSON, parsed
-    chunks: tuple[Chunk, ...] = ()  # those after the JSON chunk: BIN, then unknown ones
+    chunks: tuple[Chunk, ...] = ()  # after the JSON chunk: BIN, then unknown ones
     has_bom: bool = False
-    tail: Bytes = b""  # what follows the last byte that the GLB header counts
+    tail: Bytes = b""  # bytes behind the length that the GLB header states
 
     @property
     def root(self) -> Entry:
@@ -69,19 +240,27 @@ class Container:
         return parsed(self.text, self.name)
 
     def rebuilt(self, tree: Tree, binary: Bytes | None) -> list[Bytes]:
-        """Return the pieces of this file with another tree and BIN chunk (None: as it is), all else kept."""
-        text = (("\ufeff" if self.has_bom else "") + revised(self.text, tree)).encode()
+        """Return the pieces of this file with another tree and BIN chunk (None: unchanged), all else kept."""
+        text = ((_BOM if self.has_bom else "") + revised(self.text, tree)).encode()
         if self.kind == "gltf":
             return [text]
-        rest = self.chunks
-        if binary is not None:
-            rest = (Chunk(BIN_CHUNK, binary), *self.unknown_chunks)
+        rest = self.chunks if binary is None else (Chunk(BIN_CHUNK, binary), *self.unknown_chunks)
         return [*glb_pieces([Chunk(JSON_CHUNK, text), *rest]), self.tail]
 
 
 def read_container(data: bytes, name: str) -> Container:
     """Take a glTF file apart: binary if it starts with the GLB magic, otherwise JSON text."""
-    container = _glb(data, name) if data[:4] == _MAGIC else _container("gltf", data, data, name)
+    is_glb = data[:4] == _MAGIC
+    chunks, tail = _glb_chunks(data, name) if is_glb else ([Chunk(JSON_CHUNK, data)], b"")
+    try:
+        text = bytes(chunks[0].data).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(name, f"neither GLB nor UTF-8 text (byte {error.start})", "is it glTF?") from None
+    has_bom, text = text.startswith(_BOM), text.removeprefix(_BOM)
+    if is_glb:
+        text = text.rstrip(" \0")
+    kind, tree = "glb" if is_glb else "gltf", parsed(text, name)
+    container = Container(name, kind, data, text, tree, tuple(chunks[1:]), has_bom, tail)
     asset = container.root.entry("asset")
     stored = asset.value.get("version")
     # glTF 1 had it as a number, too.
@@ -96,42 +275,30 @@ def read_container(data: bytes, name: str) -> Container:
     return container
 
 
-def _glb(data: bytes, name: str) -> Container:
+def _glb_chunks(data: bytes, name: str) -> tuple[list[Chunk], Bytes]:
+    """Return the chunks of a GLB file, the first being JSON, and the bytes behind its stated length."""
     if len(data) < 20:
-        raise InputError(name, f"a GLB file of {len(data)} bytes has no room for its header", _TRUNCATED)
+        raise InputError(name, f"a GLB file of {len(data)} bytes has no room for its header", TRUNCATED)
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         cause = f"GLB version {version} cannot be read, only 2"
         raise InputError(name, cause, "export the model as glTF 2.0")
     if length > len(data):
-        raise InputError(name, f"the GLB header counts {length} bytes, the file has {len(data)}", _TRUNCATED)
+        raise InputError(name, f"the GLB header counts {length} bytes, the file has {len(data)}", TRUNCATED)
     chunks: list[Chunk] = []
     position, view = 12, memoryview(data)
     while position < length:
         where = f"chunk {len(chunks)} at byte {position}"
         if position + 8 > length:
-            raise InputError(name, f"{where}: its header is cut off", _TRUNCATED)
+            raise InputError(name, f"{where}: its header is cut off", TRUNCATED)
         size, kind = struct.unpack_from("<II", data, position)
         if position + 8 + size > length:
-            raise InputError(name, f"{where}: {size} bytes do not fit in the file of {length}", _TRUNCATED)
+            raise InputError(name, f"{where}: {size} bytes do not fit in the file of {length}", TRUNCATED)
         chunks.append(Chunk(kind, view[position + 8 : position + 8 + size]))
         position += 8 + size
     if not chunks or chunks[0].kind != JSON_CHUNK:
         raise InputError(name, "the first GLB chunk is not JSON", "export the model again")
-    return _container("glb", bytes(chunks[0].data), data, name, tuple(chunks[1:]), view[length:])
-
-
-def _container(
-    kind: str, json: bytes, data: bytes, name: str, chunks: tuple[Chunk, ...] = (), tail: Bytes = b""
-) -> Container:
-    has_bom = json.startswith(_BOM)
-    try:
-        text = json.removeprefix(_BOM).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(name, f"neither GLB nor UTF-8 text (byte {error.start})", "is it glTF?") from None
-    if kind == "glb":
-        text = text.rstrip(" \0")
-    return Container(name, kind, data, text, parsed(text, name), chunks, has_bom, tail)
+    return chunks, view[length:]
 
 
 def glb_pieces(chunks: Sequence[Chunk]) -> list[Bytes]:
@@ -155,15 +322,11 @@ def parsed(text: str, name: str) -> Tree:
         raise InputError(name, "the JSON is not an object, so this is not glTF")
     level: list[Any] = [tree]
     for _ in range(_DEEPEST):
-        level = [child for parent in level for child in _children(parent)]
+        members = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [child for values in members for child in values if isinstance(child, dict | list)]
         if not level:
             return tree
     raise InputError(name, f"the JSON is nested more than {_DEEPEST} levels deep")
-
-
-def _children(parent: object) -> list[Any]:
-    values = parent.values() if isinstance(parent, dict) else parent if isinstance(parent, list) else ()
-    return [value for value in values if isinstance(value, dict | list)]
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> Tree:
@@ -268,13 +431,14 @@ def _members(span: _Span, new: Any, text: str, style: _Style) -> str:
         kept = list(zip(old, new, strict=False))
         added = [("", value) for value in new[len(old) :]]
     lead = text[old[-1].lead : old[-1].key_start]
-    pieces = [_piece(member, value, text, style) for member, value in kept]
+    # Each with what precedes it, and the white space between it and its comma.
+    pieces = [
+        (
+            text[member.lead : member.start] + _value(member, value, text, style),
+            text[member.end : member.trail] if text[member.trail] == "," else "",
+        )
+        for member, value in kept
+    ]
     pieces += [(lead + name + style.written(value, lead), "") for name, value in added]
     joined = ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])])
     return text[span.start] + joined + text[old[-1].end : old[-1].trail + 1]
-
-
-def _piece(span: _Span, new: object, text: str, style: _Style) -> tuple[str, str]:
-    """Return a member or item with what precedes it, and the white space between it and its comma."""
-    trail = text[span.end : span.trail] if text[span.trail] == "," else ""
-    return text[span.lead : span.start] + _value(span, new, text, style), trail

@@ -12,13 +12,17 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, PlannedImages, Written
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import Buffers, files_beside
-from beltrami_cli.formats.gltf.container import read_container
+from beltrami_cli.formats.gltf.buffers import Buffers, present_files
+from beltrami_cli.formats.gltf.container import (
+    Tree,
+    objects,
+    primitives_of,
+    read_container,
+    require_structure,
+)
 from beltrami_cli.formats.gltf.edit import Edit, compress_again
 from beltrami_cli.formats.gltf.fingerprint import fingerprint
-from beltrami_cli.formats.gltf.geometry import placements
-from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of, require_structure
-from beltrami_cli.formats.gltf.painted import Surface
+from beltrami_cli.formats.gltf.painted import Surface, placements
 from beltrami_cli.formats.gltf.repainting import repaint
 from beltrami_cli.formats.gltf.saving import placed, written
 from beltrami_cli.formats.gltf.textured import gather_textured, read_textured_mesh
@@ -46,7 +50,7 @@ class GltfDocument(Document):
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
         self.images = Images(self.root, self.accessors, self._folder)
-        self._references, missing = files_beside(self.root, self._folder)
+        self._references, missing = present_files(self.root, self._folder)
         if self.container.has_bom:
             self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
         self.notices += missing

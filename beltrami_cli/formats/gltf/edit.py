@@ -1,23 +1,36 @@
-"""What changes in a glTF file, while the changes are collected: numbers, and images in place of others.
+"""What changes in a glTF file, while the changes are collected: numbers of vertices, and images in place of others.
 
-Compressed views are compressed again at the end. New images go over the old ones, to the end of the buffer, into a data
-URI, or into a file.
+Numbers are overwritten where they are if nothing else uses their bytes. Otherwise a new bufferView at the end of
+the buffer takes them, and only their accessor is pointed at it; no other view ever moves.
+
+Attributes that Draco has compressed always get a view of their own, in the order in which decoders give the vertices:
+encoding a mesh again would move its vertices and change their order. The compressed data stays as it is; the primitive
+just does not name these numbers in it any more. Views that meshoptimizer has compressed are compressed again, which
+loses nothing.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
+import numpy as np
+
+from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.accessors import Accessors, Stored, padded_elements
-from beltrami_cli.formats.gltf.buffers import data_uri, named_places, named_views
-from beltrami_cli.formats.gltf.compression import repacked
-from beltrami_cli.formats.gltf.container import Container
-from beltrami_cli.formats.gltf.json_tree import Tree
-from beltrami_cli.formats.gltf.textures import MEDIA, Images
+from beltrami_cli.formats.gltf.accessors import (
+    DRACO,
+    Accessors,
+    Layout,
+    Stored,
+    draco_extension,
+    element_bytes,
+    padded_elements,
+)
+from beltrami_cli.formats.gltf.buffers import View, data_uri, named_places, named_views, repacked
+from beltrami_cli.formats.gltf.container import Container, Entry, Tree, objects, primitives_of
 from beltrami_cli.surface.records import ImageFile
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
@@ -83,6 +96,232 @@ class Edit:
         return index
 
 
+@dataclass(frozen=True)
+class Column:
+    """Numbers of one vertex attribute that painted primitives share."""
+
+    accessor: int  # where they are read
+    members: Set[int]  # all accessors over these numbers that primitives name as this attribute
+    users: Collection[tuple[int, int]]  # painted primitives that do: mesh, and index in the mesh
+    position: int  # accessor of the positions that they belong to
+    before: Stored  # shape (rows, width)
+    after: Stored
+
+
+def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
+    """Put the new numbers of all columns of an attribute into a file."""
+    changing = [not np.array_equal(column.before, column.after) for column in columns]
+    if not any(changing):
+        return
+    shared = used_otherwise(edit.container.tree, attribute)
+    in_place = _alone(edit, columns, shared)
+    for column, is_changing, is_alone in zip(columns, changing, in_place, strict=True):
+        if not is_changing:
+            continue
+        if edit.accessors.is_added(column.accessor):
+            _detach(edit, attribute, column, shared)
+            continue
+        members: Collection[int] = column.members
+        if is_alone:
+            _overwrite(edit, column)
+        else:
+            members = _own_accessors(edit, attribute, column.members, shared)
+            view = edit.append_attribute(_buffer_for(edit, column.accessor, column.position), column.after)
+            for index in members:
+                _point_at(edit.tree["accessors"][index], view)
+        for index in members:
+            _update_bounds(edit.tree["accessors"][index], column)
+
+
+def changing_buffers(edit: Edit, index: int, position: int) -> set[int]:
+    """Return the buffers of the file that may change when all numbers of an accessor are new."""
+    buffers = edit.accessors.buffers
+    read = {layout.buffer for layout in _value_layouts(edit.accessors, index)}
+    stored = {index for index in read if buffers.source(index) != "decoded"}
+    for view in edit.accessors.views:
+        if view.buffer in read and view.packed is not None and view.fallback is not None:
+            stored |= {view.packed.buffer, view.fallback[0]}
+    found = {buffers.canonical(index) for index in stored if buffers.source(index) != "nowhere"}
+    return found or {_buffer_for(edit, index, position)}
+
+
+def _overwrite(edit: Edit, column: Column) -> None:
+    """Put numbers where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
+    accessor, rows = edit.accessors[column.accessor], edit.accessors.replaced(column.accessor)
+    own, octets = np.ones(len(column.after), bool), column.after.view(np.uint8)
+    own[rows] = False
+    if accessor.sparse is not None:
+        _elements(edit, accessor.sparse.values)[...] = octets[rows]
+    if accessor.layout is not None:
+        _elements(edit, accessor.layout)[own] = octets[own]
+    elif octets[own].any():  # no more zeros
+        view = edit.append_attribute(_buffer_for(edit, column.accessor, column.position), column.after)
+        _point_at(edit.tree["accessors"][column.accessor], view, keep_sparse=True)
+
+
+def _elements(edit: Edit, layout: Layout) -> Uint8s:
+    return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
+
+
+def _buffer_for(edit: Edit, index: int, position: int) -> int:
+    """Return the buffer that takes new numbers: that of the old ones, of the positions, or any with bytes."""
+    layouts = [*_value_layouts(edit.accessors, index), edit.accessors[position].layout]
+    return edit.growing_buffer(layout.buffer for layout in layouts if layout is not None)
+
+
+def _detach(edit: Edit, attribute: str, column: Column, shared: set[int]) -> None:
+    """Store the numbers of a column outside of the data that Draco has compressed."""
+    meshes, places = edit.container.root.entries("meshes"), set(column.users)
+    users = [meshes[mesh].entries("primitives")[part] for mesh, part in column.users]
+    for user in users:
+        _require_same_order(edit, user, attribute)
+    packed = users[0].entry("extensions").entry(DRACO)
+    source = edit.accessors.views[packed.integer("bufferView")].buffer
+    view = edit.append_attribute(edit.growing_buffer([source]), column.after)
+    named = {user.entry("attributes").integer(attribute) for user in users}
+    others = set(shared)
+    for place, primitive in primitives_of(edit.container.tree):
+        attributes = primitive.get("attributes", {})
+        if place not in places and attribute in attributes:
+            others.add(attributes[attribute])
+    for mesh, part in places:
+        extensions = edit.tree["meshes"][mesh]["primitives"][part]["extensions"]
+        del extensions[DRACO]["attributes"][attribute]
+    for index in _own_accessors(edit, attribute, named, others, places):
+        _point_at(edit.tree["accessors"][index], view)
+        _update_bounds(edit.tree["accessors"][index], column)
+
+
+def _require_same_order(edit: Edit, primitive: Entry, attribute: str) -> None:
+    """Raise an InputError if viewers that do not decode Draco would give the numbers to other vertices."""
+    accessors, index = edit.accessors, primitive.integer("indices")
+    packed = draco_extension(primitive)
+    if packed is None or accessors[primitive.entry("attributes").integer(attribute)].layout is None:
+        return
+    plain, decoded = accessors.stored(index), accessors.stored(accessors.decoded_indices(packed, index))
+    if not np.array_equal(plain, decoded):
+        cause = "holds vertices in another order than its uncompressed fallback"
+        raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
+
+
+def _own_accessors(
+    edit: Edit,
+    attribute: str,
+    named: Collection[int],
+    shared: Collection[int],
+    users: Collection[tuple[int, int]] | None = None,
+) -> Collection[int]:
+    """Return accessors, or a copy of each shared one, which users (None: all primitives) name in its place."""
+    own = {index: index for index in named}
+    for index in sorted(named):
+        if index in shared:
+            own[index] = len(edit.tree["accessors"])
+            old = edit.tree["accessors"][index].items()
+            # Lists are copied, since bounds may be changed.
+            edit.tree["accessors"].append({k: list(v) if isinstance(v, list) else v for k, v in old})
+    for place, primitive in primitives_of(edit.tree):
+        attributes = primitive.get("attributes", {})
+        if attributes.get(attribute) in own and (users is None or place in users):
+            attributes[attribute] = own[attributes[attribute]]
+    return own.values()
+
+
+def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
+    """Let an accessor take its elements from the start of a view: all, or all but sparse ones."""
+    if not keep_sparse:
+        accessor.pop("sparse", None)
+    accessor["bufferView"] = view
+    if "byteOffset" in accessor:
+        accessor["byteOffset"] = 0
+
+
+def _update_bounds(accessor: Tree, column: Column) -> None:
+    for key, reduce in (("min", np.min), ("max", np.max)):
+        bounds: Any = accessor.get(key)
+        if isinstance(bounds, list) and len(bounds) == column.after.shape[1]:
+            was, now = reduce(column.before, axis=0), reduce(column.after, axis=0)
+            for component in np.nonzero(was != now)[0]:
+                bounds[component] = now[component].item()
+
+
+def used_otherwise(tree: Tree, attribute: str) -> set[int]:
+    """Return the accessors that are named as anything but a certain attribute of a primitive."""
+    found: list[object] = []
+    for _, primitive in primitives_of(tree):
+        found += [index for key, index in primitive.get("attributes", {}).items() if key != attribute]
+        found += [index for target in objects(primitive.get("targets")) for index in target.values()]
+        found.append(primitive.get("indices"))
+    for animation in objects(tree.get("animations")):
+        for sampler in objects(animation.get("samplers")):
+            found += [sampler.get("input"), sampler.get("output")]
+    found += [skin.get("inverseBindMatrices") for skin in objects(tree.get("skins"))]
+    for holder in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
+        for extension in objects(list(holder.values())):
+            attributes = extension.get("attributes", {})
+            found += list(attributes.values()) if isinstance(attributes, dict) else []
+    return {index for index in found if isinstance(index, int)}
+
+
+def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:
+    """Return for every column of one attribute whether nothing else uses its bytes and its accessors."""
+    # The uses of every byte are counted, once for each column and for everything else that lies there: other
+    # accessors element by element (so that interleaving is no conflict), sparse parts, and whole views that
+    # serve images, extensions, or nothing that we know.
+    accessors = edit.accessors
+
+    def canonical(layout: Layout) -> Layout:
+        return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
+
+    own = [[canonical(layout) for layout in _value_layouts(accessors, column.accessor)] for column in columns]
+    members = {member for column in columns for member in column.members}
+    others = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
+    ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
+    buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T
+    counts = {each: np.zeros(accessors.buffers.extent(each), np.uint8) for each, _, _ in ranges}
+    for layout in [*(layout for layouts in own for layout in layouts), *others]:
+        if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any():
+            uses = element_bytes(counts[layout.buffer], layout)
+            uses[...] = np.minimum(uses + 1, 2)
+    return [
+        bool(layouts)
+        and not column.members & shared
+        and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
+        for column, layouts in zip(columns, own, strict=True)
+    ]
+
+
+def _value_layouts(accessors: Accessors, index: int) -> list[Layout]:
+    """Return where the numbers of an accessor lie: its elements, and sparse ones that replace some of them."""
+    accessor = accessors[index]
+    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None]
+    return [layout for layout in layouts if layout is not None]
+
+
+def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:
+    """Iterate over the bytes of everything but the elements of the columns."""
+    viewed = set()
+    for index, accessor in enumerate(accessors.all):
+        viewed.add(accessor.view)
+        if accessor.layout is not None and index not in members:
+            yield accessor.layout
+        if accessor.sparse is not None:
+            viewed |= {accessor.entry.value["sparse"][part]["bufferView"] for part in ("indices", "values")}
+            yield accessor.sparse.indices
+            if index not in members:
+                yield accessor.sparse.values
+    named = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
+    for index, view in enumerate(accessors.views):
+        if index in named or index not in viewed:
+            yield _whole(view)
+    for (index, extension), view in named_places(tree, accessors.buffers.lengths):
+        if extension is not None or accessors.views[index].packed is not None:
+            yield _whole(view)
+
+
+def _whole(view: View) -> Layout:
+    return Layout(view.buffer, view.offset, view.length, view.length, 1)
+
+
 def compress_again(edit: Edit) -> None:
     """Put the changed bytes of all compressed views back into the buffers of the file."""
     # New data goes over the old if it fits and nothing else reads that, else to the end; plain bytes are renewed.
@@ -98,154 +337,20 @@ def compress_again(edit: Edit) -> None:
         extension.pop("filter", None)
         extension["byteLength"] = len(octets)
         own = index, packed.extension
-        if len(octets) <= packed.length and _unshared(edit, own, home, packed.offset, end):
+        if len(octets) <= packed.length and is_unshared(edit, own, home, packed.offset, end):
             edit.open(home)[packed.offset : end] = octets.ljust(packed.length, b"\0")
         else:
             extension |= {"buffer": home, "byteOffset": edit.append(home, octets)}
         plain, start = buffers.canonical(view.fallback[0]), view.fallback[1]
         end = start + len(data)
-        if buffers.source(plain) != "nowhere" and _unshared(edit, (index, None), plain, start, end):
+        if buffers.source(plain) != "nowhere" and is_unshared(edit, (index, None), plain, start, end):
             edit.open(plain)[start:end] = data
 
 
-def _unshared(edit: Edit, own: tuple[int, str | None], buffer: int, start: int, end: int) -> bool:
-    """Return whether no other view, and no other extension of a view, names any of these bytes."""
+def is_unshared(edit: Edit, own: tuple[int, str | None], buffer: int, start: int, end: int) -> bool:
+    """Whether no other view, and no other extension of a view, names any of these bytes."""
     canonical = edit.accessors.buffers.canonical
     return not any(
         place != own and canonical(part.buffer) == buffer and part.offset < end and start < part.end
         for place, part in named_places(edit.container.tree, edit.accessors.buffers.lengths)
     )
-
-
-_PADDING = 8  # bytes that may lie between views only to align them
-
-
-@dataclass(frozen=True)
-class _Blob:
-    """An image for a buffer."""
-
-    data: bytes
-    view: int | None  # which it may overwrite; None: it needs its own
-    images: tuple[int, ...]  # that show it
-
-
-class ImageStorage:
-    """New images while they are collected; `finish` puts images in buffers into place together."""
-
-    def __init__(self, edit: Edit, images: Images) -> None:
-        self._edit, self._images = edit, images
-        self._named = Counter(named_views(edit.tree))
-        self.blobs: dict[int, list[_Blob]] = defaultdict(list)  # by the buffer that `finish` puts them into
-
-    def replace(self, image: int, file: ImageFile) -> int:
-        """Give an image and its duplicates other bytes; return its index."""
-        group = self._images.same(image)
-        view = self._edit.tree["images"][image].get("bufferView")
-        alone = view is not None and self._named[view] == len(group)
-        is_plain = alone and "extensions" not in self._edit.tree["bufferViews"][view]
-        self._put(group, file, view if is_plain else None)
-        return image
-
-    def add(self, image: int, file: ImageFile) -> int:
-        """Add an image that is stored as another one is; return its index."""
-        images = self._edit.tree["images"]
-        images.append(dict(images[image]))
-        self._put((len(images) - 1,), file, None)
-        return len(images) - 1
-
-    def _put(self, group: tuple[int, ...], file: ImageFile, view: int | None) -> None:
-        media = MEDIA[file.suffix.lower()]
-        for index in group:
-            image = self._edit.tree["images"][index]
-            if "bufferView" in image or "mimeType" in image:
-                image["mimeType"] = media
-        image = self._edit.tree["images"][group[0]]
-        if "bufferView" in image:
-            home = self._edit.tree["bufferViews"][image["bufferView"]]["buffer"]
-            buffer = self._edit.accessors.buffers.canonical(home)
-            self.blobs[buffer].append(_Blob(file.data, view, group))
-        elif image["uri"][:5].lower() == "data:":
-            same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
-            image["uri"] = data_uri(image["uri"] if same else f"data:{media};base64,", file.data)
-        else:
-            self._edit.images |= dict.fromkeys(group, file)
-
-    def finish(self) -> None:
-        for buffer, blobs in self.blobs.items():
-            _store(self._edit, buffer, blobs)
-
-
-def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
-    """Put images into one buffer: first where the old ones were as far as they fit, the others at the end."""
-    views, data = edit.tree["bufferViews"], edit.open(buffer)
-    # A view that only an image uses may be overwritten, if no other view shares its bytes.
-    own = {
-        blob.view: blob
-        for blob in blobs
-        if blob.view is not None and _unshared(edit, (blob.view, None), buffer, *_span(views[blob.view]))
-    }
-    others = [span for view, span in _spans(edit, buffer) if view not in own]
-    end = _end(data, edit.tree["buffers"][buffer]["byteLength"], [_span(views[v]) for v in own], others)
-    moving = [replace(blob, view=None) for blob in blobs if blob.view not in own]
-    for view, blob in sorted(own.items(), key=lambda item: _span(views[item[0]])[0]):
-        if _span(views[view])[0] >= end or not _fitted(edit, buffer, view, blob.data, end):
-            moving.append(blob)
-    del data[end:]
-    edit.tree["buffers"][buffer]["byteLength"] = len(data)
-    for blob in moving:
-        start = edit.append(buffer, blob.data)
-        place = {"buffer": buffer, "byteOffset": start, "byteLength": len(blob.data)}
-        if blob.view is None:
-            index = edit.add_view(place)
-            for image in blob.images:
-                edit.tree["images"][image]["bufferView"] = index
-        else:
-            views[blob.view] |= place
-
-
-def _span(view: Tree) -> tuple[int, int]:
-    start = view.get("byteOffset", 0)
-    return start, start + view["byteLength"]
-
-
-def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
-    """Return which bytes of a buffer are in use, each range with its view if it is one's."""
-    canonical, tree = edit.accessors.buffers.canonical, edit.tree
-    known = len(edit.accessors.buffers)
-    same = {index for index in range(known) if canonical(index) == buffer} | {buffer}
-    spans: list[tuple[int | None, tuple[int, int]]] = []
-    lengths = [entry["byteLength"] for entry in tree["buffers"]]
-    for (index, extension), part in named_places(tree, lengths):
-        if part.buffer in same:
-            spans.append((None if extension else index, (part.offset, part.end)))
-    # Another buffer over the same file keeps its length, and so all of its bytes.
-    return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
-
-
-def _end(
-    data: bytearray, length: int, own: Sequence[tuple[int, int]], others: Sequence[tuple[int, int]]
-) -> int:
-    """Return where the bytes that must stay end: before the images to be replaced that are last in the buffer."""
-    kept = max((end for _, end in others), default=0)
-    if len(data) - length >= 4:  # more than the padding of a chunk: it may mean something
-        return len(data)
-    found, edge = len(data), length
-    for start, end in sorted(own, reverse=True):
-        if start < kept or not edge - _PADDING < end <= edge:
-            break
-        found = edge = start
-    return found
-
-
-def _fitted(edit: Edit, buffer: int, number: int, new: bytes, limit: int) -> bool:
-    """Overwrite the old image if the new one fits before what comes next; leave zeros where it is not."""
-    view, data = edit.tree["bufferViews"][number], edit.open(buffer)
-    start, end = _span(view)
-    after = min([limit, *(a for _, (a, _) in _spans(edit, buffer) if a >= end)])
-    vacant = data.count(0, end, after) == after - end  # left by an earlier image, or padding
-    fits = start + len(new) <= (after if vacant else end)
-    data[start:end] = bytes(end - start)
-    if fits:
-        data[start : start + len(new)] = new
-        view["byteLength"] = len(new)
-    return fits

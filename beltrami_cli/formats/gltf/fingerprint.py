@@ -11,12 +11,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.gltf.accessors import Accessors
+from beltrami_cli.formats.gltf.accessors import DRACO, Accessors
 from beltrami_cli.formats.gltf.buffers import named_views
-from beltrami_cli.formats.gltf.columns import used_otherwise
-from beltrami_cli.formats.gltf.compression import DRACO
-from beltrami_cli.formats.gltf.container import Container
-from beltrami_cli.formats.gltf.json_tree import Tree, objects, primitives_of
+from beltrami_cli.formats.gltf.container import Container, Tree, objects, primitives_of
+from beltrami_cli.formats.gltf.edit import used_otherwise
 from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images, texture_infos
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.surface.records import Texture

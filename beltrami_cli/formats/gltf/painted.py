@@ -1,25 +1,34 @@
-"""The painted primitives of a glTF file, in blocks of rows: what their vertices have, and new numbers for them.
+"""Where the meshes of a glTF file stand, and its painted primitives, in blocks of rows, with new numbers for them.
 
-A block is one pair of positions and colours. Primitives that use the same pair (the same accessors, or
-accessors over the same bytes) share its rows, so that every stored colour has exactly one row.
+A mesh is taken at the first node that shows it. A block is one pair of positions and colours. Primitives that use the
+same pair (the same accessors, or accessors over the same bytes) share its rows, so that every stored colour has
+exactly one row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.gltf import geometry
-from beltrami_cli.formats.gltf.accessors import Accessors, Stored, fractions
-from beltrami_cli.formats.gltf.columns import Column, changing_buffers, exchange
-from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.gltf.accessors import (
+    Accessors,
+    Stored,
+    attribute_accessor,
+    drawing_key,
+    drawn_triangles,
+    fitting_accessor,
+    fractions,
+    position_accessor,
+)
+from beltrami_cli.formats.gltf.container import Entry
+from beltrami_cli.formats.gltf.edit import Column, Edit, changing_buffers, exchange
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MovedVertices, PaintedVertices
 
@@ -30,18 +39,144 @@ _INDICES = ("JOINTS_", "WEIGHTS_")
 _STALE = "The vertices moved, but their {} are as they were; make them again, or leave them out."
 
 
+@dataclass(frozen=True)
+class Placement:
+    """Where a mesh is taken to be."""
+
+    matrix: Float64s  # (4, 4), from the mesh's own space to the common one; acts on columns
+    # 0: the default scene (all scenes, if none is); each other scene and unplaced mesh has its own.
+    space: int
+    nodes: int  # how many nodes show the mesh, in all scenes
+
+    def facing(self, faces: Int64s) -> Int64s:
+        """Return triangles facing outwards: a mirrored node turns them inside out."""
+        return faces[:, ::-1] if np.linalg.det(self.matrix[:3, :3]) < 0 else faces
+
+    def positions(self, accessors: Accessors, index: int, used: slice | Bools = slice(None)) -> Float64s:
+        """Return all or the used positions of an accessor, shape (n, 3), in the common space."""
+        positions = accessors.values(index)[used]
+        with np.errstate(over="ignore", invalid="ignore"):
+            moved: Float64s = positions @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        if not np.isfinite(moved).all():
+            raise accessors[index].entry.fault("", "positions overflow in world space")
+        return moved
+
+    def normals(self, accessors: Accessors, index: int) -> Float64s:
+        """Return the unit normals of an accessor, shape (n, 3), in the common space; zero vectors stay zero."""
+        a, b, c = self.matrix[:3, :3].T
+        # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
+        return unit_vectors(accessors.values(index) @ (sign * cofactors).T)
+
+
+def placements(root: Entry) -> list[Placement]:
+    """Return the place of every mesh: its first node, depth first, the default scene before the others."""
+    scenes = root.entries("scenes")
+    default = root.integer("scene", below=len(scenes)) if "scene" in root else None
+    order = sorted(range(len(scenes)), key=lambda scene: scene != default)
+    shown: dict[int, list[tuple[Float64s, int]]] = {}
+    for rank, mesh, place, _ in _shown(root, [scenes[scene] for scene in order]):
+        shown.setdefault(mesh, []).append((place, 0 if default is None else rank))
+    found = []
+    for mesh in range(len(root.entries("meshes"))):
+        places = shown.get(mesh) or [(np.eye(4), len(scenes) + mesh)]
+        found.append(Placement(*places[0], nodes=len(places)))
+    return found
+
+
+def instances(root: Entry) -> list[tuple[int, Placement, str]]:
+    """Return every mesh that a node of the default scene shows (of all scenes, if none is), its place and its name."""
+    meshes, scenes = root.entries("meshes"), root.entries("scenes")
+    chosen = [scenes[root.integer("scene", below=len(scenes))]] if "scene" in root else scenes
+    return [
+        (mesh, Placement(place, 0, 1), node.text("name") or meshes[mesh].text("name") or "")
+        for _, mesh, place, node in _shown(root, chosen)
+    ]
+
+
+def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, Float64s, Entry]]:
+    """Iterate over the nodes with a mesh: the number of the scene, the mesh, its matrix and the node."""
+    # A node with a skin counts as untransformed: joints place the mesh, and its stored positions are the bind pose.
+    nodes, meshes = root.entries("nodes"), root.entries("meshes")
+    children, seen = _children(nodes), set[int]()
+    for number, scene in enumerate(scenes):
+        for index, matrix in _walk(scene, nodes, children, seen):
+            node = nodes[index]
+            if "mesh" in node:
+                mesh = node.integer("mesh", below=len(meshes))
+                yield number, mesh, np.eye(4) if "skin" in node else matrix, node
+
+
+def _children(nodes: list[Entry]) -> list[list[int]]:
+    parent: dict[int, int] = {}
+    children = []
+    for index, node in enumerate(nodes):
+        children.append(node.integers("children", below=len(nodes)))
+        for child in children[-1]:
+            if child in parent:
+                raise node.fault("children", f"nodes[{child}] has another parent, nodes[{parent[child]}]")
+            parent[child] = index
+    return children
+
+
+def _walk(
+    scene: Entry, nodes: list[Entry], children: list[list[int]], seen: set[int]
+) -> list[tuple[int, Float64s]]:
+    """Return the nodes of a scene that are not seen yet, depth first, each with its matrix; they are then seen."""
+    found: list[tuple[int, Float64s]] = []
+    stack = [(node, np.eye(4)) for node in reversed(scene.integers("nodes", below=len(nodes)))]
+    met: set[int] = set()
+    while stack:
+        node, above = stack.pop()
+        if node in met:
+            raise scene.fault("nodes", f"nodes[{node}] is reached twice: the nodes are not a tree")
+        met.add(node)
+        if node in seen:
+            continue
+        seen.add(node)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = above @ _local(nodes[node])
+        if not np.isfinite(matrix).all():
+            raise nodes[node].fault("", "its transform is too large to compute with")
+        found.append((node, matrix))
+        stack += [(child, matrix) for child in reversed(children[node])]
+    return found
+
+
+def _local(node: Entry) -> Float64s:
+    """Return a node's own transform: its matrix, or translation times rotation times scale."""
+    columns = node.numbers("matrix", 16)
+    if columns is not None:
+        return np.array(columns).reshape(4, 4).T
+    quaternion = np.array(node.numbers("rotation", 4) or [0.0, 0.0, 0.0, 1.0])
+    largest = np.abs(quaternion).max()
+    if largest == 0:
+        raise node.fault("rotation", "is a quaternion of length zero")
+    scaled = quaternion / largest
+    x, y, z, w = scaled / np.linalg.norm(scaled)
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array(rotation) * np.array(node.numbers("scale", 3) or [1.0, 1.0, 1.0])
+    matrix[:3, 3] = node.numbers("translation", 3) or [0.0, 0.0, 0.0]
+    return matrix
+
+
 @dataclass
 class Block:
     """The rows of one pair of accessors, from `first_row` on."""
 
     position: int
     colour: int
-    placement: geometry.Placement  # of the mesh that uses the pair first
+    placement: Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
     normal: int | None  # accessor of the normals of the first primitive
-    # Accessors over these colours that primitives name as COLOR_0, and those primitives by mesh, and index in the mesh.
-    members: set[int] = field(default_factory=set)
+    # The primitives that name these colours, by mesh and index in the mesh.
     users: dict[tuple[int, int], Entry] = field(default_factory=dict)
 
     @property
@@ -56,7 +191,7 @@ class Block:
 class Surface:
     """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
-    def __init__(self, root: Entry, accessors: Accessors, places: Sequence[geometry.Placement]) -> None:
+    def __init__(self, root: Entry, accessors: Accessors, places: Sequence[Placement]) -> None:
         self.accessors = accessors
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
@@ -70,7 +205,7 @@ class Surface:
             remedy = "paint the vertices first, or bake the texture into them"
             raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
 
-    def _take(self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]) -> None:
+    def _take(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> None:
         if "COLOR_0" not in primitive.entry("attributes"):
             self._counts["uncoloured"] += 1
             return
@@ -78,17 +213,15 @@ class Surface:
         block = self._block(primitive, placement, number)
         if block is None:
             return
-        key = block.first_row, geometry.drawing(primitive, self.accessors)
+        key = block.first_row, drawing_key(primitive, self.accessors)
         if key not in self._faces:
-            faces = geometry.drawn(primitive, self.accessors, block.count, placement)
+            faces = placement.facing(drawn_triangles(primitive, self.accessors, block.count))
             self._faces[key] = (faces + block.first_row).astype(np.int32)
 
-    def _block(
-        self, primitive: Entry, placement: geometry.Placement, number: tuple[int, int]
-    ) -> Block | None:
+    def _block(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
         attributes = primitive.entry("attributes")
-        position, colour = geometry.position_accessor(primitive, self.accessors), self._colour(primitive)
+        position, colour = position_accessor(primitive, self.accessors), self._colour(primitive)
         count = self.accessors[colour].count
         if self.accessors[position].count != count:
             cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
@@ -97,7 +230,7 @@ class Surface:
         if key not in self._block_of:
             normal = None
             if "NORMAL" in attributes:
-                normal = geometry.fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
+                normal = fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
             block = Block(position, colour, placement, self._rows, count, normal)
             self._block_of[key] = block
             self.blocks.append(block)
@@ -106,7 +239,6 @@ class Surface:
                 raise attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
-        block.members.add(colour)
         block.users[number] = primitive
         if self.accessors.identity(block.position) != place:
             self._counts["elsewhere"] += 1
@@ -117,7 +249,7 @@ class Surface:
         return block
 
     def _colour(self, primitive: Entry) -> int:
-        index = geometry.attribute_accessor(primitive, "COLOR_0", self.accessors)
+        index = attribute_accessor(primitive, "COLOR_0", self.accessors)
         accessor = self.accessors[index]
         if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
             cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
@@ -146,10 +278,10 @@ class Surface:
     def vertices(self) -> PaintedVertices:
         """Return the rows of all blocks."""
         spaces = np.concatenate([np.full(each.count, each.placement.space, np.int32) for each in self.blocks])
-        places = [(block.placement, self.accessors, block.position) for block in self.blocks]
+        places = [block.placement.positions(self.accessors, block.position) for block in self.blocks]
         types = {numbers.dtype.name for numbers in self.stored_colours}
         return PaintedVertices(
-            positions=np.concatenate([geometry.in_world(*place) for place in places]),
+            positions=np.concatenate(places),
             faces=np.concatenate([np.empty((0, 3), np.int32), *self._faces.values()]),
             colours=np.concatenate([fractions(numbers[:, :3]) for numbers in self.stored_colours]),
             channels=("red", "green", "blue"),
@@ -174,7 +306,7 @@ class Surface:
         for block in self.blocks:
             if block.normal is None:
                 return None
-            parts.append(geometry.turned(self.accessors.values(block.normal), block.placement.matrix))
+            parts.append(block.placement.normals(self.accessors, block.normal))
         return np.concatenate(parts).astype(np.float32)
 
     def attribute_names(self) -> tuple[str, ...]:
@@ -188,7 +320,7 @@ class Surface:
         """Read an attribute of all blocks, shape (V, G)."""
         parts: list[Float64s] = []
         for block in self.blocks:
-            index = geometry.attribute_accessor(block.first_user, name, self.accessors)
+            index = attribute_accessor(block.first_user, name, self.accessors)
             values = self.accessors.values(index)
             if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
                 cause = (
@@ -204,14 +336,8 @@ class Surface:
         """Put new colours (V, 3) into a file; only entries that differ from the old ones change."""
         if new.shape != old.shape or not np.isfinite(new).all():
             raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-        columns, numbers = [], []
-        for block, before in zip(self.blocks, self.stored_colours, strict=True):
-            after = before.copy()
-            differs = new[block.rows] != old[block.rows]
-            after[:, :3][differs] = quantised(new[block.rows][differs], before.dtype)
-            columns.append(Column("COLOR_0", block.colour, block.members, block.users, block.position))
-            numbers.append((before, after))
-        exchange(edit, columns, numbers)
+        colours = [(block, block.colour) for block in self.blocks]
+        _exchange(edit, "COLOR_0", colours, np.where(new != old, new, np.nan), _painted)
 
     def buffers(self, edit: Edit, *, places: bool) -> set[int]:
         """Return the buffers that change with all colours, or with all positions and normals, too."""
@@ -240,14 +366,22 @@ class Surface:
     def move(self, edit: Edit, old: Float64s, places: MovedVertices) -> None:
         """Put new positions, and normals if there are any, into a file; only rows that change are written."""
         positions = [(block, block.position) for block in self.blocks]
-        _exchange_shared(edit, "POSITION", positions, places.positions - old, _moved)
+        _exchange(edit, "POSITION", positions, places.positions - old, _moved)
         normals = [(block, block.normal) for block in self.blocks if block.normal is not None]
         stale = {"normals"} if normals and places.normals is None else set()
         if places.normals is not None:
-            _exchange_shared(edit, "NORMAL", normals, places.normals, _turned)
+            _exchange(edit, "NORMAL", normals, places.normals, _turned)
         users = [user for block in self.blocks for user in block.users.values()]
         stale |= {"tangents"} if any("TANGENT" in user.entry("attributes") for user in users) else set()
         edit.notices += [_STALE.format(what) for what in sorted(stale)]
+
+
+def _painted(block: Block, before: Stored, colours: Array) -> Stored:
+    del block
+    entries = ~np.isnan(colours)
+    after = before.copy()
+    after[:, :3][entries] = quantised(colours[entries], before.dtype)
+    return after
 
 
 def _moved(block: Block, before: Stored, moves: Array) -> Stored:
@@ -267,7 +401,7 @@ def _turned(block: Block, before: Stored, normals: Array) -> Stored:
     return after
 
 
-def _exchange_shared(
+def _exchange(
     edit: Edit,
     attribute: str,
     held: Sequence[tuple[Block, int]],
@@ -276,26 +410,23 @@ def _exchange_shared(
 ) -> None:
     """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
     accessors = edit.accessors
-    # By primitives, painted or not.
-    named = {
-        primitive.entry("attributes").integer(attribute, below=len(accessors.all))
-        for mesh in edit.container.root.entries("meshes")
-        for primitive in mesh.entries("primitives")
-        if attribute in primitive.entry("attributes")
-    }
-    columns: dict[Hashable, tuple[Column, Stored, Stored]] = {}
+    named: dict[Hashable, set[int]] = defaultdict(set)  # by primitives, painted or not
+    for mesh in edit.container.root.entries("meshes"):
+        for primitive in mesh.entries("primitives"):
+            if attribute in primitive.entry("attributes"):
+                index = primitive.entry("attributes").integer(attribute, below=len(accessors.all))
+                named[accessors.identity(index)].add(index)
+    columns: dict[Hashable, Column] = {}
     for block, index in held:
         before = accessors.stored(index)
         after, key = renew(block, before, rows[block.rows]), accessors.identity(index)
         if key not in columns:
-            same = {other for other in named if accessors.identity(other) == key}
-            columns[key] = Column(attribute, index, same, block.users, block.position), before, after
+            columns[key] = Column(index, named[key], block.users, block.position, before, after)
             continue
-        _, _, earlier = columns[key]
+        earlier = columns[key].after
         mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
         if attribute == "POSITION" and not np.array_equal(after[mine | theirs], earlier[mine | theirs]):
             cause = "is shared by parts that would move apart"
             raise accessors[index].entry.fault("", cause, "give each part positions of its own")
         earlier[mine] = after[mine]
-    found = list(columns.values())
-    exchange(edit, [column for column, _, _ in found], [(before, after) for _, before, after in found])
+    exchange(edit, attribute, list(columns.values()))

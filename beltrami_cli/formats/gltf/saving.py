@@ -8,11 +8,17 @@ from __future__ import annotations
 from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
-from beltrami_cli.formats.gltf.buffers import data_uri, is_data, located, named_files, read, relative_name
-from beltrami_cli.formats.gltf.compression import MESHOPT
-from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces, revised
+from beltrami_cli.formats.gltf.buffers import (
+    MESHOPT,
+    data_uri,
+    is_data,
+    located,
+    named_files,
+    read,
+    relative_name,
+)
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces, revised
 from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import media_type
 from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, UnfitReferenceError, is_outside
 from beltrami_cli.surface.records import ImageFile

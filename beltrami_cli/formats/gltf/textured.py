@@ -11,9 +11,19 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colour
-from beltrami_cli.formats.gltf import geometry
-from beltrami_cli.formats.gltf.accessors import Accessors, fractions
-from beltrami_cli.formats.gltf.json_tree import Entry
+from beltrami_cli.formats.gltf.accessors import (
+    TRIANGLES,
+    Accessors,
+    attribute_accessor,
+    drawing_key,
+    drawing_mode,
+    drawn_triangles,
+    fitting_accessor,
+    fractions,
+    position_accessor,
+)
+from beltrami_cli.formats.gltf.container import Entry
+from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, TextureUse, image_key, looks, texture_uses
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
@@ -30,7 +40,7 @@ _KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
 
 
 def gather_textured(
-    root: Entry, accessors: Accessors, places: Sequence[geometry.Placement], images: Images, slot: Slot
+    root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
     gathering = _SurfaceReading(root, accessors, images, slot)
@@ -52,7 +62,7 @@ class _SurfacePart:
     """Triangles over one accessor of positions in one place and one look."""
 
     position: int
-    placement: geometry.Placement
+    placement: Placement
     look: int
     # Triangles, the texture coordinates of their corners, and the number of their texture.
     drawn: list[tuple[Int64s, Float64s, int]] = field(default_factory=list)
@@ -69,9 +79,9 @@ class _SurfaceReading:
         self._seen: set[Hashable] = set()
         self._decoded: dict[int, Float64s] = {}
 
-    def take(self, primitive: Entry, placement: geometry.Placement) -> None:
+    def take(self, primitive: Entry, placement: Placement) -> None:
         """Take one primitive: its triangles where they stand first, with all textures that they can have."""
-        found = geometry.textured_triangles(primitive, self.accessors, placement)
+        found = _triangles(primitive, self.accessors, placement)
         if found is None:
             return
         position, count, faces = found
@@ -96,12 +106,12 @@ class _SurfaceReading:
         """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
         parts: list[Hashable] = [
             self.accessors.identity(position),
-            geometry.drawing(primitive, self.accessors),
+            drawing_key(primitive, self.accessors),
         ]
         if use is not None:
             parts += [use.texture, use.transform]
             if use.coordinates in primitive.entry("attributes"):
-                coordinates = geometry.attribute_accessor(primitive, use.coordinates, self.accessors)
+                coordinates = attribute_accessor(primitive, use.coordinates, self.accessors)
                 parts.append(self.accessors.identity(coordinates))
         key = tuple(parts)
         repeated = key in self._seen
@@ -128,7 +138,7 @@ class _SurfaceReading:
 
     def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
         """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
-        index = geometry.fitting_accessor(primitive, use.coordinates, self.accessors, "VEC2", count)
+        index = fitting_accessor(primitive, use.coordinates, self.accessors, "VEC2", count)
         if index not in self._decoded:  # parts of one large mesh may share it
             self._decoded[index] = self.accessors.values(index)
         uv = use.placed(self._decoded[index])
@@ -149,7 +159,7 @@ class _SurfaceReading:
             rows += int(np.count_nonzero(used))
             if rows > _MOST_ROWS:
                 raise self.accessors[part.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
-            positions.append(geometry.in_world(part.placement, self.accessors, part.position, used))
+            positions.append(part.placement.positions(self.accessors, part.position, used))
             spaces.append(np.full(len(positions[-1]), space_of[part.placement.space, part.look], np.int32))
         drawn = [each for part in self.parts.values() for each in part.drawn]
         return records.TexturedSurface(
@@ -162,12 +172,24 @@ class _SurfaceReading:
         )
 
 
+def _triangles(
+    primitive: Entry, accessors: Accessors, placement: Placement
+) -> tuple[int, int, Int64s] | None:
+    """Return the accessor of positions, their number, and the triangles; None if none are drawn."""
+    if drawing_mode(primitive) < TRIANGLES or "POSITION" not in primitive.entry("attributes"):
+        return None
+    position = position_accessor(primitive, accessors)
+    count = accessors[position].count
+    faces = placement.facing(drawn_triangles(primitive, accessors, count))
+    return (position, count, faces) if len(faces) else None
+
+
 def read_textured_mesh(
     root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
 ) -> records.TexturedMesh:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
     reading = _MeshReading(accessors, _Materials(root, images), colours)
-    for mesh, placement, name in geometry.instances(root):
+    for mesh, placement, name in instances(root):
         for number, primitive in enumerate(root.entries("meshes")[mesh].entries("primitives")):
             reading.take(primitive, placement, name, (mesh, number))
     if not reading.parts:
@@ -244,13 +266,11 @@ class _MeshReading:
         self._rows = 0
         self._left_out: list[str] = []
 
-    def take(
-        self, primitive: Entry, placement: geometry.Placement, group: str, number: tuple[int, int]
-    ) -> None:
+    def take(self, primitive: Entry, placement: Placement, group: str, number: tuple[int, int]) -> None:
         attributes = primitive.entry("attributes")
-        if geometry.drawing_mode(primitive) < geometry.TRIANGLES and "POSITION" in attributes:
+        if drawing_mode(primitive) < TRIANGLES and "POSITION" in attributes:
             self._left_out.append("points and lines")
-        found = geometry.textured_triangles(primitive, self._accessors, placement)
+        found = _triangles(primitive, self._accessors, placement)
         if found is None:
             return
         index, count, faces = found
@@ -261,10 +281,18 @@ class _MeshReading:
         material = primitive.integer("material", below=last) if "material" in primitive else last
         use = self._materials.placed[material]
         self._note_others(attributes, use)
-        positions = geometry.in_world(placement, self._accessors, index)
-        uv = self._coordinates(primitive, use, count)
-        given = self._values(primitive, "NORMAL", "VEC3", count)
-        normals = np.full((count, 3), np.nan) if given is None else geometry.turned(given, placement.matrix)
+        positions = placement.positions(self._accessors, index)
+        uv = np.full((count, 2), np.nan)
+        coordinates = "TEXCOORD_0" if use is None else use.coordinates
+        if coordinates in attributes:
+            stored = self._accessors.values(
+                fitting_accessor(primitive, coordinates, self._accessors, "VEC2", count)
+            )
+            uv = usable_coordinates(stored if use is None else use.placed(stored))
+        normals = np.full((count, 3), np.nan)
+        if "NORMAL" in attributes:
+            normal = fitting_accessor(primitive, "NORMAL", self._accessors, "VEC3", count)
+            normals = placement.normals(self._accessors, normal)
         colours = self._own_colours(primitive, number, count)
         self.parts.append(_MeshPart(positions, faces, uv[faces], normals[faces], colours, material, group))
 
@@ -276,18 +304,6 @@ class _MeshReading:
             elif name not in _KNOWN and name != coordinates and not name.startswith(("JOINTS_", "WEIGHTS_")):
                 self._left_out.append(f"attribute {name}")
 
-    def _values(self, primitive: Entry, name: str, shape: str, count: int) -> Float64s | None:
-        if name not in primitive.entry("attributes"):
-            return None
-        index = geometry.fitting_accessor(primitive, name, self._accessors, shape, count)
-        return self._accessors.values(index)
-
-    def _coordinates(self, primitive: Entry, use: TextureUse | None, count: int) -> Float64s:
-        uv = self._values(primitive, "TEXCOORD_0" if use is None else use.coordinates, "VEC2", count)
-        if uv is None:
-            return np.full((count, 2), np.nan)
-        return usable_coordinates(uv if use is None else use.placed(uv))
-
     def _own_colours(self, primitive: Entry, number: tuple[int, int], count: int) -> Float32s | None:
         if number in self._colours:
             material = primitive.value.get("material", len(self._materials.materials) - 1)
@@ -297,7 +313,7 @@ class _MeshReading:
             return self._colours[number]
         if OWN_COLOURS not in primitive.entry("attributes"):
             return None
-        index = geometry.attribute_accessor(primitive, OWN_COLOURS, self._accessors)
+        index = attribute_accessor(primitive, OWN_COLOURS, self._accessors)
         colours = fractions(self._accessors.finite(index, "colour"))
         return colours if colours.shape in ((count, 3), (count, 4)) else None
 

@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import file_key, is_data, read, relative_name
-from beltrami_cli.formats.gltf.json_tree import Entry, Tree
+from beltrami_cli.formats.gltf.container import Entry, Tree
 from beltrami_cli.formats.image import format_of, label_of
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
 from beltrami_cli.formats.image.picture import FORMATS

@@ -17,9 +17,8 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import linear_colours, quantised
 from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
-from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
+from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
-from beltrami_cli.formats.gltf.json_tree import Tree
 from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, plain_name, shown_materials
 from beltrami_cli.surface.geometry import triangulate, unit_vectors
