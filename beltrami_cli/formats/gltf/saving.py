@@ -1,10 +1,14 @@
-"""The files of an edited glTF in either form, binary or text, and the names of its sidecar files.
+"""The files of an edited glTF in either form, binary or text, and where they store new images and buffers.
 
-A new image or buffer never takes the name of a file that the source uses, unless the output replaces the source.
+New images go over the old ones, to the end of the buffer, into a data URI, or into a file. A new image or buffer never
+takes the name of a file that the source uses, unless the output replaces the source.
 """
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
@@ -14,16 +18,30 @@ from beltrami_cli.formats.gltf.buffers import (
     is_data,
     located,
     named_files,
+    named_places,
+    named_views,
     read,
     relative_name,
 )
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces, revised
-from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.textures import media_type
+from beltrami_cli.formats.gltf.edit import Edit, is_unshared
+from beltrami_cli.formats.image import format_of
+from beltrami_cli.formats.image.picture import FORMATS
 from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, UnfitReferenceError, is_outside
 from beltrami_cli.surface.records import ImageFile
 
+_HELD = ("png", "jpeg", "webp", "ktx2", "avif")
+MEDIA = {suffix: f"image/{known}" for known in _HELD for suffix in FORMATS[known].suffixes}
+"""Media types of the images that glTF can hold, by suffix."""
+
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
+_PADDING = 8  # bytes that may lie between views only to align them
+
+
+def media_type(data: bytes) -> str | None:
+    """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
+    known = format_of(data, "")
+    return f"image/{known}" if known in _HELD else None
 
 
 def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Written:
@@ -201,3 +219,135 @@ def _embed_images(edit: Edit, binary: bytearray, folder: ModelFolder) -> list[st
         del image["uri"]
         image |= {"bufferView": len(views) - 1, "mimeType": kind}
     return notices
+
+
+@dataclass(frozen=True)
+class _Blob:
+    """An image for a buffer."""
+
+    data: bytes
+    view: int | None  # which it may overwrite; None: it needs its own
+    images: tuple[int, ...]  # that show it
+
+
+class ImageStorage:
+    """New images while they are collected; `finish` puts images in buffers into place together."""
+
+    def __init__(self, edit: Edit, same: Callable[[int], tuple[int, ...]]) -> None:
+        # `same` gives all images over the bytes of one.
+        self._edit, self._same = edit, same
+        self._named = Counter(named_views(edit.tree))
+        self.blobs: dict[int, list[_Blob]] = defaultdict(list)  # by the buffer that `finish` puts them into
+
+    def replace(self, image: int, file: ImageFile) -> int:
+        """Give an image and its duplicates other bytes; return its index."""
+        group = self._same(image)
+        view = self._edit.tree["images"][image].get("bufferView")
+        alone = view is not None and self._named[view] == len(group)
+        is_plain = alone and "extensions" not in self._edit.tree["bufferViews"][view]
+        self._put(group, file, view if is_plain else None)
+        return image
+
+    def add(self, image: int, file: ImageFile) -> int:
+        """Add an image that is stored as another one is; return its index."""
+        images = self._edit.tree["images"]
+        images.append(dict(images[image]))
+        self._put((len(images) - 1,), file, None)
+        return len(images) - 1
+
+    def _put(self, group: tuple[int, ...], file: ImageFile, view: int | None) -> None:
+        media = MEDIA[file.suffix.lower()]
+        for index in group:
+            image = self._edit.tree["images"][index]
+            if "bufferView" in image or "mimeType" in image:
+                image["mimeType"] = media
+        image = self._edit.tree["images"][group[0]]
+        if "bufferView" in image:
+            home = self._edit.tree["bufferViews"][image["bufferView"]]["buffer"]
+            buffer = self._edit.accessors.buffers.canonical(home)
+            self.blobs[buffer].append(_Blob(file.data, view, group))
+        elif image["uri"][:5].lower() == "data:":
+            same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
+            image["uri"] = data_uri(image["uri"] if same else f"data:{media};base64,", file.data)
+        else:
+            self._edit.images |= dict.fromkeys(group, file)
+
+    def finish(self) -> None:
+        for buffer, blobs in self.blobs.items():
+            _store(self._edit, buffer, blobs)
+
+
+def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
+    """Put images into one buffer: first where the old ones were as far as they fit, the others at the end."""
+    views, data = edit.tree["bufferViews"], edit.open(buffer)
+    # A view that only an image uses may be overwritten, if no other view shares its bytes.
+    own = {
+        blob.view: blob
+        for blob in blobs
+        if blob.view is not None and is_unshared(edit, (blob.view, None), buffer, *_span(views[blob.view]))
+    }
+    others = [span for view, span in _spans(edit, buffer) if view not in own]
+    end = _end(data, edit.tree["buffers"][buffer]["byteLength"], [_span(views[v]) for v in own], others)
+    moving = [replace(blob, view=None) for blob in blobs if blob.view not in own]
+    for view, blob in sorted(own.items(), key=lambda item: _span(views[item[0]])[0]):
+        if _span(views[view])[0] >= end or not _fitted(edit, buffer, view, blob.data, end):
+            moving.append(blob)
+    del data[end:]
+    edit.tree["buffers"][buffer]["byteLength"] = len(data)
+    for blob in moving:
+        start = edit.append(buffer, blob.data)
+        place = {"buffer": buffer, "byteOffset": start, "byteLength": len(blob.data)}
+        if blob.view is None:
+            index = edit.add_view(place)
+            for image in blob.images:
+                edit.tree["images"][image]["bufferView"] = index
+        else:
+            views[blob.view] |= place
+
+
+def _span(view: Tree) -> tuple[int, int]:
+    start = view.get("byteOffset", 0)
+    return start, start + view["byteLength"]
+
+
+def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
+    """Return which bytes of a buffer are in use, each range with its view if it is one's."""
+    canonical, tree = edit.accessors.buffers.canonical, edit.tree
+    known = len(edit.accessors.buffers)
+    same = {index for index in range(known) if canonical(index) == buffer} | {buffer}
+    spans: list[tuple[int | None, tuple[int, int]]] = []
+    lengths = [entry["byteLength"] for entry in tree["buffers"]]
+    for (index, extension), part in named_places(tree, lengths):
+        if part.buffer in same:
+            spans.append((None if extension else index, (part.offset, part.end)))
+    # Another buffer over the same file keeps its length, and so all of its bytes.
+    return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
+
+
+def _end(
+    data: bytearray, length: int, own: Sequence[tuple[int, int]], others: Sequence[tuple[int, int]]
+) -> int:
+    """Return where the bytes that must stay end: before the images to be replaced that are last in the buffer."""
+    kept = max((end for _, end in others), default=0)
+    if len(data) - length >= 4:  # more than the padding of a chunk: it may mean something
+        return len(data)
+    found, edge = len(data), length
+    for start, end in sorted(own, reverse=True):
+        if start < kept or not edge - _PADDING < end <= edge:
+            break
+        found = edge = start
+    return found
+
+
+def _fitted(edit: Edit, buffer: int, number: int, new: bytes, limit: int) -> bool:
+    """Overwrite the old image if the new one fits before what comes next; leave zeros where it is not."""
+    view, data = edit.tree["bufferViews"][number], edit.open(buffer)
+    start, end = _span(view)
+    after = min([limit, *(a for _, (a, _) in _spans(edit, buffer) if a >= end)])
+    vacant = data.count(0, end, after) == after - end  # left by an earlier image, or padding
+    fits = start + len(new) <= (after if vacant else end)
+    data[start:end] = bytes(end - start)
+    if fits:
+        data[start : start + len(new)] = new
+        view["byteLength"] = len(new)
+    return fits

@@ -24,7 +24,7 @@ from beltrami_cli.formats.gltf.accessors import (
 )
 from beltrami_cli.formats.gltf.container import Entry
 from beltrami_cli.formats.gltf.painted import Placement, instances
-from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, TextureUse, image_key, looks, texture_uses
+from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
 from beltrami_cli.formats.textured_mesh import MeshImages, SlotImages, shown_materials, usable_coordinates
@@ -36,7 +36,99 @@ _MOST_ROWS = np.iinfo(np.int32).max
 PrimitiveColours = Mapping[tuple[int, int], Float32s]
 
 _ALPHA: dict[str, records.AlphaMode] = {"MASK": "mask", "BLEND": "blend"}
+_TRANSFORM = "KHR_texture_transform"
+_VARIANTS = "KHR_materials_variants"
+_MOST_VARIANTS = 1 << 16
 _KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
+
+
+@dataclass(frozen=True)
+class TextureUse:
+    """A texture as one slot of one material uses it."""
+
+    material: str  # name, for messages
+    info: Entry  # the textureInfo
+    texture: int
+    coordinates: str  # the attribute with its texture coordinates, "TEXCOORD_0" or another
+    transform: tuple[float, float, float, float, float, float]  # u' = a u + b v + c, v' = d u + e v + f
+    alpha_hides: bool  # whether the material's alphaMode makes anything of opacity; OPAQUE does not
+
+    def placed(self, uv: Float64s) -> Float64s:
+        """Return texture coordinates, shape (n, 2), with the transform applied; overflow gives infinity."""
+        a, b, c, d, e, f = self.transform
+        with np.errstate(over="ignore", invalid="ignore"):
+            moved: Float64s = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
+        return moved
+
+
+def present_slots(root: Entry) -> tuple[Slot, ...]:
+    """Return the slots for which some material has a texture, the base colour first."""
+    materials = root.entries("materials")
+    return tuple(slot for slot in SLOT_PATHS if any(_infos(material, slot) for material in materials))
+
+
+def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
+    """Return the images of each material in a slot: none, one, or several alternatives."""
+    count = len(root.entries("textures"))
+    found: list[list[TextureUse]] = []
+    for index, material in enumerate(root.entries("materials")):
+        name = material.text("name") or f"material {index}"
+        hides = material.text("alphaMode") in ("MASK", "BLEND")
+        found.append([_use(name, info, count, hides) for info in _infos(material, slot)])
+    return found
+
+
+def looks(primitive: Entry, materials: Sequence[Sequence[TextureUse]]) -> list[tuple[int, TextureUse | None]]:
+    """Return how a primitive can be shown, as (look, use); primitives show the same look at the same time."""
+    # Look 0 is what viewers show by default; then an extension's material in place of the core one, and variants.
+    default = _of_material(primitive, materials)
+    found: list[tuple[int, TextureUse | None]] = [(0, default[0] if default else None)]
+    found += [(1, use) for use in default[1:]]
+    for mapping in primitive.entry("extensions").entry(_VARIANTS).entries("mappings"):
+        chosen = _of_material(mapping, materials)[:1]
+        variants = mapping.integers("variants", below=_MOST_VARIANTS)
+        found += [(2 + variant, use) for variant in variants for use in chosen]
+    return found
+
+
+def _infos(material: Entry, slot: Slot) -> list[Entry]:
+    """Return the textureInfos that a material has for a slot, that of core glTF first."""
+    found = []
+    for *parents, last in SLOT_PATHS[slot]:
+        holder = material
+        for key in parents:
+            holder = holder.entry(key)
+        if last in holder:
+            found.append(holder.entry(last))
+    return found
+
+
+def _of_material(holder: Entry, materials: Sequence[Sequence[TextureUse]]) -> Sequence[TextureUse]:
+    return materials[holder.integer("material", below=len(materials))] if "material" in holder else ()
+
+
+def _use(name: str, info: Entry, count: int, alpha_hides: bool) -> TextureUse:
+    transform = info.entry("extensions").entry(_TRANSFORM)
+    owner = transform if "texCoord" in transform else info
+    return TextureUse(
+        material=name,
+        info=info,
+        texture=info.integer("index", below=count),
+        coordinates=f"TEXCOORD_{owner.integer('texCoord', default=0)}",
+        transform=_affine(transform),
+        alpha_hides=alpha_hides,
+    )
+
+
+def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]:
+    """Return scale, then rotation, then offset."""
+    # The rotation is counter-clockwise as seen in the image, where v points down; the specification's text and
+    # examples mean that, though its GLSL turns the other way when read column by column.
+    x, y = transform.numbers("offset", 2) or (0.0, 0.0)
+    width, height = transform.numbers("scale", 2) or (1.0, 1.0)
+    angle = transform.number("rotation", default=0.0)
+    cosine, sine = float(np.cos(angle)), float(np.sin(angle))
+    return cosine * width, sine * height, x, -sine * width, cosine * height, y
 
 
 def gather_textured(
@@ -188,60 +280,13 @@ def read_textured_mesh(
     root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
 ) -> records.TexturedMesh:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
-    reading = _MeshReading(accessors, _Materials(root, images), colours)
+    reading = _MeshReading(root, accessors, images, colours)
     for mesh, placement, name in instances(root):
         for number, primitive in enumerate(root.entries("meshes")[mesh].entries("primitives")):
             reading.take(primitive, placement, name, (mesh, number))
     if not reading.parts:
         raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
     return reading.mesh(stored, source)
-
-
-class _Materials:
-    """The materials of a file, and the images that they show."""
-
-    def __init__(self, root: Entry, images: Images) -> None:
-        self.images, self.shown = images, MeshImages()
-        self.left_out: list[str] = []
-        uses = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
-        entries = root.entries("materials")
-        self.placed: list[TextureUse | None] = []
-        self.materials = [
-            self._material(entry, {slot: uses[slot][index][0] for slot in SLOT_PATHS if uses[slot][index]})
-            for index, entry in enumerate(entries)
-        ]
-        self.materials.append(records.Material(metalness=1.0))
-        self.placed.append(None)
-
-    def _material(self, entry: Entry, uses: Mapping[Slot, TextureUse]) -> records.Material:
-        maps: dict[Slot, records.MaterialMap] = {}
-        first: TextureUse | None = None
-        for slot, use in uses.items():
-            if first is not None and (use.coordinates, use.transform) != (first.coordinates, first.transform):
-                self.left_out.append(f"{slot} maps with texture coordinates of their own")
-                continue
-            try:
-                image = self.images.canonical(self.images.shown(use.texture))
-                name, read = self.images.name(image), partial(self.images.data, image)
-                number = self.shown.take(image_key(image), name, read)
-                maps[slot] = records.MaterialMap(number, self.images.wrap(use.texture))
-                first = first or use
-            except UnfitReferenceError as error:
-                self.left_out.append(f"a {slot} image, which {error}")
-        self.placed.append(first)
-        base = entry.entry("pbrMetallicRoughness")
-        factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
-        self.left_out += entry.entry("extensions").value
-        return records.Material(
-            name=entry.text("name") or "",
-            maps=maps,
-            colour=display_colour(factor[:3]),
-            emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
-            opacity=min(max(factor[3], 0.0), 1.0),
-            metalness=base.number("metallicFactor", default=1.0),
-            roughness=base.number("roughnessFactor", default=1.0),
-            alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
-        )
 
 
 @dataclass(frozen=True)
@@ -258,13 +303,52 @@ class _MeshPart:
 
 
 class _MeshReading:
-    """Parts while primitives are being taken one by one."""
+    """The materials of a file, and parts while primitives are being taken one by one."""
 
-    def __init__(self, accessors: Accessors, materials: _Materials, colours: PrimitiveColours) -> None:
-        self._accessors, self._materials, self._colours = accessors, materials, colours
+    def __init__(self, root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours) -> None:
+        self._accessors, self._images, self._colours = accessors, images, colours
         self.parts: list[_MeshPart] = []
         self._rows = 0
         self._left_out: list[str] = []
+        self._shown = MeshImages()
+        self._placed: list[TextureUse | None] = []  # by material, how its maps are placed
+        uses = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
+        self._materials = [
+            self._material(entry, {slot: uses[slot][index][0] for slot in SLOT_PATHS if uses[slot][index]})
+            for index, entry in enumerate(root.entries("materials"))
+        ]
+        self._materials.append(records.Material(metalness=1.0))
+        self._placed.append(None)
+
+    def _material(self, entry: Entry, uses: Mapping[Slot, TextureUse]) -> records.Material:
+        maps: dict[Slot, records.MaterialMap] = {}
+        first: TextureUse | None = None
+        for slot, use in uses.items():
+            if first is not None and (use.coordinates, use.transform) != (first.coordinates, first.transform):
+                self._left_out.append(f"{slot} maps with texture coordinates of their own")
+                continue
+            try:
+                image = self._images.canonical(self._images.shown(use.texture))
+                name, read = self._images.name(image), partial(self._images.data, image)
+                number = self._shown.take(image_key(image), name, read)
+                maps[slot] = records.MaterialMap(number, self._images.wrap(use.texture))
+                first = first or use
+            except UnfitReferenceError as error:
+                self._left_out.append(f"a {slot} image, which {error}")
+        self._placed.append(first)
+        base = entry.entry("pbrMetallicRoughness")
+        factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
+        self._left_out += entry.entry("extensions").value
+        return records.Material(
+            name=entry.text("name") or "",
+            maps=maps,
+            colour=display_colour(factor[:3]),
+            emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
+            opacity=min(max(factor[3], 0.0), 1.0),
+            metalness=base.number("metallicFactor", default=1.0),
+            roughness=base.number("roughnessFactor", default=1.0),
+            alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
+        )
 
     def take(self, primitive: Entry, placement: Placement, group: str, number: tuple[int, int]) -> None:
         attributes = primitive.entry("attributes")
@@ -277,9 +361,9 @@ class _MeshReading:
         self._rows += count
         if self._rows > _MOST_ROWS:
             raise self._accessors[index].entry.fault("", f"more than {_MOST_ROWS} vertices")
-        last = len(self._materials.materials) - 1
+        last = len(self._materials) - 1
         material = primitive.integer("material", below=last) if "material" in primitive else last
-        use = self._materials.placed[material]
+        use = self._placed[material]
         self._note_others(attributes, use)
         positions = placement.positions(self._accessors, index)
         uv = np.full((count, 2), np.nan)
@@ -306,9 +390,9 @@ class _MeshReading:
 
     def _own_colours(self, primitive: Entry, number: tuple[int, int], count: int) -> Float32s | None:
         if number in self._colours:
-            material = primitive.value.get("material", len(self._materials.materials) - 1)
+            material = primitive.value.get("material", len(self._materials) - 1)
             is_white = (self._colours[number][:, :3] == 1).all()
-            if "baseColor" in self._materials.materials[material].maps and not is_white:
+            if "baseColor" in self._materials[material].maps and not is_white:
                 self._left_out.append("the tint of textures by their vertex colours")
             return self._colours[number]
         if OWN_COLOURS not in primitive.entry("attributes"):
@@ -325,20 +409,20 @@ class _MeshReading:
         groups = tuple(dict.fromkeys(part.group for part in self.parts))
         group_of = np.repeat([groups.index(part.group) for part in self.parts], counts)
         numbers = np.repeat([part.material for part in self.parts], counts)
-        materials, material_of = shown_materials(self._materials.materials, numbers)
+        materials, material_of = shown_materials(self._materials, numbers)
         return records.TexturedMesh(
             positions=np.concatenate([part.positions for part in self.parts]),
             faces=np.concatenate([part.faces + start for part, start in placed]).astype(np.int32),
             uv=np.concatenate([part.uv for part in self.parts]),
             materials=materials,
-            images=tuple(self._materials.shown.images),
+            images=tuple(self._shown.images),
             source=source,
             material_of=material_of,
             groups=groups,
             group_of=group_of.astype(np.int32),
             normals=None if np.isnan(normals).all() else normals,
             colours=self._vertex_colours(stored),
-            left_out=(*self._materials.left_out, *self._left_out),
+            left_out=tuple(self._left_out),
         )
 
     def _vertex_colours(self, stored: str) -> records.VertexColours | None:

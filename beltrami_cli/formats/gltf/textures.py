@@ -1,23 +1,31 @@
-"""The images and textures of a glTF file, and which of them the slots of materials use in which way."""
+"""The images and textures of a glTF file, and new images put in the place of old ones, in one slot and nowhere else.
+
+An image whose every use is replaced by the same new file just gets other bytes. Where it is still used by another
+slot, another texture or an extension, the new file becomes a new image, and only what belongs to the slot is
+pointed at it. Textures are treated likewise: changed if all that name them follow, copied otherwise.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Hashable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 from typing import Any
 
-import numpy as np
-
-from beltrami_cli.arrays import Float64s
+from beltrami_cli.errors import BeltramiError, OutputError
+from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import file_key, is_data, read, relative_name
-from beltrami_cli.formats.gltf.container import Entry, Tree
-from beltrami_cli.formats.image import format_of, label_of
+from beltrami_cli.formats.gltf.container import Entry, Tree, objects
+from beltrami_cli.formats.gltf.edit import Edit
+from beltrami_cli.formats.gltf.saving import MEDIA, ImageStorage, media_type
+from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
-from beltrami_cli.formats.image.picture import FORMATS
+from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
-from beltrami_cli.surface.records import Slot, Wrap
+from beltrami_cli.surface.records import ImageFile, PlannedImage, Slot, Wrap
 
 WEBP = "EXT_texture_webp"
 IMAGE_EXTENSIONS = {
@@ -44,14 +52,8 @@ SLOT_PATHS: dict[Slot, tuple[tuple[str, ...], ...]] = {
 WRAPS: dict[Wrap, int] = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 """The numbers by which samplers say what lies beyond an image."""
 
-_HELD = ("png", "jpeg", "webp", "ktx2", "avif")
-MEDIA = {suffix: f"image/{known}" for known in _HELD for suffix in FORMATS[known].suffixes}
-"""Media types of the images that glTF can hold, by suffix."""
-
 _KINDS = {number: kind for kind, number in WRAPS.items()}
-_TRANSFORM = "KHR_texture_transform"
-_VARIANTS = "KHR_materials_variants"
-_MOST_VARIANTS = 1 << 16
+_WITHOUT_TEXTURES = ("accessors", "animations", "bufferViews", "buffers", "images", "skins", "textures")
 
 
 class Images:
@@ -84,7 +86,7 @@ class Images:
         return tuple(index for index in range(len(self)) if self._canonical[index] == canonical)
 
     def name(self, index: int) -> str:
-        """Return what people know an image by: its file, or its own name."""
+        """Return the name of an image for messages: that of its file, or its own."""
         image, uri = self.entries[index], self.entries[index].text("uri")
         if uri is not None and not is_data(uri):
             try:
@@ -104,7 +106,9 @@ class Images:
                 return holder.integer("source", below=len(self))
         for extension in UNREAD:
             if extension in extensions:
-                raise UnfitReferenceError(f"is a {kind_of(extension)} image ({extension}), which is not read")
+                raise UnfitReferenceError(
+                    f"is a {_kind_of(extension)} image ({extension}), which is not read"
+                )
         raise UnfitReferenceError("has no image")
 
     def wrap(self, texture: int) -> tuple[Wrap, Wrap]:
@@ -149,18 +153,12 @@ def image_key(image: int) -> str:
     return f"image {image}"
 
 
-def media_type(data: bytes) -> str | None:
-    """Return the media type that the first bytes of an image show, if it is one that glTF knows."""
-    known = format_of(data, "")
-    return f"image/{known}" if known in _HELD else None
-
-
-def kind_of(extension: str) -> str:
-    """Return what users call the images of an extension."""
+def _kind_of(extension: str) -> str:
+    """Return the common name of the image type of an extension."""
     return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
 
 
-def named_images(texture: Tree) -> set[int]:
+def _named_images(texture: Tree) -> set[int]:
     """Return all images that a texture of the JSON names, shown or not."""
     extensions = texture.get("extensions")
     holders = [texture, *(extensions.values() if isinstance(extensions, dict) else ())]
@@ -168,19 +166,16 @@ def named_images(texture: Tree) -> set[int]:
     return {index for index in found if isinstance(index, int)}
 
 
-def texture_infos(value: Any, place: str) -> Iterator[tuple[str, Tree]]:
-    """Find the textureInfos in a part of the JSON, with their places."""
-    yield from _below(value, place, is_texture=_names_texture(place))
-
-
-def _below(value: Any, place: str, *, is_texture: bool) -> Iterator[tuple[str, Tree]]:
+def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> Iterator[tuple[str, Tree]]:
+    """Find the textureInfos in a part of the JSON, with their places; `is_texture` if not as its place says."""
+    is_texture = _names_texture(place) if is_texture is None else is_texture
     if isinstance(value, list):
         for index, child in enumerate(value):
-            yield from _below(child, f"{place}[{index}]", is_texture=is_texture)
+            yield from texture_infos(child, f"{place}[{index}]", is_texture=is_texture)
     elif isinstance(value, dict):
         for key, child in list(value.items()):
             known = key != "extras" and (is_texture or _names_texture(key))
-            yield from _below(child, f"{place}.{key}", is_texture=known)
+            yield from texture_infos(child, f"{place}.{key}", is_texture=known)
         if is_texture and isinstance(value.get("index"), int):
             yield place, value
 
@@ -192,89 +187,215 @@ def _names_texture(name: str) -> bool:
 
 
 @dataclass(frozen=True)
-class TextureUse:
-    """A texture as one slot of one material uses it."""
+class _Change:
+    """A texture that is to show a new file in place of an image."""
 
-    material: str  # name, for messages
-    info: Entry  # the textureInfo
     texture: int
-    coordinates: str  # the attribute with its texture coordinates, "TEXCOORD_0" or another
-    transform: tuple[float, float, float, float, float, float]  # u' = a u + b v + c, v' = d u + e v + f
-    alpha_hides: bool  # whether the material's alphaMode makes anything of opacity; OPAQUE does not
-
-    def placed(self, uv: Float64s) -> Float64s:
-        """Return texture coordinates, shape (n, 2), with the transform applied; overflow gives infinity."""
-        a, b, c, d, e, f = self.transform
-        with np.errstate(over="ignore", invalid="ignore"):
-            moved: Float64s = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
-        return moved
+    image: int
+    file: ImageFile
 
 
-def present_slots(root: Entry) -> tuple[Slot, ...]:
-    """Return the slots for which some material has a texture, the base colour first."""
-    materials = root.entries("materials")
-    return tuple(slot for slot in SLOT_PATHS if any(_infos(material, slot) for material in materials))
+def repaint(edit: Edit, images: Images, new: NewImages) -> ImageStorage:
+    """Show new images, as for `Document.patch`, and return what stores them; ValueError if a slot lacks an image."""
+    repainting, wanted = _Repainting(edit, images), _wanted(edit, images, new)
+    if wanted:
+        repainting.show(wanted)
+    return repainting.storage
 
 
-def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
-    """Return the images of each material in a slot: none, one, or several alternatives."""
-    count = len(root.entries("textures"))
-    found: list[list[TextureUse]] = []
-    for index, material in enumerate(root.entries("materials")):
-        name = material.text("name") or f"material {index}"
-        hides = material.text("alphaMode") in ("MASK", "BLEND")
-        found.append([_use(name, info, count, hides) for info in _infos(material, slot)])
-    return found
+def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int], ImageFile]:
+    """Return the files that differ from the present ones, by slot and image."""
+    indices = {image_key(index): index for index in range(len(images))}
+    wanted = {}
+    for (slot, key), file in new.items():
+        if key not in indices or images.canonical(indices[key]) != indices[key]:
+            raise ValueError(f"there is no image called {key!r}")
+        if file.suffix.lower() not in MEDIA:
+            cause = f"glTF cannot hold {file.suffix} textures ({images.name(indices[key])})"
+            remedy = "choose PNG, JPEG, WebP, KTX2 or AVIF with --texture-format"
+            raise OutputError(edit.container.name, cause, remedy)
+        if file.data != images.data(indices[key]):
+            wanted[slot, indices[key]] = file
+    return wanted
 
 
-def looks(primitive: Entry, materials: Sequence[Sequence[TextureUse]]) -> list[tuple[int, TextureUse | None]]:
-    """Return how a primitive can be shown, as (look, use); primitives show the same look at the same time."""
-    # Look 0 is what viewers show by default; then an extension's material in place of the core one, and variants.
-    default = _of_material(primitive, materials)
-    found: list[tuple[int, TextureUse | None]] = [(0, default[0] if default else None)]
-    found += [(1, use) for use in default[1:]]
-    for mapping in primitive.entry("extensions").entry(_VARIANTS).entries("mappings"):
-        chosen = _of_material(mapping, materials)[:1]
-        variants = mapping.integers("variants", below=_MOST_VARIANTS)
-        found += [(2 + variant, use) for variant in variants for use in chosen]
-    return found
+class _Repainting:
+    """Changes of the textures in the tree of an edit, whose new images go into a storage."""
+
+    def __init__(self, edit: Edit, images: Images) -> None:
+        self.edit, self.tree, self.images = edit, edit.tree, images
+        self.storage = ImageStorage(edit, images.same)
+        self._renewed: dict[tuple[int, ImageFile], int | None] = {}
+
+    def show(self, wanted: Mapping[tuple[Slot, int], ImageFile]) -> None:
+        """Show new files in place of images in slots."""
+        before = self._extensions()
+        changes: dict[int, list[_Change]] = defaultdict(list)
+        for change in self._changes(wanted):
+            changes[change.image].append(change)
+        for image, members in changes.items():
+            files = list(dict.fromkeys(change.file for change in members))
+            free = not self._is_used_elsewhere(image, {change.texture for change in members})
+            targets = {}
+            for number, file in enumerate(files):
+                put = self.storage.replace if free and not number else self.storage.add
+                targets[file] = put(image, file)
+            for change in members:
+                together = {each.texture for each in members if each.file == change.file}
+                self._point(change, targets[change.file], self._renew(change, together))
+        self._declare(before)
+
+    def _changes(self, wanted: Mapping[tuple[Slot, int], ImageFile]) -> list[_Change]:
+        """Decide which textures show the new files; copy textures with other users, and point infos at the copies."""
+        users: dict[int, list[tuple[Tree, ImageFile | None]]] = defaultdict(list)
+        shown: dict[int, int] = {}
+        for index in range(len(self.images.textures)):
+            with suppress(UnfitReferenceError):
+                shown[index] = self.images.canonical(self.images.shown(index))
+        for info, slot in _infos(self.tree):
+            image = shown.get(info["index"])
+            file = None if slot is None or image is None else wanted.get((slot, image))
+            users[info["index"]].append((info, file))
+        changes = []
+        for texture, uses in users.items():
+            files = list(dict.fromkeys(file for _, file in uses if file is not None))
+            free = all(file is not None for _, file in uses)
+            for number, file in enumerate(files):
+                index = texture
+                if number or not free:
+                    index = len(self.tree["textures"])
+                    self.tree["textures"].append(dict(self.tree["textures"][texture]))
+                    for info in (info for info, new in uses if new == file):
+                        info["index"] = index
+                changes.append(_Change(index, shown[texture], file))
+        if {(change.image, change.file) for change in changes} != {(i, f) for (_, i), f in wanted.items()}:
+            raise ValueError("an image is not used in the slot that it was handed back for")
+        return changes
+
+    def _is_used_elsewhere(self, image: int, changing: set[int]) -> bool:
+        """Whether something else needs an image as it was: another texture, or an image-based light."""
+        group = set(self.images.same(image))
+        textures = enumerate(self.tree["textures"])
+        if any(_named_images(texture) & group for index, texture in textures if index not in changing):
+            return True
+        lights = self.tree.get("extensions", {}).get("EXT_lights_image_based", {})
+        stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
+        while stack:
+            value = stack.pop()
+            if isinstance(value, list):
+                stack += value
+            elif value in group:
+                return True
+        return False
+
+    def _renew(self, change: _Change, together: set[int]) -> dict[str, int]:
+        """Give the new colours to the images of a texture for other viewers; return them by extension, "" for plain."""
+        texture = self.tree["textures"][change.texture]
+        if change.file.is_chosen:
+            return {}
+        extensions = texture.get("extensions", {})
+        holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
+        found: dict[str, int] = {}
+        for name, holder in holders.items():
+            index = holder.get("source")
+            if index is None or index >= len(self.images) or self.images.canonical(index) == change.image:
+                continue
+            other = self.images.canonical(index)
+            if (other, change.file) not in self._renewed:
+                file = _recoloured(self.images, other, change.file)
+                put = self.storage.add if self._is_used_elsewhere(other, together) else self.storage.replace
+                self._renewed[other, change.file] = None if file is None else put(other, file)
+                self.edit.notices += () if file is None else file.notices
+            new = self._renewed[other, change.file]
+            found |= {} if new is None else {name: new}
+        return found
+
+    def _point(self, change: _Change, image: int, renewed: Mapping[str, int]) -> None:
+        """Make a texture show another image, in the way that its type asks for."""
+        texture = self.tree["textures"][change.texture]
+        extensions = dict(texture.get("extensions", {}))
+        media = MEDIA[change.file.suffix.lower()]
+        own = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), None)
+        was_plain = media_type(self.images.data(change.image)) == media and own not in extensions
+        # Of several descriptions of the same image, the texture keeps the one that it names.
+        holders = [*(extensions.get(name, {}) for name in IMAGE_EXTENSIONS), texture]
+        named = [source for holder in holders if (source := holder.get("source")) is not None]
+        same = (i for i in named if i < len(self.images) and self.images.canonical(i) == image)
+        image = int(next(same, image))
+        present = [name for name in IMAGE_EXTENSIONS if name in extensions]
+        shown = WEBP if WEBP in present or "source" in texture else next(iter(present), None)
+        for extension in present:
+            if extension in renewed:
+                extensions[extension] = extensions[extension] | {"source": renewed[extension]}
+            elif extension != own:
+                del extensions[extension]
+            if extension not in (own, shown, *renewed):
+                lost = f"textures[{change.texture}] loses its {_kind_of(extension)} image ({extension})"
+                self.edit.notices.append(f"{lost}, which would show the old colours.")
+        if own is None or was_plain:
+            texture["source"] = image
+        elif own == WEBP and WEBP in extensions:
+            extensions[own] = extensions[own] | {"source": image}
+            if "" in renewed:
+                texture["source"] = renewed[""]
+            elif "source" in texture:
+                kept = f"textures[{change.texture}] keeps its fallback"
+                self.edit.notices.append(f"{kept} for viewers without WebP as it was.")
+        else:
+            extensions[own] = extensions.get(own, {}) | {"source": image}
+            texture.pop("source", None)
+        texture["extensions"] = extensions
+        if not extensions:
+            del texture["extensions"]
+
+    def _extensions(self) -> set[str]:
+        textures = objects(self.tree.get("textures"))
+        used = {name for texture in textures for name in texture.get("extensions", {})}
+        return used & IMAGE_EXTENSIONS.keys()
+
+    def _declare(self, before: set[str]) -> None:
+        """Update the lists of extensions that are used and required; `before` are the former ones for images."""
+        after = self._extensions()
+        known = {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
+        for extension in sorted(after & known):
+            holders = [t for t in objects(self.tree["textures"]) if extension in t.get("extensions", {})]
+            is_required = any("source" not in texture for texture in holders)
+            for key in ("extensionsUsed", *(["extensionsRequired"] if is_required else [])):
+                if extension not in self.tree.setdefault(key, []):
+                    self.tree[key].append(extension)
+        for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
+            kept = [name for name in self.tree.get(key, []) if name not in before - after]
+            self.tree[key] = kept
+            if not kept:
+                del self.tree[key]
 
 
-def _infos(material: Entry, slot: Slot) -> list[Entry]:
-    """Return the textureInfos that a material has for a slot, that of core glTF first."""
-    found = []
-    for *parents, last in SLOT_PATHS[slot]:
-        holder = material
-        for key in parents:
-            holder = holder.entry(key)
-        if last in holder:
-            found.append(holder.entry(last))
-    return found
+def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
+    """Find all textureInfos, also in extensions, each with the slot that it belongs to if any."""
+    slots: dict[int, Slot] = {}
+    for material in objects(tree.get("materials")):
+        for slot, paths in SLOT_PATHS.items():
+            for path in paths:
+                holder: Any = material
+                for key in path:
+                    holder = holder.get(key) if isinstance(holder, dict) else None
+                slots[id(holder)] = slot
+    for key, value in tree.items():
+        if key not in _WITHOUT_TEXTURES:
+            for _, info in texture_infos(value, key):
+                yield info, slots.get(id(info))
 
 
-def _of_material(holder: Entry, materials: Sequence[Sequence[TextureUse]]) -> Sequence[TextureUse]:
-    return materials[holder.integer("material", below=len(materials))] if "material" in holder else ()
-
-
-def _use(name: str, info: Entry, count: int, alpha_hides: bool) -> TextureUse:
-    transform = info.entry("extensions").entry(_TRANSFORM)
-    owner = transform if "texCoord" in transform else info
-    return TextureUse(
-        material=name,
-        info=info,
-        texture=info.integer("index", below=count),
-        coordinates=f"TEXCOORD_{owner.integer('texCoord', default=0)}",
-        transform=_affine(transform),
-        alpha_hides=alpha_hides,
-    )
-
-
-def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]:
-    """Return scale, then rotation, then offset."""
-    # The rotation is counter-clockwise as seen in the image, where v points down; the specification's text and
-    # examples mean that, though its GLSL turns the other way when read column by column.
-    x, y = transform.numbers("offset", 2) or (0.0, 0.0)
-    width, height = transform.numbers("scale", 2) or (1.0, 1.0)
-    angle = transform.number("rotation", default=0.0)
-    cosine, sine = float(np.cos(angle)), float(np.sin(angle))
-    return cosine * width, sine * height, x, -sine * width, cosine * height, y
+def _recoloured(images: Images, image: int, shown: ImageFile) -> ImageFile | None:
+    """Return an image of a texture in its own type with the colours of the new one; None if that cannot be."""
+    name = images.name(image)
+    if isinstance(shown, PlannedImage):
+        return replace(shown, suffix=suffix_for(images.data(image), name) or shown.suffix)
+    try:
+        old, new = read_image(images.data(image), name), read_image(shown.data, name)
+        same_layout = old.pixels.dtype == new.pixels.dtype and old.pixels.shape[:2] == new.pixels.shape[:2]
+        if not same_layout or len(old.channels) > len(new.channels) or old.colour != new.colour:
+            return None
+        return write_image(old, new.pixels[..., : len(old.channels)])
+    except (BeltramiError, UnfitReferenceError):
+        return None

@@ -19,7 +19,8 @@ from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.gltf.accessors import COMPONENTS, Stored, padded_elements
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tree, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
-from beltrami_cli.formats.gltf.textures import MEDIA, SLOT_PATHS, WRAPS
+from beltrami_cli.formats.gltf.saving import MEDIA
+from beltrami_cli.formats.gltf.textures import SLOT_PATHS, WRAPS
 from beltrami_cli.formats.textured_mesh import image_names, plain_name, shown_materials
 from beltrami_cli.surface.geometry import triangulate, unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
