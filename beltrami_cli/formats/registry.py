@@ -135,7 +135,7 @@ _is_image = _asks("image.picture.is_image")
 # The first line whose mark a file has is taken; only then the names count.
 FORMATS = (
     Format("image", _is_image, "document", "ImageDocument", kind="image"),
-    Format("volume", _asks("volume.arrays.is_volume", *_VOLUMES), "volume.arrays", "read_volume", kind="volume"),
+    Format("volume", _asks("volume.is_volume", *_VOLUMES), "volume", "read_volume", kind="volume"),
     _textured("ply", _starts(rb"ply[\n\r \t]"), "ply.PlyDocument", textured_sidecars=".*", slots=("baseColor",)),
     _textured(
         "obj", _BY_NAME, "obj.ObjDocument", textured_sidecars=".mtl .*",

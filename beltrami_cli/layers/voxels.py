@@ -14,8 +14,7 @@ from beltrami_cli.formats.colours import full_scale, integer_scale
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import open_bytes
-from beltrami_cli.formats.volume.arrays import read_colours, read_volume
-from beltrami_cli.formats.volume.nrrd import require_package
+from beltrami_cli.formats.volume import read_colours, read_volume, require_package
 from beltrami_cli.layers.settings import Inside, LevelSetSettings
 from beltrami_cli.surface import level_set
 from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices

@@ -21,7 +21,7 @@ from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
 from beltrami_cli.formats.usd.layers import Package
-from beltrami_cli.formats.volume.arrays import is_volume, read_volume
+from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.surface.records import ImageFile
 from fuzz.data_targets import read_configuration, read_manifest, read_record, read_report
 

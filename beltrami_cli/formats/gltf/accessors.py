@@ -20,7 +20,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.buffers import Buffers, View, read_views
 from beltrami_cli.formats.gltf.container import Entry
-from beltrami_cli.surface.polygons import unrolled
+from beltrami_cli.surface.geometry import unrolled
 from beltrami_cli.surface.records import require_finite
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

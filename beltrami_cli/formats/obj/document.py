@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
-import os
-import posixpath
 from collections.abc import Sequence
 from functools import cached_property, partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -21,28 +19,27 @@ from beltrami_cli.formats.document import (
     Document,
     Fingerprint,
     Naming,
-    NewImages,
     PlannedImages,
     Written,
 )
-from beltrami_cli.formats.model_folder import ModelFolder, NewFiles, is_outside, new_reference, path_inside
-from beltrami_cli.formats.obj.materials import Library, Map, Materials
-from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.obj.texturing import (
-    Coordinates,
-    gather_textured,
-    read_coordinates,
-    read_textured_mesh,
-)
-from beltrami_cli.formats.obj.vertices import (
+from beltrami_cli.formats.model_folder import ModelFolder
+from beltrami_cli.formats.obj.materials import Materials, repainted
+from beltrami_cli.formats.obj.statements import (
     Scan,
+    Statements,
     among,
     new_positions,
     read_normals,
     repainted_entries,
     scan_file,
 )
-from beltrami_cli.formats.textured_mesh import POLYGONS_CUT, common_suffix, new_files, slots_by_path
+from beltrami_cli.formats.obj.texturing import (
+    Coordinates,
+    gather_textured,
+    read_coordinates,
+    read_textured_mesh,
+)
+from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import (
     PLACEHOLDER,
     Spans,
@@ -100,7 +97,7 @@ class ObjDocument(Document):
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places
-        sidecars, spans = _repainted(self._materials, new.images, self.name, naming)
+        sidecars, spans = repainted(self._materials, new.images, self.name, naming)
         data = exchange_spans(self.data, spans)
         known, paint = self._scan.vertices, self._scan.polypaint
         starts, ends = (shifted(tokens, spans) for tokens in (known.token_starts, known.token_ends))
@@ -120,7 +117,7 @@ class ObjDocument(Document):
         return dataclasses.replace(sidecars, main=main, notices=(*sidecars.notices, *notices))
 
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
-        return _repainted(self._materials, images, self.name, naming)[0].sidecar_names
+        return repainted(self._materials, images, self.name, naming)[0].sidecar_names
 
     def require_movable(self) -> None:
         """Check nothing: any number can be exchanged in a text."""
@@ -245,83 +242,3 @@ def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Ma
             if path is not None and not tiles:
                 paintings[label] = Texture(path, found.name, partial(materials.folder.content, path))
     return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)
-
-
-def _repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
-    """Return the sidecar files of an OBJ file, and the new names in it."""
-    missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
-    names = NewFiles(naming, source, materials.paths, missing)
-    edits = _take_images(materials, images, names)
-    _take_others(materials, names, edits)
-    spans: Spans = {}
-    for library in materials.libraries:
-        own = edits.get(library.path, {})
-        outside = is_outside(library.path)
-        is_new = bool(own) and (outside or exchange_spans(library.data, own) != library.data)
-        if not is_new and (outside or not names.copies):
-            for name, _, _ in library.mentions if outside else ():
-                names.leave(name)
-            continue
-        new = names.other(library.path, ".mtl")
-        for name, start, end in library.mentions:
-            spans[start, end] = new_reference(name, library.path, new)
-        if is_new:
-            names.sidecars[new] = exchange_spans(library.data, own)
-        else:
-            names.copied[new] = library.path
-    return names.written(), spans
-
-
-def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
-    """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
-    edits: dict[str, Spans] = {}
-    for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
-        # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
-        maps = [each for slot in slots for each in materials.affected(slot, path)]
-        affected = list({id(found): (library, found) for library, found in maps}.values())
-        # Its name is free only if no map that keeps the old image has it.
-        is_replaced = len(affected) == materials.uses(path)
-        suffix = common_suffix(image.suffix for _, image in files)
-        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
-        new_of = new_files(path, new, materials.folder.tiles)
-        names.sidecars |= {new_of.pop(file): image.content for file, image in files}
-        names.copied |= {file: old for old, file in new_of.items() if file != old}
-        for library, found in affected:
-            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
-    return edits
-
-
-def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
-    """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
-    tiles, new_of = materials.folder.tiles, dict[str, str]()
-    for library in materials.libraries:
-        comes_inside = is_outside(library.path)
-        if not edits.get(library.path) if comes_inside else not names.copies:
-            continue
-        own = edits.setdefault(library.path, {})
-        for found, path in library.maps:
-            if path is None or (found.start, found.end) in own:
-                continue
-            if is_outside(path) and not comes_inside:
-                names.leave(found.name)
-                continue
-            if path not in new_of:
-                moves = is_outside(path) or names.copies
-                new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
-                for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
-                    if is_outside(old):
-                        names.sidecars[new] = materials.folder.content(old)
-                    else:
-                        names.copied[new] = old
-            own[found.start, found.end] = _spelled(found, path, new_of[path], library)
-
-
-def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
-    """Return how a library names an image that was at one path and is to be at another."""
-    plain = PurePosixPath(found.name.replace("\\", "/"))
-    leads_there = posixpath.normpath(PurePosixPath(library.path).parent / plain) == path
-    is_plain = leads_there and ".." not in plain.parts
-    if is_outside(path) or is_outside(library.path) or not (is_plain or new == path):
-        home = PurePosixPath(path_inside(library.path)).parent
-        return os.fsencode("../" * len(home.parts) + new)
-    return new_reference(found.name, path, new)

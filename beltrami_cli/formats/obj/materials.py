@@ -1,4 +1,4 @@
-"""The materials of an OBJ file: its libraries (MTL), their texture maps, and the files that these name.
+"""The materials of an OBJ file: its libraries (MTL), their texture maps, and the files that these name; new ones.
 
 References
 ----------
@@ -8,12 +8,24 @@ References
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
-from beltrami_cli.formats import model_folder
+from beltrami_cli.formats.document import Naming, NewImages, Written
+from beltrami_cli.formats.model_folder import (
+    LEFT_ALONE,
+    ModelFolder,
+    NewFiles,
+    UnfitReferenceError,
+    is_outside,
+    new_reference,
+    path_inside,
+)
+from beltrami_cli.formats.textured_mesh import common_suffix, new_files, slots_by_path
+from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.surface.records import Slot
 
 SLOTS: dict[str, Slot] = {
@@ -115,7 +127,7 @@ class Library:
 class Materials:
     """Existing files that an OBJ file names, directly or through its materials, from its `mtllib` statements."""
 
-    def __init__(self, folder: model_folder.ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
+    def __init__(self, folder: ModelFolder, statements: Sequence[tuple[bytes, int]]) -> None:
         self.paths: list[str] = []  # of regular files inside the folder, relative to it, "/" separates
         self.notices: list[str] = []  # one sentence for each file that is missing
         self.folder = folder
@@ -185,10 +197,10 @@ class Materials:
         try:
             data = self.folder.read(path, _LARGEST + 1)
         except OSError as error:
-            self.notices.append(f"'{path}' cannot be read ({error.strerror}){model_folder.LEFT_ALONE}")
+            self.notices.append(f"'{path}' cannot be read ({error.strerror}){LEFT_ALONE}")
             data = b""
         if len(data) > _LARGEST:
-            self.notices.append(f"'{path}' has more than {_LARGEST} bytes{model_folder.LEFT_ALONE}")
+            self.notices.append(f"'{path}' has more than {_LARGEST} bytes{LEFT_ALONE}")
             data = b""
         materials, maps = read_maps(data)
         within = PurePosixPath(path).parent
@@ -201,15 +213,15 @@ class Materials:
             path, instead = self.folder.locate_alike(name, within)
             notice = f"'{name}' {instead}"
             self.notices += [notice] if instead and notice not in self.notices else []
-        except model_folder.UnfitReferenceError as error:
+        except UnfitReferenceError as error:
             if name not in self._reasons:
                 self._reasons[name] = str(error)
                 if len(self._reasons) <= _MOST_NOTICES:
-                    self.notices.append(f"'{name}' {error}{model_folder.LEFT_ALONE}")
+                    self.notices.append(f"'{name}' {error}{LEFT_ALONE}")
                 elif len(self._reasons) == _MOST_NOTICES + 1:  # a file may name a million
                     self.notices.append("Further files are missing as well.")
             return None
-        if model_folder.is_outside(path):
+        if is_outside(path):
             return path
         new = [file for file in self.folder.files(path) if file not in self._listed]
         self.paths += new
@@ -226,3 +238,83 @@ def _split(names: str) -> Iterator[tuple[int, int]]:
         at = match.end()
     for match in _WORD.finditer(names, at):
         yield match.span()
+
+
+def repainted(materials: Materials, images: NewImages, source: str, naming: Naming) -> tuple[Written, Spans]:
+    """Return the sidecar files of an OBJ file, and the new names in it."""
+    missing = [found.name for library in materials.libraries for found, path in library.maps if path is None]
+    names = NewFiles(naming, source, materials.paths, missing)
+    edits = _take_images(materials, images, names)
+    _take_others(materials, names, edits)
+    spans: Spans = {}
+    for library in materials.libraries:
+        own = edits.get(library.path, {})
+        outside = is_outside(library.path)
+        is_new = bool(own) and (outside or exchange_spans(library.data, own) != library.data)
+        if not is_new and (outside or not names.copies):
+            for name, _, _ in library.mentions if outside else ():
+                names.leave(name)
+            continue
+        new = names.other(library.path, ".mtl")
+        for name, start, end in library.mentions:
+            spans[start, end] = new_reference(name, library.path, new)
+        if is_new:
+            names.sidecars[new] = exchange_spans(library.data, own)
+        else:
+            names.copied[new] = library.path
+    return names.written(), spans
+
+
+def _take_images(materials: Materials, images: NewImages, names: NewFiles) -> dict[str, Spans]:
+    """Put new images among the sidecars, other tiles of their sets among the copies; return new names by library."""
+    edits: dict[str, Spans] = {}
+    for (path, files), slots in slots_by_path(images, lambda slot, file: materials.named(file)).items():
+        # Equal images of two slots are one file; maps of the base colour may be of other slots, too.
+        maps = [each for slot in slots for each in materials.affected(slot, path)]
+        affected = list({id(found): (library, found) for library, found in maps}.values())
+        # Its name is free only if no map that keeps the old image has it.
+        is_replaced = len(affected) == materials.uses(path)
+        suffix = common_suffix(image.suffix for _, image in files)
+        new = names.image(path, suffix, is_replaced=is_replaced, tiles=materials.folder.tiles.get(path, ()))
+        new_of = new_files(path, new, materials.folder.tiles)
+        names.sidecars |= {new_of.pop(file): image.content for file, image in files}
+        names.copied |= {file: old for old, file in new_of.items() if file != old}
+        for library, found in affected:
+            edits.setdefault(library.path, {})[found.start, found.end] = _spelled(found, path, new, library)
+    return edits
+
+
+def _take_others(materials: Materials, names: NewFiles, edits: dict[str, Spans]) -> None:
+    """Name the images that stay as they are, for libraries that are written, or copied, into another folder."""
+    tiles, new_of = materials.folder.tiles, dict[str, str]()
+    for library in materials.libraries:
+        comes_inside = is_outside(library.path)
+        if not edits.get(library.path) if comes_inside else not names.copies:
+            continue
+        own = edits.setdefault(library.path, {})
+        for found, path in library.maps:
+            if path is None or (found.start, found.end) in own:
+                continue
+            if is_outside(path) and not comes_inside:
+                names.leave(found.name)
+                continue
+            if path not in new_of:
+                moves = is_outside(path) or names.copies
+                new_of[path] = names.image(path, tiles=tiles.get(path, ())) if moves else path
+                for old, new in new_files(path, new_of[path], tiles).items() if moves else ():
+                    if is_outside(old):
+                        names.sidecars[new] = materials.folder.content(old)
+                    else:
+                        names.copied[new] = old
+            own[found.start, found.end] = _spelled(found, path, new_of[path], library)
+
+
+def _spelled(found: Map, path: str, new: str, library: Library) -> bytes:
+    """Return how a library names an image that was at one path and is to be at another."""
+    plain = PurePosixPath(found.name.replace("\\", "/"))
+    leads_there = posixpath.normpath(PurePosixPath(library.path).parent / plain) == path
+    is_plain = leads_there and ".." not in plain.parts
+    if is_outside(path) or is_outside(library.path) or not (is_plain or new == path):
+        home = PurePosixPath(path_inside(library.path)).parent
+        return os.fsencode("../" * len(home.parts) + new)
+    return new_reference(found.name, path, new)

@@ -13,8 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import ALONG, PAINTED, SLOTS, Map, Materials
-from beltrami_cli.formats.obj.statements import Statements
-from beltrami_cli.formats.obj.vertices import Scan, unit_normals
+from beltrami_cli.formats.obj.statements import Scan, Statements, unit_normals
 from beltrami_cli.surface import records, tiling
 from beltrami_cli.surface.geometry import triangulate_corners
 

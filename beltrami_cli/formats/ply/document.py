@@ -4,27 +4,60 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Sequence
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons, colours_of_vertices
-from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, PlannedImages, Written
+from beltrami_cli.formats import tokens
+from beltrami_cli.formats.colours import ColouredPolygons, colours_of_vertices, quantised
+from beltrami_cli.formats.document import (
+    Bytes,
+    Changes,
+    Document,
+    Fingerprint,
+    Naming,
+    PlannedImages,
+    Written,
+)
 from beltrami_cli.formats.model_folder import ModelFolder, is_outside
-from beltrami_cli.formats.ply import elements, patching, texturing
-from beltrami_cli.formats.ply.header import Header, read_header
-from beltrami_cli.formats.ply.tables import Table, read_tables, with_channels
+from beltrami_cli.formats.ply import elements, texturing
+from beltrami_cli.formats.ply.tables import (
+    Header,
+    Places,
+    Table,
+    indices,
+    read_header,
+    read_tables,
+    values_in_bytes,
+    with_channels,
+)
 from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
-from beltrami_cli.formats.tokens import exchange_spans
 from beltrami_cli.surface.geometry import dual
-from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh, TexturedSurface, VertexColours
+from beltrami_cli.surface.records import (
+    MeshContents,
+    MovedVertices,
+    Slot,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+    VertexColours,
+)
 
 _MEANS = "Vertices get the mean of the colours of their faces."
+
+
+@dataclasses.dataclass(frozen=True)
+class _Change:
+    """New values of one property."""
+
+    places: Places  # of the property, a scalar, in all rows
+    rows: Bools  # which rows change
+    values: Array  # their new values, in the property's type
 
 
 class PlyDocument(Document):
@@ -83,27 +116,38 @@ class PlyDocument(Document):
         return surface
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        sidecars, spans = patching.renamed_images(self._images, new.images, self.name, naming)
-        header = exchange_spans(self.data[: self._header.end], spans)
+        sidecars, spans = texturing.renamed_images(self._images, new.images, self.name, naming)
+        header = tokens.exchange_spans(self.data[: self._header.end], spans)
         changes = [] if new.colours is None else self._recoloured(new.colours)
         if new.places is not None:
-            changes += patching.moved_changes(self._vertices, self._kinds, new.places)
+            changes += self._moved(new.places)
         if any(change.rows.any() for change in changes):
-            pieces = [header, *patching.patch_body(self.data, self._header, changes)]
+            pieces = [header, *_patch_body(self.data, self._header, changes)]
         else:
             pieces = [header, memoryview(self.data)[self._header.end :]] if spans else [self.data]
         return dataclasses.replace(sidecars, main=pieces)
 
     def sidecar_names(self, images: PlannedImages, naming: Naming, **_: object) -> list[str]:
-        return patching.renamed_images(self._images, images, self.name, naming)[0].sidecar_names
+        return texturing.renamed_images(self._images, images, self.name, naming)[0].sidecar_names
 
-    def _recoloured(self, colours: Float32s) -> list[patching.Change]:
+    def _recoloured(self, colours: Float32s) -> list[_Change]:
         columns = zip(self._paint.names, self._colours.values.T, colours.T, strict=True)
         kind, scale = self._paint.type, self._scale
         return [
-            patching.Change(self._coloured.places(name), new != old, quantised(new[new != old], kind, scale))
+            _Change(self._coloured.places(name), new != old, quantised(new[new != old], kind, scale))
             for name, old, new in columns
         ]
+
+    def _moved(self, places: MovedVertices) -> list[_Change]:
+        columns = dict(zip(elements.POSITION, places.positions.T, strict=True))
+        if places.normals is not None and "normal" in elements.attribute_names(self._kinds, ()):
+            columns |= zip(elements.NORMAL, places.normals.T, strict=True)
+        changes = []
+        for name, column in columns.items():
+            rows = (column != self._vertices.scalars(name)) & ~np.isnan(column)
+            new = column[rows].astype(self._kinds[name])
+            changes.append(_Change(self._vertices.places(name), rows, new))
+        return changes
 
     def attributes(self) -> tuple[str, ...]:
         if self.has_vertex_colours() and self._paints_faces:
@@ -181,9 +225,36 @@ class PlyDocument(Document):
         }
 
     def fingerprint(self) -> Fingerprint:
-        painted = (self._paint, self._colours.values) if self.has_vertex_colours() else None
-        known = self.data, self._header, self._tables
-        return patching.take_apart(*known, painted, self._images, self._folder)
+        spans = {(each.start, each.end): tokens.PLACEHOLDER for each in self._images if each.path is not None}
+        start = self._header.end
+        parts = {"header": tokens.exchange_spans(self.data[:start], spans)}
+        hidden, size, colours = np.empty(0, np.int64), 0, {}
+        if self.has_vertex_colours():
+            places = [indices(self._coloured.places(name)) for name in self._paint.names]
+            hidden, size = np.concatenate(places), np.dtype(self._paint.type).itemsize
+            colours = {f"{self._paint.element} colours": self._colours.values}
+        starts = [table.start for table in self._tables.values()]
+        stop = [*self._tables.values()][-1].stop if self._tables else 0
+        if self._header.order:
+            body = tokens.zeroed(self.data, hidden, size)
+            bounds, end = [*starts, stop], len(self.data)
+        else:
+            text, order = self.data[start:], np.sort(hidden)
+            starts_of, ends_of = tokens.find_tokens(text)
+            body = tokens.without_tokens(text, starts_of[order], ends_of[order])
+            shorter = np.zeros(len(starts_of) + 1, np.int64)
+            shorter[order + 1] = ends_of[order] - starts_of[order] - len(tokens.PLACEHOLDER)
+            edges = np.append(starts_of - np.cumsum(shorter)[:-1], len(body))
+            bounds, end = edges[np.minimum([*starts, stop], len(edges) - 1)].tolist(), len(body)
+        for name, (first, last) in zip(self._tables, pairwise(bounds), strict=True):
+            parts[f"element {name}"] = body[first:last]
+        parts["what follows the last element"] = body[bounds[-1] : end] if self._tables else self.data[start:]
+        paintings = {
+            f"texture {number}": Texture(image.path, image.name, partial(self._folder.content, image.path))
+            for number, image in enumerate(self._images)
+            if image.path is not None
+        }
+        return Fingerprint(parts, colours, paintings)
 
     @cached_property
     def _tables(self) -> dict[str, Table]:
@@ -270,6 +341,26 @@ class PlyDocument(Document):
         largest = np.finfo(np.float32).max
         normals = elements.finite_columns(self._vertices, elements.NORMAL, "normal")
         return np.clip(normals, -largest, largest).astype(np.float32)
+
+
+def _patch_body(data: bytes, header: Header, changes: Sequence[_Change]) -> list[Bytes]:
+    """Exchange values in the body, at least one, each property once; every other byte stays. Return it in pieces."""
+    if not header.order:
+        text = data[header.end :]
+        starts, ends = tokens.find_tokens(text)
+        places = [indices(change.places)[change.rows] for change in changes]
+        both = zip(places, changes, strict=True)
+        new = [tokens.NewNumbers(starts[at], ends[at], change.values) for at, change in both]
+        return [*tokens.renumbered(text, new)]
+    patched = bytearray(data)
+    for change in changes:
+        everywhere = values_in_bytes(patched, header.order + change.values.dtype.str[1:])
+        where = change.places
+        if isinstance(where, slice):
+            everywhere[where][change.rows] = change.values
+        else:
+            everywhere[where[change.rows]] = change.values
+    return [memoryview(patched)[header.end :]]
 
 
 def _left_out(header: Header, used: Collection[str], of_faces: Collection[str] = ()) -> tuple[str, ...]:

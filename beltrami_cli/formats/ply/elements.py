@@ -19,8 +19,7 @@ import numpy as np
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
-from beltrami_cli.formats.ply.header import Header
-from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Table, plain
+from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Header, Table, plain
 from beltrami_cli.surface.geometry import unit_vectors, unrolled
 from beltrami_cli.surface.records import require_finite
 

@@ -17,9 +17,11 @@ import numpy as np
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats import model_folder
+from beltrami_cli.formats.document import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
 from beltrami_cli.formats.textured_mesh import MeshImages, alpha_mode, usable_coordinates
+from beltrami_cli.formats.tokens import Spans
 from beltrami_cli.surface import records
 from beltrami_cli.surface.geometry import triangulate_corners
 
@@ -214,6 +216,33 @@ def _face_coordinates(lists: tuple[Array, Int64s], offsets: Int64s, name: str) -
         row = int(np.searchsorted(offsets, int(np.argmin(finite)), side="right")) - 1
         raise InputError(name, f"a texture coordinate of face {row} is not finite", "repair the file")
     return values, bare
+
+
+def renamed_images(
+    comments: Sequence[TextureComment], images: NewImages, source: str, naming: Naming
+) -> tuple[Written, Spans]:
+    """Return the sidecar files of a PLY file, and new names by their place in the header."""
+    present = [comment.path for comment in comments if comment.path is not None]
+    missing = [comment.name for comment in comments if comment.path is None]
+    names = model_folder.NewFiles(naming, source, present, missing)
+    new_of: dict[str, str] = {}
+    for (_, path), image in images.items():
+        new_of[path] = names.image(path, image.suffix)
+        names.sidecars[new_of[path]] = image.data
+    for comment in comments if names.copies else ():
+        if comment.path is None or comment.path in new_of:
+            continue
+        if model_folder.is_outside(comment.path):
+            names.leave(comment.name)
+        else:
+            new_of[comment.path] = names.image(comment.path)
+            names.copied[new_of[comment.path]] = comment.path
+    spans: Spans = {}
+    for comment in comments:
+        if comment.path is not None and comment.path in new_of and new_of[comment.path] != comment.path:
+            new = model_folder.new_reference(comment.name, comment.path, new_of[comment.path])
+            spans[comment.start, comment.end] = new
+    return names.written(), spans
 
 
 def mesh_of_surface(

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.colours import display_colours, quantised
 from beltrami_cli.formats.document import Written, not_converted
-from beltrami_cli.formats.ply.header import TYPES
-from beltrami_cli.formats.ply.tables import values_in_bytes
+from beltrami_cli.formats.ply.tables import TYPES, values_in_bytes
 from beltrami_cli.formats.textured_mesh import image_names
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.records import MeshContents, TexturedMesh, VertexColours

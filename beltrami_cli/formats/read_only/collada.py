@@ -18,7 +18,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons
+from beltrami_cli.formats.colours import ColouredPolygons
 from beltrami_cli.formats.foreign_library import ForeignLibrary, serve_files
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read

@@ -10,15 +10,14 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.coloured_polygons import (
+from beltrami_cli.formats.colours import (
     ColouredPolygons,
     check_polygons,
     colours_of_vertices,
     joined,
 )
 from beltrami_cli.formats.document import Changes, Document, Naming, Written
-from beltrami_cli.formats.read_only.off import HEADER, read_off
-from beltrami_cli.formats.read_only.stl import is_binary_stl, read_stl
+from beltrami_cli.formats.read_only.off_stl import OFF_HEADER, is_binary_stl, read_off, read_stl
 from beltrami_cli.surface.records import MeshContents
 
 Kind = Literal["off", "stl", "3mf", "dae", "zae"]
@@ -37,7 +36,7 @@ def kind_of(data: bytes, name: str) -> Kind | None:
         return None
     if data[:2] == b"PK":
         return _ARCHIVES.get(suffix)
-    if HEADER.match(data):
+    if OFF_HEADER.match(data):
         return "off"
     if suffix == ".stl" and (data[:5].lower() == b"solid" or is_binary_stl(data)):
         return "stl"

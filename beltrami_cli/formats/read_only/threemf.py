@@ -23,7 +23,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.archives import Archive
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons
+from beltrami_cli.formats.colours import ColouredPolygons
 
 _TREE = 16  # times as much memory as its text takes an XML document while it is read
 

@@ -19,8 +19,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 
 from beltrami_cli.arrays import Array, Float32s, Uint8s
 from beltrami_cli.formats.tokens import Spans, exchange_spans
-from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, opened
-from beltrami_cli.formats.usd.shading import files_of
+from beltrami_cli.formats.usd.scene import NeedsLayersError, Scene, files_of, opened
 
 Change = tuple[Array, Array]  # the values of an attribute before and after
 

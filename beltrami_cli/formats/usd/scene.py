@@ -1,21 +1,27 @@
-"""The process that opens USD layers with usd-core: a scene as arrays.
+"""The process that opens USD layers with usd-core: a scene as arrays, and its materials.
 
 usd-core is not made for files that mean harm, so it runs as `python -m` of `layers` in this package, with a limit on
-memory and time, in a folder that holds nothing but the layers that may be read.
+memory and time, in a folder that holds nothing but the layers that may be read. Of materials, the images that a
+UsdPreviewSurface [1]_ or a surface of MaterialX [2]_ shows are read, and where these lie.
+
+References
+----------
+.. [1] "UsdPreviewSurface specification", version 2.6. https://openusd.org/release/spec_usdpreviewsurface.html
+.. [2] "MaterialX specification", version 1.39, and its nodes `image` and `tiledimage`. https://materialx.org
 """
 
 from __future__ import annotations
 
+import posixpath
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from beltrami_cli.arrays import Array, Float64s, Int64s
-from beltrami_cli.formats.usd.shading import INPUTS, placed, read_material
 
 _SMOOTH = ("vertex", "varying")
 _OPEN: list[Any] = []  # layers, which USD would read again without a reference
@@ -271,3 +277,176 @@ def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: Float64s) -> F
     turned = normals @ np.linalg.inv(matrix[:3, :3]).T
     lengths = np.linalg.norm(turned, axis=1, keepdims=True)
     return turned / np.where(lengths > 0, lengths, np.nan)
+
+
+# The inputs of a UsdPreviewSurface by slot; the last ones are one image's green and blue.
+INPUTS = {
+    "baseColor": ("diffuseColor",),
+    "emissive": ("emissiveColor",),
+    "normal": ("normal",),
+    "occlusion": ("occlusion",),
+    "metallicRoughness": ("roughness", "metallic"),
+}
+# Colours of MaterialX surfaces that may be an image each.
+_MTLX = {
+    "ND_standard_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
+    "ND_open_pbr_surface_surfaceshader": {"baseColor": "base_color", "emissive": "emission_color"},
+    "ND_gltf_pbr_surfaceshader": {"baseColor": "base_color", "emissive": "emissive"},
+    "ND_UsdPreviewSurface_surfaceshader": {"baseColor": "diffuseColor", "emissive": "emissiveColor"},
+}
+_MTLX_IMAGES = ("ND_image_color3", "ND_image_color4", "ND_tiledimage_color3", "ND_tiledimage_color4")
+_MTLX_READERS = {"ND_geompropvalue_vector2": "geomprop", "ND_UsdPrimvarReader_vector2": "varname"}
+_MTLX_WRAPS = {"periodic": "repeat", "mirror": "mirror"}
+_CHANNELS = {"occlusion": ("r",), "metallicRoughness": ("g", "b")}
+_WRAPS = {"repeat": "repeat", "mirror": "mirror"}  # all else shows nothing, or the border
+_NUMBERS = ("metallic", "roughness", "opacity", "opacityThreshold")
+_COLOURS = ("diffuseColor", "emissiveColor")
+_DEEPEST = 8  # transforms of texture coordinates, one after the other
+
+
+def placed(layer: str, path: str) -> str:
+    """Return where a path in a layer leads, relative to the folder of the root."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
+
+
+def read_material(material: Any) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Return the numbers of a material, and by slot the image that it shows."""
+    known: dict[str, Any] = {"name": material.GetPrim().GetName(), "values": {}, "alpha": False}
+    uses: dict[str, dict[str, Any]] = {}
+    surface = material.ComputeSurfaceSource()[0]
+    if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
+        uses = _of_materialx(material)
+        known["unread"] = not uses and bool(material.GetPrim().GetChildren())
+        return known, uses
+    for name in (*_NUMBERS, *_COLOURS):
+        sources = _sources(surface, name)
+        value = sources[0].Get() if sources and sources[0].GetTypeName() != "token" else None
+        if isinstance(value, (int, float)):
+            known["values"][name] = float(value)
+        elif value is not None and len(value) == 3:
+            known["values"][name] = [float(part) for part in value]
+    known["alpha"] = bool(_textures(surface, "opacity"))
+    for slot, inputs in INPUTS.items():
+        found = [use for name in inputs for use in _textures(surface, name)]
+        if len(found) != len(inputs) or len({use["shader"] for use in found}) != 1:
+            continue
+        if tuple(use["output"] for use in found) == _CHANNELS.get(slot, (found[0]["output"],)):
+            uses[slot] = found[0]
+    return known, uses
+
+
+def _of_materialx(material: Any) -> dict[str, dict[str, Any]]:
+    """Return by slot the image that is the colour of a surface of MaterialX."""
+    surface = material.ComputeSurfaceSource("mtlx")[0]
+    inputs = _MTLX.get(str(surface.GetIdAttr().Get()), {}) if surface else {}
+    found = {slot: _textures(surface, name) for slot, name in inputs.items()}
+    return {slot: uses[0] for slot, uses in found.items() if uses}
+
+
+def _sources(shader: Any, name: str) -> list[Any]:
+    """Return the attributes that an input of a shader gets its value from, through node graphs and materials."""
+    found = shader.GetInput(name)
+    return list(found.GetValueProducingAttributes()) if found else []
+
+
+def files_of(prim: Any) -> dict[str, str]:
+    """Return the attributes of a prim that name a file, each with that file."""
+    found = {}
+    for attribute in prim.GetAuthoredAttributes():
+        value: Any = attribute.Get() if attribute.GetTypeName() == "asset" else None
+        if getattr(value, "path", ""):
+            found[str(attribute.GetPath())] = placed(_layer_of(attribute), value.path)
+    return found
+
+
+def _image_of(shader: Any) -> dict[str, str]:
+    """Return the attribute that names the image of a shader, with that image; nothing if it shows none."""
+    files = _sources(shader, "file") if shader.GetIdAttr().Get() in ("UsdUVTexture", *_MTLX_IMAGES) else []
+    authored: Any = files[0].Get() if files else None
+    if not getattr(authored, "path", ""):
+        return {}
+    return {str(files[0].GetPath()): placed(_layer_of(files[0]), authored.path)}
+
+
+def _textures(surface: Any, name: str) -> list[dict[str, Any]]:
+    """Return the image that an input of a surface shows, in a list, if it does."""
+    found = []
+    for attribute in _sources(surface, name)[:1]:
+        shader, output = UsdShade.Shader(attribute.GetPrim()), attribute.GetName()
+        is_mtlx = shader.GetIdAttr().Get() in _MTLX_IMAGES
+        placing = _placed_by_materialx(shader) if is_mtlx else _placing(shader)
+        if not output.startswith("outputs:") or placing is None:
+            continue
+        shown = {"shader": str(shader.GetPath()), "output": output.removeprefix("outputs:")}
+        wrap = _wraps(shader, is_mtlx=is_mtlx)
+        for path, file in _image_of(shader).items():
+            found.append({**placing, **shown, "attribute": path, "file": file, "wrap": wrap})
+    return found
+
+
+def _wraps(shader: Any, *, is_mtlx: bool) -> list[str]:
+    """Return what an image shows beyond 0 and 1, along u and along v."""
+    names, known, usual = ("wrapS", "wrapT"), _WRAPS, "clamp"
+    if is_mtlx:
+        names, known, usual = ("uaddressmode", "vaddressmode"), _MTLX_WRAPS, "repeat"
+    sources = [_sources(shader, name)[:1] for name in names]
+    return [known.get(str(each[0].Get()), "clamp") if each else usual for each in sources]
+
+
+def _placed_by_materialx(shader: Any) -> dict[str, Any] | None:
+    """Return which coordinates an image of MaterialX is shown at, and what moves them, as `_placing`."""
+    varname = "st"  # the first coordinates
+    for source in _sources(shader, "texcoord")[:1]:
+        reader = UsdShade.Shader(source.GetPrim())
+        kind = str(reader.GetIdAttr().Get())
+        names = _sources(reader, _MTLX_READERS.get(kind, ""))
+        is_known = kind in (*_MTLX_READERS, "ND_texcoord_vector2")
+        if not is_known or any(number.Get() for number in _sources(reader, "index")):
+            return None
+        varname = str(names[0].Get()) if names else varname
+    inputs = {"uvtiling": 1, "uvoffset": 0, "realworldimagesize": 1, "realworldtilesize": 1}
+    tiling, offset, image, tile = (_pair(shader, name, usual) for name, usual in inputs.items())
+    if (image == 0).any():
+        return None
+    scale = tile / image
+    matrix, moved = np.diag(tiling * scale), -offset * scale
+    return {"coordinates": varname, "matrix": matrix.tolist(), "offset": moved.tolist()}
+
+
+def _placing(shader: Any) -> dict[str, Any] | None:
+    """Return which coordinates a texture is shown at, and the matrix and offset that move them; acts on rows."""
+    matrix, offset = np.eye(2), np.zeros(2)
+    chain, name = shader, "st"
+    for _ in range(_DEEPEST):
+        found = _sources(chain, name)
+        if not found:
+            return None
+        chain, name = UsdShade.Shader(found[0].GetPrim()), "in"
+        kind = chain.GetIdAttr().Get()
+        if kind == "UsdPrimvarReader_float2":
+            names = _sources(chain, "varname")
+            varname = str(names[0].Get()) if names else ""
+            return {"coordinates": varname, "matrix": matrix.tolist(), "offset": offset.tolist()}
+        if kind != "UsdTransform2d":
+            return None
+        scale, move = _pair(chain, "scale", 1), _pair(chain, "translation", 0)
+        turns = _sources(chain, "rotation")
+        angle = np.deg2rad(float(turns[0].Get())) if turns else 0.0
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        own = np.diag(scale) @ turn
+        matrix, offset = own @ matrix, move @ matrix + offset
+    return None
+
+
+def _pair(shader: Any, name: str, usual: int) -> Float64s:
+    given = _sources(shader, name)
+    return np.array(given[0].Get() if given else (usual, usual), np.float64)
+
+
+def _layer_of(attribute: Any) -> str:
+    """Return the layer that says the value of an attribute, relative to this folder."""
+    here = Path.cwd().resolve()
+    for spec in attribute.GetPropertyStack():
+        if spec.HasInfo("default"):
+            return PurePosixPath(Path(spec.layer.realPath).resolve().relative_to(here)).as_posix()
+    return ""

@@ -1,32 +1,38 @@
-"""OFF files with colours of vertices or of faces.
+"""OFF files with colours of vertices or of faces, and binary STL files with colours of triangles.
 
-trimesh reads the places and faces of OFF files only: it drops all colours, and cuts polygons.
+trimesh reads the places and faces of OFF files [1]_ only: it drops all colours, and cuts polygons.
+
+Two bytes of every triangle of an STL file [2]_ are a colour, in two dialects. VisCAM and SolidView mark triangles that
+have a colour by the highest bit; blue is in the lowest five. Materialise Magics has COLOR= and a colour for all in the
+header, marks triangles without one of their own, and has red lowest. trimesh reads the triangles. It leaves the two
+bytes as numbers, and makes text of the header, so both are understood here.
 
 References
 ----------
 .. [1] Geomview manual, "OFF Files", http://www.geomview.org/docs/html/OFF.html
+.. [2] M. Burns, "Automated fabrication", 1993, section 6.5: the STL format.
 """
 
 from __future__ import annotations
 
+import io
 import re
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
-from beltrami_cli.errors import InputError
-from beltrami_cli.formats.coloured_polygons import ColouredPolygons
-from beltrami_cli.formats.colours import full_scale
+from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.colours import ColouredPolygons, full_scale, joined
 from beltrami_cli.formats.tokens import Lines, without_comments
 
-HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
+OFF_HEADER = re.compile(rb"(?:\s++|#[^\n]*+\n)*+(ST)?(C)?(N)?(4)?(n)?OFF(?![A-Za-z_])", re.IGNORECASE)
 _COLOUR = (3, 4)  # numbers
 _LARGEST = 1 << 53  # index that a float64 holds
 
 
 def read_off(data: bytes, name: str) -> ColouredPolygons:
     """Read an OFF file in text: one vertex a line, then one face a line."""
-    header = HEADER.match(data)
+    header = OFF_HEADER.match(data)
     assert header is not None  # by which it was recognised
     texture, _, normals, *other = header.groups()
     text = without_comments(b" " * header.end() + data[header.end() :], b"#")
@@ -118,3 +124,48 @@ def _scaled(colours: Float64s, name: str) -> tuple[Float32s, float]:
     if colours.shape[1] == 4 and colours[:, 3].max() <= 1:  # colours of 0..255 with opacity of 0..1
         values[:, 3] = colours[:, 3]
     return values.astype(np.float32), scale
+
+
+_HEADER, _TRIANGLE = 80, 50  # bytes
+_MAGICS = b"COLOR="
+_LEVELS = 31  # of five bits
+
+
+def is_binary_stl(data: bytes) -> bool:
+    """Return whether a file has the length that its number of triangles asks for."""
+    if len(data) < _HEADER + 4:
+        return False
+    count = int.from_bytes(data[_HEADER : _HEADER + 4], "little")
+    return len(data) == _HEADER + 4 + count * _TRIANGLE
+
+
+def read_stl(data: bytes, name: str) -> ColouredPolygons:
+    """Read a binary STL file; vertices at one place become one."""
+    if not is_binary_stl(data):
+        cause = "an STL file in text has no colours"
+        raise UnpaintedError(name, cause, "export it as PLY or OBJ with colours")
+    from trimesh.exchange.stl import load_stl_binary
+
+    triangles = load_stl_binary(io.BytesIO(data))
+    if "vertices" not in triangles:
+        raise InputError(name, "there are no polygons", "nothing in it can be smoothed")
+    bits = triangles["face_attributes"]["stl"]
+    colours = np.full((len(bits), 3), np.nan, np.float32)
+    lowest_first = np.stack([bits & 31, bits >> 5 & 31, bits >> 10 & 31], axis=1) / np.float32(_LEVELS)
+    marked = bits >> 15 == 1
+    at = data.find(_MAGICS, 0, _HEADER)
+    if at >= 0 and at + len(_MAGICS) + 4 <= _HEADER:
+        whole = np.frombuffer(data, np.uint8, 3, at + len(_MAGICS)) / np.float32(255)
+        colours[:] = np.where(marked[:, None], whole, lowest_first)
+    else:
+        colours[marked] = lowest_first[marked, ::-1]
+    positions = triangles["vertices"].astype(np.float64)
+    found = ColouredPolygons(
+        positions=positions,
+        corners=np.arange(len(positions)),
+        sizes=np.full(len(bits), 3),
+        colours=np.repeat(colours, 3, axis=0),
+        stored="uint8",
+        left_out=("normals",),
+    )
+    return joined(found) if np.isfinite(positions).all() else found

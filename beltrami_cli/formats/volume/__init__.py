@@ -1,1 +1,0 @@
-"""Level sets sampled on a grid, and colours for them, in NumPy archives and NRRD files."""
