@@ -24,7 +24,7 @@ BYTE = 255.0
 _GREY = "Grey is written as equal red, green and blue."
 _BRIGHTEST = 16.0  # four stops above white: float colours beyond this are taken for 0..255
 
-# Full scales of 8, 10, 12 and 16 bit, and of intensities of 14 bit, too. Colours up to 16383 may as well be those of a
+# Full scales of 8, 10, 12 and 16 bit, and of intensities of 14 bit, too. Colours up to 16383 may as well be a
 # dark picture of 16 bit, which would be four times too bright in another format; colours up to 4095 would be black.
 _COLOUR_SCALES = (BYTE, 1023.0, 4095.0, 65535.0)
 _INTENSITY_SCALES = (BYTE, 1023.0, 4095.0, 16383.0, 65535.0)

@@ -18,7 +18,7 @@ _PATIENCE = 60  # seconds
 _MISSING, _EXHAUSTED = 77, 78  # exit codes where a package is not installed, and where memory is used up
 _LIBRARIES = 512 << 20  # bytes that they take
 _PER_PROCESSOR = 24 << 20  # bytes: the stack of a thread, and the arena of its allocations
-# Of what a file is unpacked to at most: what the library holds of it, and what is made of that for the answer. Meshes
+# Memory against the most that a file unpacks to: the data in the library, and the arrays of the answer. Meshes
 # of 90,000 and 1,000,000 vertices in .usdc take 72 and 53 bytes a byte of the file, of the 400 that this allows.
 _COPIES = 4
 

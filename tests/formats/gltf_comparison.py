@@ -13,7 +13,7 @@ SIZES = {code: int(name[1]) for name, code in CODES.items()}
 
 
 def json_differences(old, new, place=""):
-    """Return the places at which two trees differ, as {place: (old, new)}; None for what is not there."""
+    """Return the places at which two trees differ, as {place: (old, new)}; None for a missing value."""
     found = {}
     if isinstance(old, dict) and isinstance(new, dict):
         for key in {**old, **new}:

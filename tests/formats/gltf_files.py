@@ -18,7 +18,7 @@ TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 class Model:
-    """A glTF model under construction: its JSON, the bytes of its one buffer, and `files` beside it."""
+    """A glTF model under construction: its JSON, the bytes of its one buffer, and sidecar `files`."""
 
     def __init__(self):
         self.tree = {
@@ -153,7 +153,7 @@ def unpacked(data, files=None):
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri")
         if uri is None:
-            if len(buffers):  # only the first is in the chunk; others stand for what is compressed
+            if len(buffers):  # only the first is in the chunk; others stand for compressed data
                 buffers.append(None)
                 continue
             octets = binary
@@ -167,7 +167,7 @@ def unpacked(data, files=None):
 
 
 def opened(path):
-    """Return the tree and the buffers of a file, and the files beside it by the URIs that may name them."""
+    """Return the tree and the buffers of a file, and its sidecar files by the URIs that may name them."""
     path = Path(path)
     files = {file.relative_to(path.parent).as_posix(): file.read_bytes() for file in path.parent.rglob("*.*")}
     files |= {name.replace(" ", "%20"): data for name, data in files.items()}

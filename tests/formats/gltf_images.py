@@ -89,7 +89,7 @@ def with_images(folder, count, form="glb", place="view"):
 
 
 def with_better_image(known, better, fallback=None):
-    """Return a triangle whose texture is of a type that core glTF lacks, with or without a plain image beside it."""
+    """Return a triangle whose texture is of a type that core glTF lacks, with or without a plain image as well."""
     model = Textured()
     plain = None if fallback is None else model.image(fallback)
     source = {"source": model.image(better, f"b.{known}", f"image/{known}")}

@@ -53,7 +53,7 @@ def showcase(place="view"):
 
 
 def materials(model):
-    """Make images, of which the first is shown in two slots and by two textures, and five materials."""
+    """Make five materials, and images; the first is shown in two slots and by two textures."""
     photos = [model.image(photo(number), f"photo {number}.png") for number in range(4)]
     base = model.texture(photos[0], wrap=(33071, 33648))
     again, normal, gloss = (model.texture(photos[n]) for n in (0, 1, 2))
@@ -178,9 +178,9 @@ def others(model):
 
 
 def around(model):
-    """Add a camera, lights, a second scene, and an extension that nobody knows."""
+    """Add a camera, lights, a second scene, and an unknown extension."""
     tree = model.tree
-    blob = model.view(b"bytes of an extension that nobody knows")
+    blob = model.view(b"bytes of an unknown extension")
     tree["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7, "znear": 0.01}}]
     lights = [
         {"type": "point", "color": [1, 0.5, 0.25], "intensity": 3},

@@ -1,4 +1,4 @@
-"""The container of glTF files: chunks, text, buffers beside the file, and damage of every kind."""
+"""The container of glTF files: chunks, text, sidecar buffers, and damage of every kind."""
 
 from __future__ import annotations
 

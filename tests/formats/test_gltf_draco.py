@@ -1,4 +1,4 @@
-"""Geometry compressed with Draco: read as it was before, painted anew, and never compressed a second time."""
+"""Geometry compressed with Draco: read as before compression, painted, and never compressed a second time."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def by_point(positions, values):
 EXPECTED = triangles(GRID, CORNERS)
 
 
-@pytest.mark.parametrize("in_order", [True, False])
-@pytest.mark.parametrize("width", [3, 4])
-@pytest.mark.parametrize("mode", [4, 5])
+@pytest.mark.parametrize(
+    ("in_order", "width", "mode"), [(True, 3, 4), (True, 4, 5), (False, 3, 5), (False, 4, 4)]
+)
 def test_colours_and_triangles_are_those_that_were_compressed(in_order, width, mode):
     model = draco_model(COLOURS[:, :width].copy(), in_order=in_order, mode=mode)
     painted = document(model).painted()

@@ -276,8 +276,10 @@ def test_writing_beside_itself_spares_the_source_too(tmp_path):
     assert list(second.sidecars) == ["maps/model_0-2.png"]
 
 
-@pytest.mark.parametrize("place", ["view", "data", "file"])
-@pytest.mark.parametrize("form", ["glb", "gltf"])
+@pytest.mark.parametrize(
+    ("form", "place"),
+    [("glb", "view"), ("glb", "file"), ("gltf", "view"), ("gltf", "data"), ("gltf", "file")],
+)
 def test_images_are_replaced_on_the_way_to_the_other_form(tmp_path, place, form):
     source = with_images(tmp_path, 2, form, place)
     document = open_document(str(source))

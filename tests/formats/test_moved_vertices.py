@@ -172,7 +172,7 @@ def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
     assert np.allclose(numbers(tree, buffers, 1), [[0, 0, 1], own, [0, 0, 1], [0, 0, 1]], atol=1e-6)
     for kept in (2, 3, 4):
         assert np.array_equal(numbers(tree, buffers, kept), numbers(before, old_buffers, kept))
-    # In place: as many bytes, and no new accessor or view; the bounds are those of the new positions.
+    # In place: as many bytes, and no new accessor or view; the bounds follow the new positions.
     assert [len(data) for data in buffers] == [len(data) for data in old_buffers]
     new = numbers(tree, buffers, 0)
     assert tree["accessors"][0]["min"] == new.min(axis=0).tolist()

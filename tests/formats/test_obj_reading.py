@@ -1,4 +1,4 @@
-"""OBJ files: every shape of vertex and face lines, and one clear InputError for what is wrong."""
+"""OBJ files: every shape of vertex and face lines, and one clear InputError for each fault."""
 
 from __future__ import annotations
 

@@ -39,9 +39,21 @@ def change(old, new, encoding="ascii"):
     return data.replace(old, new, 1)
 
 
+def of_colours(kind, value, encoding="ascii", row=slice(None)):
+    """Return a file in which all colours, or one vertex's, have a value."""
+    tables = coloured(colour=kind, value=0.5 if "f" in kind or "d" in kind else 10)
+    for vertex in tables[0].rows[row]:
+        vertex[3:] = [value] * 3
+    return build(tables, encoding).data
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
+        (of_colours("char", 10), "no more than 127"),
+        (of_colours("float", 1000.0), "neither 1 nor 255"),
+        (of_colours("double", -1e130, "binary_little_endian"), "go from -1e+130 to -1e+130"),
+        (of_colours("float", np.inf, "binary_big_endian", slice(2, 3)), "colour of vertex 2 is not finite"),
         (b"solid cube", "not a PLY file"),
         (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
         (change(b"format ascii 1.0\n", b""), "no line 'format'"),
@@ -80,25 +92,3 @@ def test_the_message_names_the_cause_and_the_place(data, message):
         read(data)
     assert message in str(caught.value)
     assert str(caught.value).startswith("bad.ply: ")
-
-
-def test_colours_of_type_char_are_refused():
-    with pytest.raises(InputError, match="no more than 127"):
-        read(build(coloured(colour="char")).data)
-
-
-def test_colours_beyond_255_are_refused():
-    with pytest.raises(InputError, match="neither 1 nor 255"):
-        read(build(coloured(colour="float", value=1000.0)).data)
-
-
-def test_a_colour_that_is_not_finite_is_named():
-    tables = coloured(colour="float", value=0.5)
-    tables[0].rows[2][4] = float("inf")
-    with pytest.raises(InputError, match="the colour of vertex 2 is not finite"):
-        read(build(tables, "binary_big_endian").data)
-
-
-def test_colours_far_below_zero_are_refused():
-    with pytest.raises(InputError, match=r"go from -1e\+130 to -1e\+130"):
-        read(build(coloured(colour="double", value=-1e130), "binary_little_endian").data)

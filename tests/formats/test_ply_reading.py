@@ -49,13 +49,12 @@ def test_strips_are_unrolled_with_one_orientation(encoding):
     assert faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [5, 6, 7]]
 
 
-def test_points_have_no_faces():
+def test_points_have_no_faces_and_lines_may_end_as_on_old_macs():
     assert PlyDocument(build(coloured()[:1]).data, "x.ply").painted().faces.shape == (0, 3)
-
-
-def test_old_mac_line_ends():
     built = build(coloured(), "binary_little_endian", "\r")
-    assert len(PlyDocument(built.data, "x.ply").painted().positions) == 4
+    document = PlyDocument(built.data, "x.ply")
+    assert len(document.painted().positions) == 4
+    assert document.painted() is document.painted()
 
 
 def test_grey_intensity_in_range_is_a_colour_and_elsewhere_a_scalar():
@@ -82,11 +81,6 @@ def test_what_conversion_drops_is_listed():
     tables.append(Table("edge", [("vertex1", "int")], [[0]]))
     contents = PlyDocument(build(tables, comments=["hello"]).data, "x.ply").contents()
     assert contents.left_out == ("vertex properties quality", "element edge", "comments")
-
-
-def test_the_same_record_at_every_call():
-    document = PlyDocument(build(coloured()).data, "x.ply")
-    assert document.painted() is document.painted()
 
 
 def scan(kind, values, name="intensity"):

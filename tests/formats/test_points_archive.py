@@ -69,11 +69,11 @@ def test_faces_make_a_mesh():
     assert opened(npz(xyz=POSITIONS, rgb=COLOURS, faces=faces)).painted().faces.tolist() == faces.tolist()
 
 
-@pytest.mark.parametrize("compressed", [True, False])
 @pytest.mark.parametrize(
-    "stored", [np.uint8, np.uint16, np.int16, np.int64, np.float16, np.float32, np.float64, ">u2"]
-)
-@pytest.mark.parametrize("order", ["C", "F"])
+    ("compressed", "stored", "order"),
+    [(True, np.uint8, "C"), (False, np.uint16, "F"), (False, np.int16, "C"), (True, np.int64, "F"),
+     (False, np.float16, "C"), (True, np.float32, "F"), (False, np.float64, "F"), (True, ">u2", "C")],
+)  # fmt: skip
 def test_only_the_colours_change_and_every_other_array_stays(compressed, stored, order):
     scale = 65535 if np.dtype(stored) in (np.uint16, np.dtype(">u2")) else 255
     colours = np.asarray(COLOURS.astype(int) * (scale // 255), stored, order=order)

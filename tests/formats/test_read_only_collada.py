@@ -1,4 +1,4 @@
-"""COLLADA files, read by pycollada: colours beside materials, skins, archives, and damage."""
+"""COLLADA files, read by pycollada: colours, materials, skins, archives, and damage."""
 
 from __future__ import annotations
 

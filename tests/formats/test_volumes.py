@@ -1,6 +1,6 @@
 """Volumes: the same arrays from every kind of file, and places as the header says.
 
-What is damaged or means harm is refused in one clear line, for no more memory than the refusal takes.
+Damaged and harmful files are refused in one clear line, for no more memory than the refusal takes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is written as OBJ or PLY is read back: all values the same, colours in OBJ to six decimals."""
+"""Meshes written as OBJ or PLY are read back: all values the same, colours in OBJ to six decimals."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ TILES = [(u, v) for v in range(2) for u in range(2)]
 
 
 def sheet(size: int = 2) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Return positions, texture coordinates (v up) from 0 to `size`, and quads, of which some cross whole numbers."""
+    """Return positions, texture coordinates (v up) from 0 to `size`, and quads, some across whole numbers."""
     steps = np.linspace(0, size, 3 * size + 2)
     place = np.stack(np.meshgrid(steps, steps), axis=2)
     place[1:-1, 1:-1] += (0.07, -0.06)

@@ -112,7 +112,7 @@ def phone_scan(folder: Path, *, udim: bool = False) -> Path:
 
 
 def members(path: Path) -> dict[str, bytes]:
-    """Return the files of a package, each of which must be stored at a multiple of 64 bytes."""
+    """Return the files of a package; each must be stored at a multiple of 64 bytes."""
     found = {}
     with zipfile.ZipFile(path) as archive:
         for entry in archive.infolist():

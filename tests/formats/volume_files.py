@@ -28,7 +28,7 @@ def npz_of_members(**members):
 
 
 def header_only(shape, dtype="<f4", data=b""):
-    """Return a member that says what is not there."""
+    """Return a member whose header announces an array."""
     file = io.BytesIO()
     described = {"descr": dtype, "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(file, described)

@@ -1,4 +1,4 @@
-"""Tries every model in some folders, and mutations of those that could be smoothed, and counts what came of them.
+"""Tries every model in some folders, and mutations of the ones that could be smoothed, and counts the outcomes.
 
     python tests/hostile/survey.py [NAME=]FOLDER... [--mutations N] [--list]
 
@@ -51,7 +51,7 @@ READ = {".off", ".stl", ".3mf", ".dae", ".zae"}
 SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=10, clipping="keep", threads=1))
 ACCESS = Access(memory=4 << 30)
 PATIENCE = 180  # seconds
-MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than what is used
+MOST_MEMORY = 8 << 30  # bytes of addresses, which are always more than the memory in use
 PRELOADED = ("layers.texture_layer", "layers.vertex_layer")
 OUTCOMES = {
     "smoothed": "only colours changed",
@@ -86,7 +86,7 @@ def attempt(source: Path, out: Path) -> tuple[str, str]:
         return "FAILED", f"{type(error).__name__}: {error}"
     wrong = [path.name for path in out.rglob("*") if path.name.endswith(".tmp")]
     if wrong or (document.has_vertex_colours() and not _within_range(document, target)):
-        return "FAILED", f"left over: {wrong}" if wrong else "colours beyond those of the input"
+        return "FAILED", f"left over: {wrong}" if wrong else "colours beyond the range of the input"
     if not kept:
         return "converted", report.output
     check = check_files(source, target, ACCESS)
@@ -159,7 +159,7 @@ def overwritten(data: bytes, chance: random.Random) -> bytes:
 
 
 def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
-    """Try a file with bytes changed, removed and put in; what lies beside it stays as it is."""
+    """Try a file with bytes changed, removed and put in; its sidecar files stay as they are."""
     good, chance = source.read_bytes(), random.Random(source.name)
     folder = Path(tempfile.mkdtemp(prefix="survey-"))
     try:
@@ -174,7 +174,7 @@ def mutations(source: Path, count: int) -> Iterator[tuple[str, str]]:
 
 
 def state(folder: Path) -> dict[str, str]:
-    """Return what is in a folder, so that it can be seen later whether anything changed."""
+    """Return the hashes of all files in a folder."""
     return {
         str(path): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         for path in folder.rglob("*")

@@ -1,4 +1,4 @@
-"""Manifests and records of somebody else: they neither lead `beltrami batch` elsewhere, nor make it replace a file."""
+"""Manifests and records of other people: they neither lead `beltrami batch` elsewhere, nor make it replace a file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cli.commands import SAMPLES
 from hostile.folders import snapshot
 from hostile.textured_models import PICTURE, write_model
 
-MINE = b"written by somebody else"
+MINE = b"written by another user"
 
 
 @pytest.fixture
@@ -184,7 +184,7 @@ CRAFTED = {
     "hash": {"written": {"a": "0" * 63}},
     "hash of no text": {"written": {"a": 5}},
     "name of a hash": {"read": {"a\0": "0" * 64}},
-    "URL beside a path": {"read": {"http://127.0.0.1:9/x": "0" * 64}},
+    "URL among paths": {"read": {"http://127.0.0.1:9/x": "0" * 64}},
     "report": {"report": []},
     "part of a report": {"report": {"vertices": 5}},
     "noise": {"report": {"vertices": {"noise": {"red": "much"}, "change": {"mean": 0}}}},

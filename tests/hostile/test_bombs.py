@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import gzip
 import io
 import json
@@ -71,25 +72,68 @@ def png(width, height, data, *chunks):
     )
 
 
-def gltf(tree):
-    return json.dumps({"asset": {"version": "2.0"}, **tree}).encode()
-
-
-def painted(count, **accessor):
-    """A glTF of one painted primitive whose accessors have some count and no bytes."""
-    colour = {"componentType": 5121, "normalized": True, "count": count, "type": "VEC3", **accessor}
-    return {
-        "accessors": [{"componentType": 5126, "count": count, "type": "VEC3"}, colour],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
-    }
-
-
 Data = bytes | Callable[[], bytes]
 
 
 def made(data):
     """What takes long to make is made when it is needed."""
     return data if isinstance(data, bytes) else data()
+
+
+def file(name, data):
+    def make(folder):
+        (folder / name).write_bytes(made(data))
+        return folder / name
+
+    return make
+
+
+def gltf(tree):
+    return file("a.gltf", json.dumps({"asset": {"version": "2.0"}, **tree}).encode())
+
+
+def accessor(count, kind=5126, shape="VEC3", **more):
+    return {"componentType": kind, "count": count, "type": shape, **more}
+
+
+def primitive(**more):
+    return {"attributes": {"POSITION": 0, "COLOR_0": 1}, **more}
+
+
+def painted(position, colour, *others, primitives=None, **more):
+    """A glTF whose primitives are of two accessors, and maybe of others."""
+    return gltf(
+        {
+            "accessors": [position, colour, *others],
+            "meshes": [{"primitives": primitives or [primitive()]}],
+            **more,
+        }
+    )
+
+
+def buffer_of(size):
+    """Return a buffer of zeros and a view of all of it."""
+    uri = "data:;base64," + base64.b64encode(bytes(size)).decode()
+    return {
+        "buffers": [{"byteLength": size, "uri": uri}],
+        "bufferViews": [{"buffer": 0, "byteLength": size}],
+    }
+
+
+def packed_elements(count):
+    """Few compressed bytes that claim to be many elements."""
+    tree, length = buffer_of(8), 12 * count
+    packed = {"buffer": 0, "byteLength": 8, "byteStride": 12, "count": count, "mode": "ATTRIBUTES"}
+    tree["buffers"].append({"byteLength": length})
+    tree["bufferViews"] = [
+        {
+            "buffer": 1,
+            "byteLength": length,
+            "byteStride": 12,
+            "extensions": {"EXT_meshopt_compression": packed},
+        }
+    ]
+    return painted(*[accessor(count, bufferView=0)] * 2, extensionsUsed=["EXT_meshopt_compression"], **tree)
 
 
 def with_texture(image):
@@ -101,25 +145,11 @@ def with_texture(image):
     return make
 
 
-def file(name, data):
-    def make(folder):
-        (folder / name).write_bytes(made(data))
-        return folder / name
-
-    return make
-
-
 def sparse_file(folder):
     """A file of a tebibyte that takes no room on the disk."""
     path = folder / "sparse.ply"
     path.write_bytes(b"ply\n")
     os.truncate(path, 1 << 40)
-    return path
-
-
-def many_maps(folder):
-    path = write_model(folder, "obj", "")
-    (folder / "m.mtl").write_text("newmtl m\n" + "".join(f"map_Kd {i}.png\n" for i in range(20_000)))
     return path
 
 
@@ -189,115 +219,47 @@ CROWD = {"nodes": [{"children": [i + 1]} if i < 19_999 else {} for i in range(20
 NESTED = b'{"asset":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 REPEATED = b"{" + b",".join(b'"%d":0' % i for i in range(200_000)) + b',"199999":1}'
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
+LONG_LIST = ("element face 1", "property list int int vertex_indices")
 BOMBS = {
     "rows": file("a.ply", ply("element vertex 100000000000000000", VERTICES)),
     "rows of nothing": file("a.ply", ply("element ghost 100000000000000000", "element vertex 3", VERTICES)),
     "properties": file("a.ply", ply("element vertex 1", *(f"property char p{i}" for i in range(200_000)))),
     "elements": file("a.ply", ply(*(f"element e{i} 0" for i in range(200_000)))),
     "list": file(
-        "a.ply",
-        ply(
-            "element vertex 1",
-            VERTICES,
-            "element face 1",
-            "property list int int vertex_indices",
-            body=bytes(15) + struct.pack("<i", 2**31 - 1),
-        ),
+        "a.ply", ply("element vertex 1", VERTICES, *LONG_LIST, body=bytes(15) + struct.pack("<i", 2**31 - 1))
     ),
     "sparse file": sparse_file,
-    "elements without bytes": file("a.gltf", gltf(painted(2**31 - 1))),
-    "packed elements": file(
-        "a.gltf",
-        gltf(
-            {
-                "extensionsUsed": ["EXT_meshopt_compression"],
-                "buffers": [{"byteLength": 8, "uri": "data:;base64,AAAAAAAAAAA="}, {"byteLength": 12 << 27}],
-                "bufferViews": [
-                    {
-                        "buffer": 1,
-                        "byteLength": 12 << 27,
-                        "byteStride": 12,
-                        "extensions": {
-                            "EXT_meshopt_compression": {
-                                "buffer": 0,
-                                "byteLength": 8,
-                                "byteStride": 12,
-                                "count": 1 << 27,
-                                "mode": "ATTRIBUTES",
-                            }
-                        },
-                    }
-                ],
-                "accessors": [
-                    {"bufferView": 0, "componentType": 5126, "count": 1 << 27, "type": "VEC3"},
-                    {"bufferView": 0, "componentType": 5126, "count": 1 << 27, "type": "VEC3"},
-                ],
-                "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
-            }
+    "elements without bytes": painted(accessor(2**31 - 1), accessor(2**31 - 1, 5121, normalized=True)),
+    "packed elements": packed_elements(1 << 27),
+    "sparse elements": painted(
+        accessor(2**31 - 1),
+        accessor(
+            2**31 - 1,
+            5121,
+            normalized=True,
+            sparse={
+                "count": 1,
+                "indices": {"bufferView": 0, "componentType": 5125},
+                "values": {"bufferView": 0},
+            },
         ),
+        **buffer_of(8),
     ),
-    "sparse elements": file(
-        "a.gltf",
-        gltf(
-            {
-                "buffers": [{"byteLength": 8, "uri": "data:;base64,AAAAAAAAAAA="}],
-                "bufferViews": [{"buffer": 0, "byteLength": 8}],
-                **painted(
-                    2**31 - 1,
-                    sparse={
-                        "count": 1,
-                        "indices": {"bufferView": 0, "componentType": 5125},
-                        "values": {"bufferView": 0},
-                    },
-                ),
-            }
-        ),
-    ),
-    "buffer": file("a.gltf", gltf({"buffers": [{"byteLength": 2**40, "uri": "data:;base64,AAAA"}]})),
+    "buffer": gltf({"buffers": [{"byteLength": 2**40, "uri": "data:;base64,AAAA"}]}),
     "chunk": file("a.glb", struct.pack("<4sIIII", b"glTF", 2, 20, 2**32 - 1, 0x4E4F534A)),
     "nested": file("a.gltf", NESTED),
     "repeated keys": file("a.gltf", REPEATED),
-    "scenes of all nodes": file("a.gltf", gltf({**CROWD, "scenes": [{"nodes": [0]}] * 20_000})),
-    "triangles drawn again": file(
-        "a.gltf",
-        gltf(
-            {
-                "buffers": [{"byteLength": 60_000, "uri": "data:;base64," + "A" * 80_000}],
-                "bufferViews": [{"buffer": 0, "byteLength": 60_000}],
-                "accessors": [
-                    {"bufferView": 0, "componentType": 5126, "count": 100, "type": "VEC3"},
-                    {
-                        "bufferView": 0,
-                        "componentType": 5121,
-                        "count": 100,
-                        "type": "VEC3",
-                        "normalized": True,
-                    },
-                    *(
-                        {
-                            "bufferView": 0,
-                            "byteOffset": i,
-                            "componentType": 5121,
-                            "count": 50_000,
-                            "type": "SCALAR",
-                        }
-                        for i in range(3000)
-                    ),
-                ],
-                "meshes": [
-                    {
-                        "primitives": [
-                            {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": i}
-                            for i in range(2, 3002)
-                        ]
-                    }
-                ],
-            }
-        ),
+    "scenes of all nodes": gltf({**CROWD, "scenes": [{"nodes": [0]}] * 20_000}),
+    "triangles drawn again": painted(
+        accessor(100, bufferView=0),
+        accessor(100, 5121, bufferView=0, normalized=True),
+        *(accessor(50_000, 5121, "SCALAR", bufferView=0, byteOffset=i) for i in range(3000)),
+        primitives=[primitive(indices=i) for i in range(2, 3002)],
+        **buffer_of(60_000),
     ),
     "words of mtllib": file("a.obj", f"mtllib {'m ' * 300_000}\n{SQUARE}".encode()),
     "names of mtllib": file("a.obj", (SQUARE + "mtllib m.mtl\n" * 100_000).encode()),
-    "missing maps": many_maps,
+    "missing maps": with_library("newmtl m\n" + "".join(f"map_Kd {i}.png\n" for i in range(20_000))),
     "blanks behind newmtl": with_library(f"newmtl{' ' * MANY}\n"),
     "digits in an option": with_library(f"newmtl m\nmap_Kd -s {'1' * MANY}x a.png\n"),
     "blanks behind TextureFile": file(

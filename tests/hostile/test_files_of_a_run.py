@@ -1,4 +1,4 @@
-"""All files of a run are put in place together or not at all, and none replaces another or what is read."""
+"""All files of a run are put in place together or not at all, and none replaces another or an input."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_what_is_not_put_in_place_is_removed(tmp_path):
     with FileSet() as files:
         output = Output(str(tmp_path / "out.obj"), overwrite=False, files=files)
         output.write(Written([b"new"], {"new/a.png": b"new"}))
-        assert len(list(tmp_path.rglob("*.tmp"))) == 3  # of which one is the journal
+        assert len(list(tmp_path.rglob("*.tmp"))) == 3  # one is the journal
     assert list(tmp_path.iterdir()) == []
 
 

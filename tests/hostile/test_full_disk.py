@@ -59,7 +59,7 @@ def test_a_reader_that_has_enough_is_no_failure_to_speak_of(words):
     assert (run.returncode, run.stderr) == (4, b"")
 
 
-# Mounts a small disk, copies a folder there, fills what is left but a few pages, and runs the command.
+# Mounts a small disk, copies a folder there, fills all but a few pages, and runs the command.
 ON_SMALL_DISK = """
 import os, pathlib, shutil, subprocess, sys
 sys.path.insert(0, sys.argv[1])

@@ -117,7 +117,7 @@ def test_a_system_call_that_fails_from_some_moment_on(call, has_old, tmp_path, m
 
 
 def test_only_a_set_of_this_user_in_this_folder_is_undone(tmp_path):
-    """A journal that somebody made up, or copied from elsewhere, touches nothing outside its folder."""
+    """A journal that is made up, or copied from elsewhere, touches nothing outside its folder."""
     outside, folder = tmp_path / "precious.txt", tmp_path / "folder"
     outside.write_text("precious")
     folder.mkdir()
@@ -160,7 +160,7 @@ def test_a_temporary_file_that_cannot_be_removed_is_a_warning(tmp_path, monkeypa
 @pytest.mark.parametrize("name", ["out.obj", "a.png"])
 def test_a_file_of_another_user_in_a_sticky_folder(name, tmp_path):
     for path in (tmp_path, *tmp_path.parents):
-        if path.stat().st_mode & 0o077 == 0:  # pytest lets nobody else into its folders
+        if path.stat().st_mode & 0o077 == 0:  # pytest keeps other users out of its folders
             path.chmod(0o711)
     folder = tmp_path / "shared"
     fresh(folder, has_old=True)

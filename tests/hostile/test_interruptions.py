@@ -53,7 +53,7 @@ def test_a_signal_at_any_step_that_touches_files(target, name, tmp_path):
     assert ended_at_every_step(folder, getattr(signal, name), target) >= 7
 
 
-# Up to 4 s: some forty steps, at each of which the command runs twice.
+# Up to 4 s: the command runs twice at each of some forty steps.
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "has_earlier"), [("obj", True), ("gltf", False), ("tiles", True)])
 def test_a_run_after_one_that_was_killed_writes_the_same_files_under_the_same_names(
@@ -240,7 +240,7 @@ command.main()
     assert run.stderr == "beltrami: interrupted; files are as they were, or complete\n"
 
 
-# A command that every signal of which the default is to end a process reaches, in a child for each; one is ignored.
+# A command that gets each signal whose default ends a process, in a child for each; then once more, ignored.
 EVERY_SIGNAL = """
 import os, signal, sys, time
 import beltrami_cli.cli.main as command
@@ -290,7 +290,7 @@ def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_
     assert {getattr(signal, f"SIG{name}") for name in names} <= set(numbers)
 
 
-# A process of a batch in the middle of a file, of which it has written a part.
+# A process of a batch in the middle of a file that is partly written.
 WORKER = """
 import multiprocessing, sys, time
 from pathlib import Path

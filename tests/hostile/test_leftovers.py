@@ -1,4 +1,4 @@
-"""Temporary files of a run that was killed are removed by the next one in the folder; those of others stay."""
+"""Temporary files of a run that was killed are removed by the next one in the folder; other files stay."""
 
 from __future__ import annotations
 

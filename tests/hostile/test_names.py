@@ -18,8 +18,11 @@ from hostile.textured_models import ONCE, PICTURE, write_model
 KINDS = ("obj", "ply", "gltf")
 
 
-@pytest.mark.parametrize("name", ["skin", "skin.img", "skin.v1", "skin.jpg", "skin.PNG"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("obj", "skin"), ("ply", "skin.img"), ("gltf", "skin.v1"), ("obj", "skin.jpg"), ("gltf", "skin.jpg"),
+     ("ply", "skin.PNG")],
+)  # fmt: skip
 def test_an_image_of_any_name_is_smoothed_by_its_content(kind, name, tmp_path):
     model = write_model(tmp_path / "in", kind, name)
     (tmp_path / "in" / name).write_bytes(PICTURE)
@@ -32,8 +35,7 @@ def test_an_image_of_any_name_is_smoothed_by_its_content(kind, name, tmp_path):
     assert read_image(texture.data, texture.name).format == "png"
 
 
-@pytest.mark.parametrize("name", ["model.{}", "junk.png"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "name"), [("obj", "model.{}"), ("ply", "junk.png"), ("gltf", "junk.png")])
 def test_what_is_no_image_is_a_fault_of_the_input(kind, name, tmp_path):
     model = write_model(tmp_path, kind, name.format(kind))
     (tmp_path / "junk.png").write_bytes(b"junk")
@@ -88,6 +90,6 @@ def _smoothed(source, target, *options):
     corners = [surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces]
     np.testing.assert_allclose(*corners, atol=1e-6)
     assert bool(after.slots()) == (bool(before.slots()) or "--unwrap" in options)
-    beside = {path.name for path in target.parent.iterdir()} - {target.name}
-    assert {name for name in after.references() if "/" not in name} >= beside
+    sidecars = {path.name for path in target.parent.iterdir()} - {target.name}
+    assert {name for name in after.references() if "/" not in name} >= sidecars
     assert not [notice for notice in after.notices if "missing" in notice]

@@ -66,7 +66,7 @@ def folder_with_scans(folder):
 
 
 def plant(folder, names, kind):
-    """Write modules, or packages, that leave their names in a file beside the folder if they are imported."""
+    """Write modules, or packages, that leave their names in a file next to the folder if they are imported."""
     code = f"open({str(folder) + '.caught'!r}, 'a').write(__name__ + '\\n')"
     for name in names:
         path = folder / f"{name}.py" if kind == "module" else folder / name / "__init__.py"

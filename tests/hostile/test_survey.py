@@ -66,7 +66,7 @@ def move_a_vertex(source, target, *_, **__):
 
 
 def leave_a_file(source, target, *_, **__):
-    """Leave what is temporary."""
+    """Leave a temporary file."""
     shutil.copy(source, target)
     target.with_name(".a.ply.0123.tmp").write_bytes(b"")
 

@@ -1,4 +1,4 @@
-"""A file beside a model that cannot be read, at first or any later time: one line, or the file is left alone."""
+"""A sidecar file that cannot be read, at first or any later time: one line, or the file is left alone."""
 
 from __future__ import annotations
 

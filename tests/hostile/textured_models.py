@@ -1,4 +1,4 @@
-"""One textured square in each format that names files beside it, with the names to be chosen."""
+"""One textured square in each format with sidecar files, with the names to be chosen."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def write_model(folder, kind, image, library="m.mtl"):
     path = folder / f"model.{kind}"
     if kind == "obj":
         path.write_text(f"mtllib {library}\n{_SQUARE}")
-        beside = Path(library.replace("\\", "/"))
-        if not beside.is_absolute() and ".." not in beside.parts and ":" not in library:
-            (folder / beside).parent.mkdir(parents=True, exist_ok=True)
-            (folder / beside).write_text(f"newmtl m\nmap_Kd {image}\n")
+        sidecar = Path(library.replace("\\", "/"))
+        if not sidecar.is_absolute() and ".." not in sidecar.parts and ":" not in library:
+            (folder / sidecar).parent.mkdir(parents=True, exist_ok=True)
+            (folder / sidecar).write_text(f"newmtl m\nmap_Kd {image}\n")
     elif kind == "ply":
         path.write_bytes(ply("float x y z s t", _CORNERS, [range(4)], comments=[f"TextureFile {image}"]))
     else:

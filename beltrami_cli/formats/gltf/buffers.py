@@ -206,7 +206,7 @@ class Buffers:
         return len(self._entries)
 
     def add(self, length: int, decode: Callable[[], Bytes]) -> int:
-        """Add a buffer that is decoded when it is needed; return its index, which is beyond those of the JSON."""
+        """Add a buffer that is decoded when it is needed; return its index, behind the buffers of the JSON."""
         self._decoded.append((length, decode))
         return len(self) + len(self._decoded) - 1
 

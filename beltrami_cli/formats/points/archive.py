@@ -3,8 +3,8 @@
 The arrays, by their names; the first name that is there is taken:
 
 ======================================  ==============================================================================
-``positions``, ``points``, ``xyz``      (..., 3) numbers, the other axes as the cloud is organised; what is not finite
-                                        is no point
+``positions``, ``points``, ``xyz``      (..., 3) numbers, the other axes as the cloud is organised; points that are not
+                                        finite are left out
 ``colours``, ``colors``, ``rgb``,       (..., C) of the same points: red, green and blue, or grey alone, then opacity
 ``rgba``, ``point_colours``,            if there is one more; uint8, uint16, or numbers of 0 to 1, 0 to 255 or 0 to
 ``point_colors``                        65535

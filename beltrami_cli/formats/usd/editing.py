@@ -1,8 +1,8 @@
-"""What the process with usd-core is asked for: a scene as arrays, layers with new values.
+"""Tasks of the process with usd-core: a scene as arrays, layers with new values.
 
-New values are put into a stored layer where the old ones stand, so that every other byte stays. What comes out is read
-again and compared with the layer as it should be: where anything else differs, it is dropped, and the layer is written
-anew. So values may be looked for by simple means.
+New values are put into a stored layer where the old ones stand, so that every other byte stays. The result is read
+again and compared with the intended layer: where anything else differs, it is dropped, and usd-core exports the whole
+layer. So values may be looked for by simple means.
 """
 
 from __future__ import annotations
