@@ -56,26 +56,39 @@ class Fault:
         return self.function(*arguments, **options)
 
 
-@pytest.mark.parametrize("has_old", [False, True])
-@pytest.mark.parametrize("code", [errno.EACCES, errno.EIO, errno.ENOSPC], ids=errno.errorcode.get)
-@pytest.mark.parametrize("call", CALLS)
-def test_a_system_call_that_fails_once(call, code, has_old, tmp_path, monkeypatch, caplog):
-    before = fresh(tmp_path / "whole", has_old=has_old)
-    write_set(tmp_path / "whole", overwrite=has_old)
-    finished = snapshot(tmp_path / "whole")
+def attempts(folder, monkeypatch, call, code, *, has_old, for_good):
+    """Write a set once for every call of a function, which fails; yield folder, expected content, and the new set."""
+    before = fresh(folder / "whole", has_old=has_old)
+    write_set(folder / "whole", overwrite=has_old)
+    finished = snapshot(folder / "whole")
     for at in range(1, MOST_CALLS):
-        folder = tmp_path / str(at)
-        fresh(folder, has_old=has_old)
-        caplog.clear()
+        fresh(folder / str(at), has_old=has_old)
         with monkeypatch.context() as patch:
-            fault = Fault(patch, call, code, at, for_good=False)
+            fault = Fault(patch, call, code, at, for_good=for_good)
             try:
-                write_set(folder, overwrite=has_old)
+                write_set(folder / str(at), overwrite=has_old)
                 expected = finished
             except OutputError:
                 expected = before
+        yield folder / str(at), expected, finished
+        if fault.calls < at:
+            return
+    raise AssertionError("there are more calls than expected")
+
+
+CODES = (errno.EACCES, errno.EIO, errno.ENOSPC)
+
+
+@pytest.mark.parametrize(
+    ("call", "has_old", "code"),
+    [(call, old, CODES[(n + old) % 3]) for n, call in enumerate(CALLS) for old in (False, True)],
+)
+def test_a_system_call_that_fails_once(call, has_old, code, tmp_path, monkeypatch, caplog):
+    for folder, expected, finished in attempts(
+        tmp_path, monkeypatch, call, code, has_old=has_old, for_good=False
+    ):
         after, stay = snapshot(folder), temporary_files(folder)
-        assert {path: content for path, content in after.items() if path not in stay} == expected, at
+        assert {path: content for path, content in after.items() if path not in stay} == expected, folder
         assert call == "unlink" or not stay
         if expected == finished:
             warned = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
@@ -85,35 +98,19 @@ def test_a_system_call_that_fails_once(call, code, has_old, tmp_path, monkeypatc
         assert {path: content for path, (_, content) in snapshot(folder).items()} == {
             path: content for path, (_, content) in finished.items()
         }
-        if fault.calls < at:
-            return
-    raise AssertionError("there are more calls than expected")
+        caplog.clear()
 
 
 @pytest.mark.parametrize("has_old", [False, True])
 @pytest.mark.parametrize("call", CALLS)
 def test_a_system_call_that_fails_from_some_moment_on(call, has_old, tmp_path, monkeypatch):
-    before = fresh(tmp_path / "whole", has_old=has_old)
-    write_set(tmp_path / "whole", overwrite=has_old)
-    finished = snapshot(tmp_path / "whole")
-    for at in range(1, MOST_CALLS):
-        folder = tmp_path / str(at)
-        fresh(folder, has_old=has_old)
-        with monkeypatch.context() as patch:
-            fault = Fault(patch, call, errno.EIO, at, for_good=True)
-            try:
-                write_set(folder, overwrite=has_old)
-                expected = finished
-            except OutputError:
-                expected = before
-        # What could not be undone is undone by the next run, as soon as that is possible again.
+    runs = attempts(tmp_path, monkeypatch, call, errno.EIO, has_old=has_old, for_good=True)
+    for folder, expected, _ in runs:
+        # Changes that could not be undone are undone by the next run, as soon as that is possible again.
         replacing.recover(folder)
-        after = snapshot(folder)
         folders = {"maps"} - set(expected)  # which may stay, without files
-        assert {path: content for path, content in after.items() if path not in folders} == expected, at
-        if fault.calls < at:
-            return
-    raise AssertionError("there are more calls than expected")
+        after = snapshot(folder)
+        assert {path: content for path, content in after.items() if path not in folders} == expected, folder
 
 
 def test_only_a_set_of_this_user_in_this_folder_is_undone(tmp_path):
