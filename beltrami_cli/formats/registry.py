@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
@@ -64,6 +64,7 @@ _JSON = rb"(?:\xef\xbb\xbf)?[ \t\r\n]*\{"
 _PCD = rb"# \.PCD|VERSION 0?\.7"
 _COMMON = (".png", ".jpg", ".jpeg")
 _TEXTS = ("xyzrgb", "asc", "txt")
+_READ_ONLY = ("off", "stl", "3mf", "dae", "zae")
 _BY_NAME = None  # in place of a mark: a file is recognised by its name alone
 
 
@@ -124,6 +125,11 @@ def _is_usdz(data: bytes, name: str) -> bool:
     return is_layer or name.lower().endswith(".usdz")
 
 
+def _is_foreign(data: bytes, name: str) -> bool:
+    # OBJ files are known by their names alone, and may start with comments as OFF files do.
+    return not name.lower().endswith(".obj") and _loaded("read_only.document.kind_of")(data, name) is not None
+
+
 def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", **more: Any) -> Format:
     """Return a line of a format whose writers are called after it, or after another `form`."""
     module, _, document = reader.partition(".")
@@ -158,7 +164,7 @@ FORMATS = (
         for name, mark in (("las", rb"LASF"), ("laz", rb"(?!)"), ("e57", rb"ASTM-E57"), ("pcd", _PCD))
     ),
     Format("npz", _asks("archives.is_npz", _ZIP), "points.archive", "NpzPointsDocument", "write_npz"),
-    Format("foreign", _asks("read_only.document.kind_of"), "read_only", "document.ReadOnlyDocument"),
+    Format("foreign", _is_foreign, "read_only", "document.ReadOnlyDocument", aliases=_READ_ONLY),
 )  # fmt: skip
 
 _WRITERS = {line.name: line for line in FORMATS if line.writer}
@@ -237,9 +243,7 @@ def _unread(data: bytes, name: str) -> str | None:
 
 def is_only_read(suffix: str) -> bool:
     """Whether models with a suffix, without its dot, are read but not written."""
-    from beltrami_cli.formats.read_only.document import Kind
-
-    return suffix in get_args(Kind)
+    return suffix in _READ_ONLY
 
 
 def write_contents(contents: MeshContents, name: str, stem: str) -> Written:
