@@ -31,21 +31,26 @@ CAN_MOUNT = (
 )
 
 
+def run_with_small_files(most, folder, *arguments):
+    """Run a command in a folder where files have so many bytes at most; it must end in one line."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    command = [*COMMAND, *map(str, arguments)]
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, preexec_fn=limit)
+    assert run.stderr.count("\n") == 1, run.stderr
+    assert "cannot be written" in run.stderr
+    return run.returncode
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("most", [0, 50_000])
 def test_a_limit_on_the_size_of_files(most, tmp_path):
     (tmp_path / "out.ply").write_text("precious")
     before = snapshot(tmp_path)
-
-    def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-
-    arguments = [*COMMAND, "smooth", str(SAMPLES / "terrain-noisy.ply"), "out.ply", "--overwrite"]
-    run = subprocess.run(
-        arguments, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limit
-    )
-    assert (run.returncode, run.stderr.count("\n")) == (4, 1), run.stderr
-    assert "cannot be written" in run.stderr
+    smooth = ("smooth", SAMPLES / "terrain-noisy.ply", "out.ply", "--overwrite")
+    assert run_with_small_files(most, tmp_path, *smooth) == 4
     assert snapshot(tmp_path) == before
 
 
@@ -107,17 +112,8 @@ def test_a_disk_that_fills_up(free, target, tmp_path):
 )
 def test_a_limit_on_temporary_files(words, most, tmp_path):
     """Neither the question to the process that unwraps nor, with higher limits, its answer can be written."""
-
-    def limit():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-
-    arguments = [*COMMAND, *(word.format(SAMPLES / "nonmanifold-noisy.ply") for word in words)]
-    run = subprocess.run(
-        arguments, cwd=tmp_path, capture_output=True, text=True, check=False, preexec_fn=limit
-    )
-    assert run.returncode in (1, 4)
-    assert run.stderr.count("\n") == 1, run.stderr
-    assert "cannot be written" in run.stderr
+    arguments = (word.format(SAMPLES / "nonmanifold-noisy.ply") for word in words)
+    assert run_with_small_files(most, tmp_path, *arguments) in (1, 4)
     assert list(tmp_path.iterdir()) == []
 
 

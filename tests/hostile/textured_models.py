@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
+from formats.gltf_files import Textured
 from formats.image_files import encode
 from small_models import ply
 
@@ -41,33 +39,8 @@ def write_model(folder, kind, image, library="m.mtl"):
 
 
 def _gltf(image):
-    corners = [0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0, 1, 1, 1, 1, 0, 0, 0]
-    binary = struct.pack("<20f6B", *corners, 0, 1, 2, 0, 2, 3)
-    views = [(0, 48), (48, 32), (80, 6)]
-    tree = {
-        "asset": {"version": "2.0"},
-        "buffers": [{"byteLength": len(binary), "uri": f"data:;base64,{base64.b64encode(binary).decode()}"}],
-        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in views],
-        "accessors": [
-            {
-                "bufferView": 0,
-                "componentType": 5126,
-                "count": 4,
-                "type": "VEC3",
-                "min": [0, 0, 0],
-                "max": [1, 1, 0],
-            },
-            {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
-            {"bufferView": 2, "componentType": 5121, "count": 6, "type": "SCALAR"},
-        ],
-        "meshes": [
-            {"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}
-        ],
-        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
-        "textures": [{"source": 0}],
-        "images": [{"uri": image}],
-        "nodes": [{"mesh": 0}],
-        "scenes": [{"nodes": [0]}],
-        "scene": 0,
-    }
-    return json.dumps(tree).encode()
+    model, corners = Textured(), np.array(_CORNERS)
+    model.tree["images"] = [{"uri": image}]
+    material = model.material(baseColor=model.texture(0))
+    model.triangles(corners[:, :3], corners[:, 3:], material, corners=[[0, 1, 2], [0, 2, 3]])
+    return model.data_text()
