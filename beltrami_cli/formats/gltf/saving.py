@@ -266,7 +266,7 @@ class ImageStorage:
             home = self._edit.tree["bufferViews"][image["bufferView"]]["buffer"]
             buffer = self._edit.accessors.buffers.canonical(home)
             self.blobs[buffer].append(_Blob(file.data, view, group))
-        elif image["uri"][:5].lower() == "data:":
+        elif is_data(image["uri"]):
             same = image["uri"][5:].partition(",")[0].partition(";")[0].lower() == media
             image["uri"] = data_uri(image["uri"] if same else f"data:{media};base64,", file.data)
         else:

@@ -74,7 +74,13 @@ def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
     for index, material in enumerate(root.entries("materials")):
         name = material.text("name") or f"material {index}"
         hides = material.text("alphaMode") in ("MASK", "BLEND")
-        found.append([_use(name, info, count, hides) for info in _infos(material, slot)])
+        found.append([])
+        for info in _infos(material, slot):
+            transform = info.entry("extensions").entry(_TRANSFORM)
+            owner = transform if "texCoord" in transform else info
+            texture = info.integer("index", below=count)
+            coordinates = f"TEXCOORD_{owner.integer('texCoord', default=0)}"
+            found[-1].append(TextureUse(name, info, texture, coordinates, _affine(transform), hides))
     return found
 
 
@@ -105,19 +111,6 @@ def _infos(material: Entry, slot: Slot) -> list[Entry]:
 
 def _of_material(holder: Entry, materials: Sequence[Sequence[TextureUse]]) -> Sequence[TextureUse]:
     return materials[holder.integer("material", below=len(materials))] if "material" in holder else ()
-
-
-def _use(name: str, info: Entry, count: int, alpha_hides: bool) -> TextureUse:
-    transform = info.entry("extensions").entry(_TRANSFORM)
-    owner = transform if "texCoord" in transform else info
-    return TextureUse(
-        material=name,
-        info=info,
-        texture=info.integer("index", below=count),
-        coordinates=f"TEXCOORD_{owner.integer('texCoord', default=0)}",
-        transform=_affine(transform),
-        alpha_hides=alpha_hides,
-    )
 
 
 def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]:
