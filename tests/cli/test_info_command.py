@@ -9,10 +9,9 @@ import shutil
 import numpy as np
 import pytest
 
+from beltrami_cli import SmoothSettings, inspect_file
 from beltrami_cli.cli.info import INFO_EPILOG
 from beltrami_cli.fields import override
-from beltrami_cli.jobs.inspect import inspect_file
-from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 from oracles.paintings import photograph

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from beltrami_cli import _native, smooth
+from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow.clipping import (
     ClippedChannels,
     find_clipped,
@@ -16,7 +16,6 @@ from beltrami_cli.flow.clipping import (
     variance_of_clipped,
 )
 from beltrami_cli.flow.noise.flat_patch_noise import chi_square_quantile
-from beltrami_cli.jobs.arrays import smooth_image
 
 SIGMA = 0.08
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.arrays import smooth_image
+from beltrami_cli import smooth_image
 
 SIDE, REGION = 128, 32
 # Relative noise of mean 1: its draws, and its standard deviation.

@@ -10,19 +10,16 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from beltrami_cli import _native, smooth
+from beltrami_cli import SmoothSettings, _native, smooth, smooth_file, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
 from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.beltrami_flow import smooth as smooth_plan
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
-from beltrami_cli.jobs.arrays import smooth_image
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
-from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
-from beltrami_cli.layers.settings import SmoothSettings
 from flow.split_surfaces import (
     FIXED,
     InTurn,

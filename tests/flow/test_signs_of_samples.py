@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from beltrami_cli import smooth
+from beltrami_cli import smooth, smooth_image
 from beltrami_cli.flow.noise.by_level import Neighbourhoods, are_levels
-from beltrami_cli.jobs.arrays import smooth_image
 from beltrami_cli.surface.records import limits_of
 
 SIDE, SIGMA = 64, 0.05

@@ -8,9 +8,9 @@ import numpy as np
 import OpenImageIO
 import pytest
 
+from beltrami_cli import smooth_file
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.image import losses, read_image, write_image
-from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import beltrami
 from formats.tiff_files import exr_file
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from beltrami_cli import smooth_file
 from beltrami_cli.formats.image import losses, read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
-from beltrami_cli.jobs.smooth import smooth_file
 from formats.gltf_images import with_better_image
 from formats.image_files import LOSSLESS, RARER, RARER_SUFFIXES, SUFFIXES, encode, noise
 from formats.test_extra_codecs import BOTH

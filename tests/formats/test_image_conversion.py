@@ -8,10 +8,10 @@ import numpy as np
 import OpenImageIO
 import pytest
 
+from beltrami_cli import smooth_file
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import losses, read_image, to_float, write_image
 from beltrami_cli.jobs.noise_targets import jpeg_file
-from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.records import linear_to_srgb
 from formats.image_files import LOSSLESS, SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, stored
 

@@ -10,8 +10,8 @@ import OpenImageIO
 import pytest
 from PIL import Image
 
+from beltrami_cli import smooth_file
 from beltrami_cli.formats.image import read_image, write_image
-from beltrami_cli.jobs.smooth import smooth_file
 from formats.image_files import SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, riff, riff_chunks
 from formats.tiff_files import described, exr_attributes, exr_file, tiff_file, tiff_tags
 

@@ -12,9 +12,9 @@ import OpenImageIO
 import pytest
 from PIL import Image
 
+from beltrami_cli import smooth_file
 from beltrami_cli.formats.image import losses, read_image, write_image
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.records import srgb_to_linear
 from formats.image_files import encode
 

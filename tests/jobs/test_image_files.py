@@ -8,16 +8,21 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UsageError
+from beltrami_cli import (
+    ImageSettings,
+    InputError,
+    KernelParameters,
+    SmoothSettings,
+    TextureSettings,
+    UsageError,
+    inspect_file,
+    smooth_file,
+    smooth_image,
+)
 from beltrami_cli.fields import override
-from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image, to_float
-from beltrami_cli.jobs.arrays import smooth_image
-from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.layers.settings import ImageSettings, SmoothSettings, TextureSettings
 from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode, icc_profile
 from hostile.textured_models import ONCE
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from beltrami_cli import smooth_image
 from beltrami_cli.errors import UsageError
-from beltrami_cli.jobs.arrays import smooth_image
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 

@@ -8,12 +8,10 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli import InputError, KernelParameters, SmoothSettings, UsageError, smooth_file
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
+from beltrami_cli.layers.settings import LevelSetSettings
 from formats.volume_files import lattice_fields, npz, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
 from small_models import ply

@@ -7,12 +7,9 @@ import pytest
 import trimesh
 from PIL import Image
 
-from beltrami_cli import smooth
+from beltrami_cli import MeshArrays, from_trimesh, smooth, smooth_file, smooth_textured
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.jobs.array_arguments import MeshArrays, from_trimesh
-from beltrami_cli.jobs.arrays import smooth_textured
-from beltrami_cli.jobs.smooth import smooth_file
 from formats.image_files import encode
 from small_models import textured_squares
 

@@ -7,13 +7,13 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli import KernelParameters, SmoothSettings
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.smooth import smooth_layer
 from beltrami_cli.layers.levelled_charts import colours_of, describe_exposure, level
 from beltrami_cli.layers.selection import layers_of, select
-from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
+from beltrami_cli.layers.settings import LevelSettings
 from cli.commands import SAMPLES
 from cli.pictures import encode
 

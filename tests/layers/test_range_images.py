@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli import (
+    InputError,
+    KernelParameters,
+    SmoothSettings,
+    UsageError,
+    inspect_file,
+    smooth_file,
+    smooth_image,
+)
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.arrays import smooth_image
-from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.layers.settings import SmoothSettings
 from hostile.textured_models import ONCE
 
 ROWS, COLUMNS = 20, 26

@@ -9,8 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.ndimage import correlate
 
-from beltrami_cli import smooth
-from beltrami_cli.jobs.arrays import smooth_image
+from beltrami_cli import smooth, smooth_image
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles.surfaces import grid_faces
 

@@ -10,13 +10,11 @@ from scipy.integrate import quad
 from scipy.spatial import cKDTree
 from scipy.special import eval_legendre
 
-from beltrami_cli import smooth
+from beltrami_cli import SmoothSettings, smooth, smooth_file
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import SmoothSettings
 from formats.volume_files import lattice_fields, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
 from oracles.surfaces import icosphere

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli import smooth
-from beltrami_cli.jobs.arrays import smooth_image
+from beltrami_cli import smooth, smooth_image
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces
 from oracles.paintings import photograph, psnr, with_noise

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from beltrami_cli import SmoothSettings, smooth_file
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.grouping import group_places
 
 SIDE = 12  # vertices
