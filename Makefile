@@ -72,10 +72,12 @@ $(VENV)/.gltf-validator: Makefile | $(VENV)/.installed-test
 # What pytest compiles is kept for the next run, even where Python would keep nothing: that saves a fifth of `make quick`.
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
-# With the processor time of each test file, the most expensive first.
+# The processor time of each test file, the most expensive first; a file that takes more than its budget fails.
+CPU_BUDGET ?= 40
+
 test: $(VENV)/.installed-test $(VENV)/.gltf-validator
 	@mkdir -p build
-	$(PYTEST) --cpu build/cpu.txt
+	$(PYTEST) --cpu build/cpu.txt --cpu-budget $(CPU_BUDGET)
 	@head -n 26 build/cpu.txt
 
 quick: $(VENV)/.installed-test

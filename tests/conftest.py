@@ -1,4 +1,4 @@
-"""Which tests run on which system, the Hypothesis profile, and a table of processor time (`--cpu FILE`)."""
+"""Which tests run on which system, the Hypothesis profile, and processor time by file, with a budget (`--cpu FILE`)."""
 
 from __future__ import annotations
 
@@ -36,17 +36,23 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--cpu", metavar="FILE", help="write the processor time of each test and each test file to FILE"
     )
+    parser.addoption(
+        "--cpu-budget",
+        metavar="SECONDS",
+        type=float,
+        help="fail if the tests of one file take more processor time",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.pluginmanager.register(_ProcessorTime(config.getoption("--cpu")))
+    config.pluginmanager.register(_ProcessorTime(config.getoption("--cpu"), config.getoption("--cpu-budget")))
 
 
 class _ProcessorTime:
     """Processor time of each test, its fixtures and the child processes that ended during it."""
 
-    def __init__(self, path: str | None) -> None:
-        self.path = path
+    def __init__(self, path: str | None, budget: float | None) -> None:
+        self.path, self.budget = path, budget
         self.last = self.now()
         self.by_test: collections.Counter[str] = collections.Counter()
 
@@ -69,11 +75,28 @@ class _ProcessorTime:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         self.by_test[report.nodeid] += getattr(report, "cpu_seconds", 0.0)  # none where the process died
 
+    def by_file(self) -> collections.Counter[str]:
+        seconds: collections.Counter[str] = collections.Counter()
+        for test, own in self.by_test.items():
+            seconds[test.partition("::")[0]] += own
+        return seconds
+
+    def over_budget(self) -> list[str]:
+        most = self.budget or float("inf")
+        return [f"{name}: {own:.0f} s" for name, own in self.by_file().most_common() if own > most]
+
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        if not self.path or hasattr(session.config, "workerinput"):
+        if hasattr(session.config, "workerinput"):
             return
-        by_file: collections.Counter[str] = collections.Counter()
-        for test, seconds in self.by_test.items():
-            by_file[test.partition("::")[0]] += seconds
-        rows = [("total", by_file.total()), *by_file.most_common(), *self.by_test.most_common()]
-        Path(self.path).write_text("".join(f"{seconds:8.2f}  {name}\n" for name, seconds in rows))
+        if self.path:
+            by_file = self.by_file()
+            rows = [("total", by_file.total()), *by_file.most_common(), *self.by_test.most_common()]
+            Path(self.path).write_text("".join(f"{seconds:8.2f}  {name}\n" for name, seconds in rows))
+        if self.over_budget():
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        for line in self.over_budget():
+            terminalreporter.write_line(
+                f"{line} of processor time, more than the budget of {self.budget:g} s", red=True
+            )
