@@ -9,7 +9,7 @@ namespace {
 // A texel in a coarse chart is looked up between two or three texels of a fine one.
 constexpr std::int64_t reach_of_open = 2, reach_of_any = 1;
 // Of a segment that spans more periods of the texture than this, only the first ones are marked.
-constexpr double most_periods = 4;
+constexpr double most_marked_periods = 4;
 
 // Marks the texels within `reach` rows and columns of a segment.
 void mark(std::vector<bool>& marks, const Texture& grid, Point2 a, Point2 b, std::int64_t reach) {
@@ -18,7 +18,7 @@ void mark(std::vector<bool>& marks, const Texture& grid, Point2 a, Point2 b, std
   const double from = upright ? a.y : a.x, to = upright ? b.y : b.x;
   const double start = upright ? a.x : a.y, slope = to > from ? ((upright ? b.x : b.y) - start) / (to - from) : 0;
   const auto crossing = [&](double along) { return start + slope * (std::clamp(along, from, to) - from); };
-  const double last = std::min(to, from + most_periods * std::max(grid.width, grid.height));
+  const double last = std::min(to, from + most_marked_periods * std::max(grid.width, grid.height));
   const auto end = static_cast<std::int64_t>(std::ceil(last)) + reach;
   for (std::int64_t along = static_cast<std::int64_t>(std::floor(from)) - reach; along <= end; ++along) {
     const auto [least, most] =

@@ -26,15 +26,15 @@ Place place_of(const Window& window, std::int64_t texel, const Texture& grid) {
 
 // Rectangles begin at even texels, and lie at even cells: JPEG stores hues of squares of 2 x 2 texels, and noise is measured
 // in squares of 2 x 2 cells.
-constexpr std::int64_t step = 2;
+constexpr std::int64_t cell_step = 2;
 
-std::int64_t rounded_down(std::int64_t place) { return place - (place % step + step) % step; }
+std::int64_t rounded_down(std::int64_t place) { return place - (place % cell_step + cell_step) % cell_step; }
 
 // Side of the blocks in which rectangles are packed: fine enough to fit charts together, coarse enough to take little time.
 std::int64_t block_side(const std::vector<Rectangle>& rectangles) {
   double area = 0;
   for (const Rectangle& rectangle : rectangles) area += static_cast<double>(rectangle.width * rectangle.height);
-  return step * std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(std::sqrt(area) / blocks_a_side / step)));
+  return cell_step * std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(std::sqrt(area) / blocks_a_side / cell_step)));
 }
 
 // Calls visit(begin, end) for the runs of a row that are owned; is_owned(i) for columns i in [0, width).

@@ -12,7 +12,7 @@ namespace {
 // A texel that weighs less than this in a lookup does not show in 8 bits, and rounding may be all that reaches it.
 constexpr double least_weight = 1.0 / 256;
 // An edge that is longer than this many periods of its texture is looked at about its middle only.
-constexpr double most_periods = 8;
+constexpr double most_edge_periods = 8;
 constexpr std::size_t edges_per_poll = 1 << 12;
 // Many edges meet a texel. What they find is sorted now and then, so that each texel is kept about once.
 constexpr std::size_t first_compaction = 1 << 16;
@@ -54,9 +54,9 @@ class Finder {
     auto [a, b] = mesh_.ends(edge);
     const Point2 middle = 0.5 * (a + b), half = 0.5 * (b - a);
     const double periods = std::max(std::abs(half.x) / grid.width, std::abs(half.y) / grid.height) * 2;
-    if (periods > most_periods) {
-      a = middle - (most_periods / periods) * half;
-      b = middle + (most_periods / periods) * half;
+    if (periods > most_edge_periods) {
+      a = middle - (most_edge_periods / periods) * half;
+      b = middle + (most_edge_periods / periods) * half;
     }
     visit_around(a, b, [&](std::int64_t x, std::int64_t y) {
       const std::int64_t texel = texel_at(grid, x, y);

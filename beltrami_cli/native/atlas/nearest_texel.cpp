@@ -9,7 +9,7 @@ namespace beltrami::atlas {
 namespace {
 
 constexpr std::size_t rows_per_chunk = 16, columns_per_chunk = 64;
-constexpr std::int64_t none = -1;
+constexpr std::int64_t no_texel = -1;
 
 // Farther than any row: what stands for the nearest marked row of a column without one.
 constexpr std::int32_t far = 1 << 30;
@@ -61,10 +61,10 @@ class Envelope {
 
   // The column of the mark nearest to x, if it is within reach; x only grows from call to call.
   std::int64_t column_for(std::int64_t x, std::int64_t reach) {
-    if (parts_.empty()) return none;
+    if (parts_.empty()) return no_texel;
     while (part_ + 1 < parts_.size() && parts_[part_ + 1].start <= x) ++part_;
     const std::int64_t across = parts_[part_].column - x;
-    return across * across + parts_[part_].square <= reach * reach ? parts_[part_].column : none;
+    return across * across + parts_[part_].square <= reach * reach ? parts_[part_].column : no_texel;
   }
 
  private:
@@ -96,7 +96,7 @@ void search_row(const bool* wanted, const std::int32_t* nearest, std::int64_t ro
     for (std::int64_t x = begin; x < stop; ++x) {
       if (!wanted[x]) continue;
       const std::int64_t column = envelope.column_for(x, reach);
-      if (column == none) continue;
+      if (column == no_texel) continue;
       found.texels.push_back(row * width + x);
       found.marks.push_back(nearest[column] * width + column);
     }

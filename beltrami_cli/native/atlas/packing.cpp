@@ -14,12 +14,12 @@ constexpr std::array relative_widths{1.0, 1.15, 1.3, 1.6, 2.0, 2.5};
 constexpr std::size_t many_shapes = 256, widths_for_many = 2;
 
 // A run of bits in a shape's row.
-struct Run {
+struct RunOfBits {
   std::int64_t row, first, length;
 };
 
-std::vector<Run> runs_of(const Bits& shape) {
-  std::vector<Run> runs;
+std::vector<RunOfBits> runs_of(const Bits& shape) {
+  std::vector<RunOfBits> runs;
   const auto is_set = [&](std::int64_t row, std::int64_t i) { return (shape.row(row)[i / 64] >> (i % 64) & 1) != 0; };
   for (std::int64_t row = 0; row < shape.rows; ++row)
     for (std::int64_t first = 0; first < shape.columns;) {
@@ -29,7 +29,7 @@ std::vector<Run> runs_of(const Bits& shape) {
       first = std::max(end, first + 1);
     }
   // Long runs rule out most places.
-  std::stable_sort(runs.begin(), runs.end(), [](const Run& a, const Run& b) { return a.length > b.length; });
+  std::stable_sort(runs.begin(), runs.end(), [](const RunOfBits& a, const RunOfBits& b) { return a.length > b.length; });
   return runs;
 }
 
@@ -46,7 +46,7 @@ class Canvas {
       while (rows() < row + shape.rows) add_row();
       const std::int64_t column = find_column(shape, runs, row);
       if (column < 0) continue;
-      for (const Run& run : runs) fill(row + run.row, column + run.first, run.length);
+      for (const RunOfBits& run : runs) fill(row + run.row, column + run.first, run.length);
       return {row, column};
     }
   }
@@ -60,8 +60,8 @@ class Canvas {
   std::uint64_t* taken(std::int64_t row) { return taken_.data() + static_cast<std::size_t>(row) * words_; }
 
   // The first column at which none of the runs meets an occupied cell; -1 if there is none.
-  std::int64_t find_column(const Bits& shape, const std::vector<Run>& runs, std::int64_t row) {
-    for (const Run& run : runs)
+  std::int64_t find_column(const Bits& shape, const std::vector<RunOfBits>& runs, std::int64_t row) {
+    for (const RunOfBits& run : runs)
       if (run.length > longest_[static_cast<std::size_t>(row + run.row)]) return -1;
     // Columns beyond the last one possible are blocked from the start.
     for (std::size_t word = 0; word < words_; ++word) {
@@ -69,7 +69,7 @@ class Canvas {
       const std::int64_t open = std::clamp<std::int64_t>(columns_ - shape.columns + 1 - first, 0, 64);
       blocked_[word] = open == 64 ? 0 : ~std::uint64_t{0} << open;
     }
-    for (const Run& run : runs)
+    for (const RunOfBits& run : runs)
       if (!block(run, row)) return -1;
     for (std::size_t word = 0; word < words_; ++word)
       if (blocked_[word] != ~std::uint64_t{0})
@@ -78,7 +78,7 @@ class Canvas {
   }
 
   // Blocks the columns at which a run would meet an occupied cell; returns whether any is left.
-  bool block(const Run& run, std::int64_t row) {
+  bool block(const RunOfBits& run, std::int64_t row) {
     const std::uint64_t* from = taken(row + run.row);
     shift_down(from, run.first, shifted_.data());
     for (std::int64_t covered = 1; covered < run.length;) {

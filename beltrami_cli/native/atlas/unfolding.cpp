@@ -9,7 +9,7 @@ namespace {
 // A halo is a few texels wide; only fans of slivers need more faces than this.
 constexpr int longest_walk = 64;
 // What lies on an edge but for rounding belongs to the face before it: it must not fall off an open edge.
-constexpr double rounding = 1e-9;
+constexpr double relative_rounding = 1e-9;
 // Relative difference of steps across an edge; less is the curvature of the surface.
 constexpr double contradiction = 0.5;
 // Edge k of a laid face leads from its corner k to the next; by the last one a way enters.
@@ -40,7 +40,7 @@ double left_of(Point2 from, Point2 to, Point2 point) { return cross(to - from, p
 bool is_beyond(Base edge, Point2 point, double reach) {
   const Point2 along = edge.b - edge.a;
   const double length = std::sqrt(dot(along, along));
-  return left_of(edge.a, edge.b, point) > rounding * length * (length + reach);
+  return left_of(edge.a, edge.b, point) > relative_rounding * length * (length + reach);
 }
 
 // The mesh's name of edge k of a laid face; in the mesh it may lead the other way.

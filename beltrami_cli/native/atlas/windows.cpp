@@ -12,7 +12,7 @@ namespace {
 
 // A face that spans more periods than that is looked at about its middle only; and all faces together do not make
 // more than a few million pairs of a face and a window.
-constexpr double most_periods = 64, most_pairs = 1 << 22;
+constexpr double most_face_periods = 64, most_pairs = 1 << 22;
 
 struct Box {
   double left = std::numeric_limits<double>::infinity(), right = -left, top = left, bottom = -left;
@@ -117,26 +117,26 @@ class Maker {
     std::sort(parts.begin(), parts.end(), [](const Part& a, const Part& b) {
       return a.window() != b.window() ? a.window() < b.window() : a.face < b.face;
     });
-    struct Run {
+    struct WindowRun {
       std::size_t begin, end;
       double area, from_middle = 0;
       // Equally full windows are ranked by where they lie: in the middle the chart goes on on all sides.
       auto rank(double full) const { return std::tuple(-std::llround(1000 * area / full), from_middle); }
     };
-    std::vector<Run> runs;
+    std::vector<WindowRun> runs;
     for (std::size_t i = 0; i < parts.size(); ++i) {
       if (i == 0 || parts[i].window() != parts[i - 1].window()) runs.push_back({i, i, 0, 0});
       runs.back().end = i + 1;
       runs.back().area += parts[i].area;
     }
-    for (Run& run : runs) {
+    for (WindowRun& run : runs) {
       const double x = static_cast<double>(parts[run.begin].column) - columns.middle;
       const double y = static_cast<double>(parts[run.begin].row) - rows.middle;
       run.from_middle = x * x + y * y;
     }
     const double full = static_cast<double>(columns.size) * static_cast<double>(rows.size);
-    std::stable_sort(runs.begin(), runs.end(), [&](const Run& a, const Run& b) { return a.rank(full) < b.rank(full); });
-    for (const Run& run : runs) {
+    std::stable_sort(runs.begin(), runs.end(), [&](const WindowRun& a, const WindowRun& b) { return a.rank(full) < b.rank(full); });
+    for (const WindowRun& run : runs) {
       const Part& first = parts[run.begin];
       open_window(chart, columns.start + first.column * columns.size, rows.start + first.row * rows.size, false);
       for (std::size_t i = run.begin; i < run.end; ++i) result_.faces.push_back(parts[i].face);
@@ -146,7 +146,7 @@ class Maker {
 
   std::vector<Part> cut_faces(std::size_t chart, const Axis& columns, const Axis& rows) const {
     const auto faces = charts_.faces_of(chart);
-    const double periods = std::clamp(std::sqrt(most_pairs / static_cast<double>(faces.size())), 2.0, most_periods);
+    const double periods = std::clamp(std::sqrt(most_pairs / static_cast<double>(faces.size())), 2.0, most_face_periods);
     std::vector<Part> parts;
     for (const Index face : faces) {
       const auto& corners = mesh_.texels[static_cast<std::size_t>(face)];

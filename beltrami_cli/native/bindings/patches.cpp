@@ -64,7 +64,7 @@ void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pil
   });
 }
 
-using Rows = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using WritableRows = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 // See SurfacePatches; edges are pairs of vertices, axes two directions.
 SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
@@ -89,7 +89,7 @@ SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matr
 // See SurfacePatches::collaborate; a row a vertex.
 void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& noisy, const Matrix<float>& pilot,
                             const nb::tuple& mixing, const std::optional<Vector<float>>& relative, bool has_pilot,
-                            Rows& estimates, Rows& weights, unsigned threads, const nb::object& progress) {
+                            WritableRows& estimates, WritableRows& weights, unsigned threads, const nb::object& progress) {
   const std::size_t channels = noisy.shape(1);
   const Mixing own = mixing_of(mixing, channels);
   if (relative && relative->size() != surface.size()) throw nb::value_error("one relative variance a vertex is needed");

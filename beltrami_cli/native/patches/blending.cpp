@@ -11,7 +11,7 @@ namespace beltrami::patches {
 namespace {
 
 // Samples whose values stay in the cache, and that one thread takes at a time.
-constexpr std::size_t run = 256, chunk = 16 * run;
+constexpr std::size_t run = 256, chunk_of_runs = 16 * run;
 
 using Run = std::array<float, run>;
 
@@ -81,7 +81,7 @@ class Channel {
 // Calls f(first sample, count) for runs of samples, on several threads.
 template <class F>
 void each_run(std::size_t count, unsigned threads, F f) {
-  parallel_chunks(count, chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+  parallel_chunks(count, chunk_of_runs, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     for (std::size_t first = begin; first < end; first += run) f(first, std::min(run, end - first));
   });
 }

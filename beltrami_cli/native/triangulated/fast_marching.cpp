@@ -14,11 +14,6 @@ constexpr std::size_t arity = 4;
 // Vertices with more links than this are hubs: a kernel that reaches one must not take as long as its list of links is.
 constexpr Index most_links = 512;
 
-// Non-negative floats order like their bit patterns; the vertex below them makes the order total.
-std::uint64_t make_key(float distance, Index vertex) {
-  return std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(vertex);
-}
-
 }  // namespace
 
 FastMarching::FastMarching(const Stencils& stencils, const Selection& selection)

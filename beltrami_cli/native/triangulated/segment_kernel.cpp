@@ -33,12 +33,8 @@ void measure_in_space(LengthTables& tables, Rows<double> positions, const float*
 // nothing.
 constexpr std::size_t groups_per_chunk = 16;
 
-std::uint64_t make_key(float distance, Index vertex) {
-  return std::uint64_t{std::bit_cast<std::uint32_t>(distance)} << 32 | static_cast<std::uint32_t>(vertex);
-}
-
-struct Worker {
-  Worker(const Segments& segments) : scratch(static_cast<std::size_t>(segments.vertex_count())) {}
+struct SegmentWorker {
+  SegmentWorker(const Segments& segments) : scratch(static_cast<std::size_t>(segments.vertex_count())) {}
   GroupScratch scratch;
   std::unique_ptr<SegmentMarch> marching;  // made when a group needs it
   KernelStatistics statistics;
@@ -192,12 +188,12 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
   const SweepGroup sweep = BELTRAMI_VARIANT_OF(sweep_group, choose_instruction_set());
   const GroupJob job{&lengths_.segments(), colours, weights, parameters, smoothed};
   const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));
-  std::vector<std::unique_ptr<Worker>> workers(useful);
+  std::vector<std::unique_ptr<SegmentWorker>> workers(useful);
   parallel_chunks(
       groups_.count(), groups_per_chunk, useful,
       [&](std::size_t begin, std::size_t end, unsigned index) {
-        if (!workers[index]) workers[index] = std::make_unique<Worker>(lengths_.segments());
-        Worker& worker = *workers[index];
+        if (!workers[index]) workers[index] = std::make_unique<SegmentWorker>(lengths_.segments());
+        SegmentWorker& worker = *workers[index];
         for (std::size_t group = begin; group < end; ++group) {
           const VertexGroup members = groups_.group(group);
           if (const auto done = sweep(job, members, worker.scratch)) {

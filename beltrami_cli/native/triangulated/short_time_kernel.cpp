@@ -10,8 +10,8 @@ namespace {
 // About a millisecond of work: small enough to share out evenly, large enough that sharing costs nothing.
 constexpr std::size_t sources_per_chunk = 512;
 
-struct Worker {
-  Worker(const Stencils& stencils, const Selection& selection, std::size_t channels)
+struct MarchWorker {
+  MarchWorker(const Stencils& stencils, const Selection& selection, std::size_t channels)
       : marching(stencils, selection), sums(channels) {}
   FastMarching marching;
   std::vector<double> sums;
@@ -45,11 +45,11 @@ KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const flo
   const std::size_t vertex_count = stencils.link_offsets.size() - 1;
   const float quarter_inverse_t = 1 / (4 * parameters.time_step);
   const auto useful = std::clamp<std::size_t>(threads, 1, vertex_count / sources_per_chunk + 1);
-  std::vector<Worker> workers(useful, Worker(stencils, selection, colours.width));
+  std::vector<MarchWorker> workers(useful, MarchWorker(stencils, selection, colours.width));
   parallel_chunks(
       vertex_count, sources_per_chunk, static_cast<unsigned>(useful),
       [&](std::size_t begin, std::size_t end, unsigned index) {
-        Worker& worker = workers[index];
+        MarchWorker& worker = workers[index];
         for (std::size_t source = begin; source < end; ++source) {
           if (selection.wanted != nullptr && !selection.wanted[source]) {
             const float* colour = colours[static_cast<Index>(source)];

@@ -98,7 +98,7 @@ std::optional<Support> unfold(const Topology& topology, std::span<const double> 
 }
 
 constexpr std::size_t faces_per_chunk = 4096;
-constexpr std::size_t edges_per_chunk = 16384;
+constexpr std::size_t links_per_chunk = 16384;
 
 // Coefficients for the update of C by A (just accepted) with the partner `vertex` = B, from squared lengths:
 // a faces A, b faces B, c faces C.
@@ -188,7 +188,7 @@ void group_splits(Stencils& stencils, const std::vector<std::vector<FoundSplit>>
 
 void update_stencils(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths,
                      ObtuseCorners obtuse, unsigned threads) {
-  parallel_chunks(topology.edges.size(), edges_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
+  parallel_chunks(topology.edges.size(), links_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     for (std::size_t edge = begin; edge < end; ++edge) {
       const auto length = static_cast<float>(std::sqrt(squared_lengths[edge]));
       for (const Index link : topology.edge_links[edge]) stencils.links[static_cast<std::size_t>(link)].length = length;
