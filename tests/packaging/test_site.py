@@ -115,7 +115,15 @@ def test_the_floors_are_those_of_the_contract():
     ]
 
 
-def test_versions_agree():
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    version = re.search(r'^version = "(.*)"$', project, re.MULTILINE)[1]
-    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+VERSIONS = {
+    "CITATION.cff": "\nversion: {}\n",
+    "CHANGELOG.md": "\n## {} (",
+    "recipe/meta.yaml": '{{% set version = "{}" %}}',
+    "beltrami_cli/blender/blender_manifest.toml": '\nversion = "{}"\n',
+}
+
+
+@pytest.mark.parametrize("name", VERSIONS)
+def test_versions_agree(name):
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    assert VERSIONS[name].format(version) in (ROOT / name).read_text(encoding="utf-8")
