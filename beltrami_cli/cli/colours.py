@@ -29,7 +29,7 @@ Examples:
 \b
 Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. A step at a seam is taken
 for exposure if charts explain it: gains fitted to some seams must predict the steps at the others. Else it is paint,
-and stays; if all of them are, OUTPUT is INPUT. See docs/levelling.md.
+and stays; if all of them are, OUTPUT is INPUT. See `beltrami docs levelling`.
 """
 
 

@@ -50,7 +50,7 @@ SSIM is of Wang et al. 2004, Delta E of CIE 142-2001 (Sharma et al. 2005).
 \b
 Exit codes: 0 all limits are kept, or none given; 1 a limit is broken; 3 one cannot be measured, such as SSIM of
 vertices (only steps over seams are kept where there is no seam); otherwise as `beltrami`.
-See docs/ci.md for GitHub Actions and Makefiles.
+`beltrami docs ci` has examples for GitHub Actions and Makefiles.
 """
 
 _COLUMNS = (

@@ -28,6 +28,7 @@ COMMANDS = {
     "check": "List what differs besides the colours of two files.",
     "compare": "Measure how far colours are from a reference.",
     "config": "Show the options in force, and where each comes from.",
+    "docs": "Show the documentation.",
     "info": "Show the coloured parts of files, and their noise.",
     "kernel": "Write the distances and the weights of one kernel.",
     "level": "Take exposure steps between charts out of textures.",
@@ -97,6 +98,7 @@ Examples:
   cat scan.ply | beltrami smooth - - > c.ply  through a pipe
   beltrami batch scans --out-dir clean        all models in a folder
   beltrami config smooth                      options from files and the environment
+  beltrami docs which-flags                   the documentation, by topic
 
 \b
 beltrami COMMAND --help shows the most important options of a command, --help-all all of them.

@@ -181,7 +181,7 @@ class KernelParameters:
     noise: str | None = parameter(
         None,
         "The noise if it is known: 12 (of 255), 4.7%, a camera's shot:A,read:B (variance A L + B^2 of light L), or for "
-        "each sample FILE, frame:FILE or attribute:NAME, see docs/tuning.md.",
+        "each sample FILE, frame:FILE or attribute:NAME, see beltrami docs tuning.",
         kind=str, unset="estimated", metavar="S|FILE", is_daily=True, file_in=file_of_noise,
     )  # fmt: skip
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -12,8 +15,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from beltrami_cli.cli.docs import pages
 from beltrami_cli.cli.main import COMMANDS, group
-from cli.commands import SAMPLES, beltrami
+from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.tiff_files import exr_file
 
@@ -190,3 +194,40 @@ def test_the_python_of_pages_runs(name, stand_ins, tmp_path, monkeypatch):
     for block in blocks:
         exec(compile(block, name, "exec"), known)
     assert known["result"].colours.shape == (len(positions), 3)
+
+
+def test_docs_lists_every_page_of_the_site_with_its_title():
+    listed = dict(line.split(None, 1) for line in beltrami("docs", text=True).stdout.splitlines())
+    assert set(listed) == {page.stem for page in PAGES[1:]} - {"index", "changelog"}
+    assert listed["levelling"] == "Exposure steps"
+
+
+@pytest.mark.parametrize("name", pages())
+def test_docs_writes_pages_as_markdown_without_the_markup_of_the_site(name):
+    shown = beltrami("docs", name, text=True).stdout
+    assert shown.startswith("# ")
+    assert not re.search(r"^(:::|<!--|    options: {)", shown, re.MULTILINE)
+
+
+@pytest.mark.slow  # a process with a terminal
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_docs_formats_pages_in_a_terminal():
+    ours, theirs = os.openpty()
+    environment = {**os.environ, "PAGER": "cat"}
+    with subprocess.Popen([*COMMAND, "docs", "ci"], stdout=theirs, stderr=theirs, env=environment):
+        os.close(theirs)
+        shown = os.read(ours, 4096).decode(errors="replace")  # the rest has no reader
+        os.close(ours)
+    assert "Colours in continuous integration" in shown
+    assert "# Colours" not in shown
+
+
+def test_docs_of_an_unknown_topic_names_the_topics():
+    assert "'tuning'" in beltrami("docs", "tunning", code=2, text=True).stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_topics_that_help_names_exist(name):
+    shown = beltrami(name, "--help-all", text=True).stdout
+    assert "docs/" not in shown
+    assert set(re.findall(r"beltrami docs ([a-z][\w-]+)", shown)) <= set(pages())

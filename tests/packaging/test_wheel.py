@@ -41,11 +41,12 @@ def test_the_name_says_that_it_serves_later_pythons_and_other_machines(wheel):
         assert platform.startswith(("manylinux_", "musllinux_"))
 
 
-def test_it_holds_the_package_and_its_manual_and_no_sources_of_the_core(wheel):
+def test_it_holds_the_package_its_manual_and_pages_and_no_sources_of_the_core(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert [name for name in names if name.endswith((".cpp", ".hpp", "CMakeLists.txt"))] == []
     assert any(name.startswith("beltrami_cli/_native.") for name in names)
     assert any(name.endswith("share/man/man1/beltrami-smooth.1") for name in names)
+    assert "beltrami_cli/docs/tuning.md" in names
     assert not any(name.startswith(("tests/", "docs/", "sample_data/")) for name in names)
 
 
@@ -57,6 +58,7 @@ def test_it_smooths_where_there_is_no_compiler(installed, tmp_path):
         return subprocess.run(call, check=True, capture_output=True, text=True, env=environment, cwd=tmp_path)
 
     assert run("--version").stdout.startswith("beltrami, version ")
+    assert run("docs", "tuning").stdout.startswith("# Tuning")
     source = ROOT / "sample_data" / "nonmanifold-noisy.ply"
     assert "noise" in run("smooth", source, "clean.ply").stderr
     check = run("check", source, "clean.ply").stdout

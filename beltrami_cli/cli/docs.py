@@ -1,0 +1,58 @@
+"""The command `beltrami docs`: the pages of the documentation, which every installation holds."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import click
+
+from beltrami_cli.cli.commands import HelpfulCommand
+
+EPILOG = """\b
+Examples:
+  beltrami docs                  the topics
+  beltrami docs which-flags      which options suit which data
+  beltrami docs tuning > t.md    a page as Markdown
+"""
+_PACKAGE = Path(__file__).parents[1]
+_LEFT_OUT = {"index", "changelog"}  # they consist of links and of another file
+# Markup for the site alone: what its plug-ins insert, and marks for scripts.
+_FOR_THE_SITE = re.compile(r"^(?:::: .*\n(?: {4}.*\n)*|<!--.*-->\n)", re.MULTILINE)
+
+
+def pages() -> dict[str, Path]:
+    """Return the topics and their files, from the package or from the sources that it runs from."""
+    installed = _PACKAGE / "docs"
+    folder = installed if installed.is_dir() else _PACKAGE.parent / "docs"
+    return {path.stem: path for path in sorted(folder.glob("*.md")) if path.stem not in _LEFT_OUT}
+
+
+def page_text(path: Path) -> str:
+    """Return a page as Markdown without the markup that only the site can show."""
+    return _FOR_THE_SITE.sub("", path.read_text(encoding="utf-8"))
+
+
+@click.command("docs", cls=HelpfulCommand, epilog=EPILOG)
+@click.argument("topic", type=click.Choice(list(pages())), metavar="[TOPIC]", required=False)
+def command(topic: str | None) -> None:
+    """Show a page of the documentation, or list the pages.
+
+    In a terminal pages are formatted, and shown by $PAGER; into a pipe or a file they go as Markdown.
+    """
+    if topic is None:
+        for name, path in pages().items():
+            click.echo(f"{name:<16}{page_text(path).partition('# ')[2].splitlines()[0]}")
+        return
+    text = page_text(pages()[topic])
+    if sys.stdout.isatty():
+        from rich.console import Console
+        from rich.markdown import Markdown
+
+        console = Console()
+        with console.capture() as formatted:
+            console.print(Markdown(text, hyperlinks=False))
+        click.echo_via_pager(formatted.get())
+    else:
+        click.echo(text, nl=False)
