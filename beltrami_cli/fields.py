@@ -2,7 +2,7 @@
 
 The options of the command line are made from the fields, and with them configuration files, variables of the
 environment and manifests; so are the checks of ranges, overrides by keywords in Python, the attributes in the records'
-docstrings, and docs/parameters.md.
+docstrings, and the table of `beltrami docs parameters`.
 """
 
 from __future__ import annotations

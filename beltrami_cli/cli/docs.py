@@ -30,8 +30,13 @@ def pages() -> dict[str, Path]:
 
 
 def page_text(path: Path) -> str:
-    """Return a page as Markdown without the markup that only the site can show."""
-    return _FOR_THE_SITE.sub("", path.read_text(encoding="utf-8"))
+    """Return a page as Markdown without the markup that only the site can show, and with the table of parameters."""
+    text = _FOR_THE_SITE.sub("", path.read_text(encoding="utf-8"))
+    if path.stem == "parameters":
+        from beltrami_cli.cli.manual import parameter_table
+
+        text += f"\n{parameter_table()}"
+    return text
 
 
 @click.command("docs", cls=HelpfulCommand, epilog=EPILOG)

@@ -1,6 +1,6 @@
-"""Pages made from the program: its manual, which the wheel holds, and the table of all parameters in docs/.
+"""Pages made from the program: its manual, which the wheel holds, and the table of all parameters.
 
-`python -m beltrami_cli.cli.manual DIR VERSION` writes the manual, `python -m beltrami_cli.cli.manual FILE` the table.
+`python -m beltrami_cli.cli.manual DIR VERSION` writes the manual.
 """
 
 from __future__ import annotations
@@ -39,13 +39,6 @@ _EXIT_STATUS = (
     ("0", "Done."), ("1", "Processing failed, or a limit is broken."), ("2", "Wrong usage."),
     ("3", "An input is unreadable or not fit."), ("4", "An output is not writable."), ("130", "Interrupted."),
 )  # fmt: skip
-_TABLE = """\
-# Parameters
-
-Made from the declarations in the code; `make parameters` writes this page. Names are Python keywords and
-fields of reports. In configuration files and manifests an option has its own name, without the dashes in front.
-[Tuning](tuning.md) explains "chosen from the data", and [Which flags](which-flags.md) lists options by kind of data.
-"""
 _SECTIONS = (
     KernelParameters, SmoothSettings, TextureSettings, ImageSettings, LevelSetSettings, EmbeddingSettings,
     BakeSettings, LevelSettings, NoiseSettings, Limits, RenderSettings, Access,
@@ -55,7 +48,6 @@ _SECTIONS = (
 def parameter_table() -> str:
     """All parameters in one table, with a row of its own for the name of each record."""
     lines = [
-        _TABLE,
         "| name | option | default | allowed | unit | meaning |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
@@ -155,12 +147,9 @@ def _text(text: str) -> str:
     return f"\\&{safe}" if safe.startswith(".") else safe
 
 
-def main(target_name: str, version: str = "") -> None:
-    """Write the manual pages into a folder, which is made; without a version the table of parameters into a file."""
+def main(target_name: str, version: str) -> None:
+    """Write the manual pages into a folder, which is made."""
     target = Path(target_name)
-    if not version:
-        target.write_text(parameter_table(), encoding="utf-8")
-        return
     target.mkdir(parents=True, exist_ok=True)
     for name, text in manual(version):
         (target / name).write_text(text, encoding="ascii")

@@ -74,9 +74,9 @@ Examples:
   zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
 
 \b
-Other parameters are chosen by an estimate of the error, see `beltrami docs tuning`. Strength grows with -n and -t, falls
-with --beta. If edges soften, raise --beta, or say --strength gentle; if noise stays, raise -n, lower --beta, or say
---strength strong. See what a file is like, and what would be chosen, with `beltrami info FILE`.
+Other parameters are chosen by an estimate of the error, see `beltrami docs tuning`. Strength grows with -n and -t,
+and falls with --beta. If edges soften, raise --beta, or say --strength gentle; if noise stays, raise -n, lower --beta,
+or say --strength strong. `beltrami info FILE` shows the noise, and what would be chosen.
 """
 
 

@@ -17,6 +17,7 @@ import trimesh
 
 from beltrami_cli.cli.docs import pages
 from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.options import ParameterOption
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.tiff_files import exr_file
@@ -207,6 +208,13 @@ def test_docs_writes_pages_as_markdown_without_the_markup_of_the_site(name):
     shown = beltrami("docs", name, text=True).stdout
     assert shown.startswith("# ")
     assert not re.search(r"^(:::|<!--|    options: {)", shown, re.MULTILINE)
+
+
+def test_the_page_of_parameters_has_every_parameter_of_smooth():
+    shown = beltrami("docs", "parameters", text=True).stdout
+    named = [option.opts[-1] for option in command("smooth").params if isinstance(option, ParameterOption)]
+    assert len(named) > 30
+    assert [name for name in named if f"`{name}" not in shown] == []
 
 
 @pytest.mark.slow  # a process with a terminal

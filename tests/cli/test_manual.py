@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import click
 import pytest
 
 from beltrami_cli.cli.main import COMMANDS, group
-from beltrami_cli.cli.manual import main, manual, parameter_table
+from beltrami_cli.cli.manual import main, manual
 
 PAGES = dict(manual("1.2.3"))
 
@@ -30,11 +29,6 @@ def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
     page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
     assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []
     assert re.findall(r"\.B (.*)\n\n", page) == []  # each is explained
-
-
-def test_the_page_of_parameters_is_as_they_are_declared():
-    page = Path(__file__).parents[2] / "docs" / "parameters.md"
-    assert page.read_text(encoding="utf-8") == parameter_table(), "make parameters writes it again"
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="there is no groff")
