@@ -20,7 +20,7 @@ help:
 	@echo "make lint      ruff, mypy and the import layers"
 	@echo "make bench     time the kernels, and compare them with other tools"
 	@echo "make wheel     build and check the source distribution and the wheel for this kind of machine, in dist/"
-	@echo "make release-check  the same, check what a package index wants, and say what is left to do by hand"
+	@echo "make release-check  the same, check the requirements of a package index, and list the manual steps"
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
@@ -52,7 +52,7 @@ $(PACKAGE)/.built: $(SOURCES) | $(VENV)/.pip
 	  $(BIN)/python -m pip wheel --verbose --disable-pip-version-check --no-deps --wheel-dir $(PACKAGE) .; fi
 	@touch $@
 
-# One environment for each set of extras, installed again when the package changes. Python compiles what is used.
+# One environment for each set of extras, installed again when the package changes. Python compiles modules when they run.
 $(VENV)/.installed-%: $(PACKAGE)/.built | $(VENV)/.pip
 	@$(BIN)/python -m pip uninstall --quiet --yes beltrami-cli 2>/dev/null
 	$(BIN)/python -m pip install --no-compile --disable-pip-version-check --upgrade $(RESTRAIN) "$$(ls $(PACKAGE)/*.whl)[$*]"
@@ -84,7 +84,7 @@ $(VENV)/.gltf-validator: Makefile | $(VENV)/.installed-test
 	  --ignore-scripts --no-audit --no-fund $(GLTF_VALIDATOR) && touch $@ \
 	  || echo "$(GLTF_VALIDATOR) cannot be installed, so its tests will be skipped" >&2
 
-# A worker on every processor; one that is done takes over tests from the others, so those of a file mostly stay together.
+# A worker on every processor; an idle one takes over tests from the others, so tests of a file mostly stay together.
 # What pytest compiles is kept for the next run, even where Python would keep nothing: that saves a fifth of `make quick`.
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n auto --dist worksteal
 
@@ -223,7 +223,7 @@ fuzz-core: $(CMAKE)
 	build/fuzz-core/fuzz_core -max_total_time=$(FUZZ_SECONDS) -timeout=20 -rss_limit_mb=3000 -max_len=8192 \
 	  -artifact_prefix=build/fuzz/core- build/fuzz/core tests/fuzz/corpus/core
 
-# For docs/formats.md: FOLDERS with models of any kind, nothing of which is written to.
+# For docs/formats.md: FOLDERS with models of any kind, which stay unchanged.
 FOLDERS   ?= sample_data
 MUTATIONS ?= 8
 survey: $(VENV)/.installed-test
@@ -251,7 +251,7 @@ $(NOISE_PICTURES):
 clean:
 	rm -rf build demo dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
-# The site has an environment of its own: its packages are no part of what is tested.
+# The site has an environment of its own: its packages are not tested.
 docs:
 	$(MAKE) --no-print-directory VENV=$(VENV)-docs build-docs
 

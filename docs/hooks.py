@@ -1,4 +1,4 @@
-"""For the site: what is made from the code and stands in no file."""
+"""Parts of the site that are made from the code: the reference of the Python API and the table of parameters."""
 
 import beltrami_cli
 from beltrami_cli.cli.manual import parameter_table
@@ -18,6 +18,6 @@ ADDED = {"api.md": api_reference, "parameters.md": parameter_table}
 
 
 def on_page_markdown(markdown, page, **_):
-    """Add what belongs at the end of a page."""
+    """Add the generated part to the end of a page."""
     made = ADDED.get(page.file.src_uri)
     return markdown if made is None else f"{markdown}\n{made()}"

@@ -41,7 +41,7 @@ def page_text(path: Path) -> str:
 
 @click.command("docs", cls=HelpfulCommand, epilog=EPILOG)
 @click.argument("topic", type=click.Choice(list(pages())), metavar="[TOPIC]", required=False)
-def command(topic: str | None) -> None:
+def docs(topic: str | None) -> None:
     """Show a page of the documentation, or list the pages.
 
     In a terminal pages are formatted, and shown by $PAGER; into a pipe or a file they go as Markdown.

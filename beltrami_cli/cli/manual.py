@@ -29,8 +29,8 @@ from beltrami_cli.layers.settings import (
 from beltrami_cli.view.settings import RenderSettings
 
 _ENVIRONMENT = (
-    "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. What counts is, first "
-    "to last: the command line, variables, the file, the default; beltrami config {} shows the values in force."
+    "Every option has a variable: {}, with _ for - in the option. Options come from a file, too. The command "
+    "line overrides variables, these the file, and that the default; beltrami config {} shows the values in force."
 )
 _FILES = (
     "beltrami.toml, or [tool.beltrami] in pyproject.toml, in the working folder or above it; or --config FILE"
