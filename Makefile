@@ -40,22 +40,25 @@ $(VENV)/.pip:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
+# Prints a line every 8 s while the rest of the recipe runs, so that slow compilers and downloads do not look dead.
+BEAT = while sleep 8 >/dev/null 2>&1 && kill -0 $$$$ 2>/dev/null; do echo "... $@ is still being made"; done & beat=$$!; \
+       trap 'kill $$beat 2>/dev/null' EXIT;
+
 # Compiled once for all environments of a Python; not at all if dist/ has a wheel for it that is newer than the sources.
-# pip reports each step, so that it is never silent for long.
 $(PACKAGE)/.built: $(SOURCES) | $(VENV)/.pip
 	@rm -rf $(PACKAGE) && mkdir -p $(PACKAGE)
-	@wheel="$$(ls -t dist/*.whl 2>/dev/null | head -n 1)" && \
+	@$(BEAT) wheel="$$(ls -t dist/*.whl 2>/dev/null | head -n 1)" && \
 	if [ -n "$$wheel" ] && [ -z "$$(find $(SOURCES) -newer "$$wheel")" ] && $(BIN)/python -m pip download --quiet \
 	  --no-index --no-deps --find-links dist --dest $(PACKAGE) 'beltrami-cli==$(VERSION)' 2>/dev/null; \
 	then echo "Taking the wheel in dist/"; \
 	else echo "Compiling, which takes about a minute of a processor" && \
-	  $(BIN)/python -m pip wheel --verbose --disable-pip-version-check --no-deps --wheel-dir $(PACKAGE) .; fi
+	  $(BIN)/python -m pip wheel --disable-pip-version-check --no-deps --wheel-dir $(PACKAGE) .; fi
 	@touch $@
 
 # One environment for each set of extras, installed again when the package changes. Python compiles modules when they run.
 $(VENV)/.installed-%: $(PACKAGE)/.built | $(VENV)/.pip
 	@$(BIN)/python -m pip uninstall --quiet --yes beltrami-cli 2>/dev/null
-	$(BIN)/python -m pip install --no-compile --disable-pip-version-check --upgrade $(RESTRAIN) "$$(ls $(PACKAGE)/*.whl)[$*]"
+	@$(BEAT) $(BIN)/python -m pip install --no-compile --disable-pip-version-check --upgrade $(RESTRAIN) "$$(ls $(PACKAGE)/*.whl)[$*]"
 	@touch $@
 
 demo: $(VENV)/.installed-render
