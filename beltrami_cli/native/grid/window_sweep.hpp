@@ -10,7 +10,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "grid/grid.hpp"
+#include "grid/stencils.hpp"
 #include "parallel.hpp"
 
 namespace beltrami::grid {
@@ -63,5 +63,15 @@ std::int64_t smooth_by_sweeps(const Grid& grid, Planes metric, Planes colours, c
 // beyond parameters.radius. The time step has no effect.
 void distances_by_sweeps(const Grid& grid, Planes metric, const SweepParameters& parameters, const WindowProgram& program,
                          std::size_t cell, float* distances);
+
+// As smooth_by_sweeps, by a heap march over the stencils from every owned cell; cells further than window_radius in rows or
+// columns are left out, which 0 turns off.
+std::int64_t smooth_by_marching(const Grid& grid, Planes metric, Planes colours, const SweepParameters& parameters,
+                                int window_radius, Scheme scheme, float* smoothed, unsigned threads,
+                                const Poll& poll = {});
+
+// As distances_by_sweeps, by the march that smooth_by_marching makes from the cell.
+void distances_by_marching(const Grid& grid, Planes metric, const SweepParameters& parameters, int window_radius,
+                           Scheme scheme, std::size_t cell, float* distances);
 
 }  // namespace beltrami::grid

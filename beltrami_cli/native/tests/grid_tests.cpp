@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "grid/local_means.hpp"
-#include "grid/window_march.hpp"
 #include "grid/window_sweep.hpp"
 #include "tests/check.hpp"
 
