@@ -57,8 +57,8 @@ A manifest has the names of options without dashes. In TOML, with options for al
 As CSV:            input,output,beta,iterations
                    scans/face.ply,,8,3
 As JSON lines:     {"input": "scans/face.ply", "beta": 8}
-Inputs are relative to the manifest, outputs to --out-dir. What it says counts for more than
-options given here, which are for all files.
+Inputs are relative to the manifest, outputs to --out-dir. Values in the manifest override
+options on the command line, which apply to all files.
 """
 
 
@@ -139,17 +139,17 @@ def batch(
 ) -> None:
     """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte.
 
-    INPUTS are files, globs, folders for all models and points in them and below, or manifests (.toml, .csv, .jsonl)
-    with parameters for each file. What fails is reported, and the others go on. The end is a table, and a report with a
-    line of JSON for each file: what was read and written, with hashes, and what was done.
+    INPUTS are files, globs, folders with all models and points in them and their subfolders, or manifests (.toml, .csv,
+    .jsonl) with parameters for each file. If a file fails, the others continue. At the end there are a table, and a
+    report with a line of JSON for each file: the files read and written, with hashes, and the result.
 
-    A run that was killed leaves no file half written. Given the same again with --resume, it goes on.
+    A killed run leaves no file half written. The same command with --resume continues it.
 
-    --max-memory is for all files together, in equal shares; a file for which its share is too little is done alone at
-    the end, with all of it. The program itself takes some 0.2G more for each job. With --scheduler it is for each file.
+    --max-memory is divided equally among the jobs; a file that needs more than its share is processed alone at the end,
+    with all of it. The program itself takes some 0.2G more for each job. With --scheduler the limit is for each file.
 
-    With --scheduler the workers of a Dask cluster do the files (extra cluster), and INPUTS and --out-dir may be URLs
-    that fsspec opens, as they may be without.
+    With --scheduler the workers of a Dask cluster process the files (extra cluster). INPUTS and --out-dir may be URLs
+    that fsspec opens, also without a scheduler.
     """
     from beltrami_cli.batch.plan import plan
 

@@ -27,9 +27,9 @@ Examples:
   beltrami batch scans --out-dir clean --level -n 0          level many files, and do not smooth them
 
 \b
-Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. A step at a seam is taken
-for exposure if charts explain it: gains fitted to some seams must predict the steps at the others. Else it is paint,
-and stays; if all of them are, OUTPUT is INPUT. See `beltrami docs levelling`.
+Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. Steps at seams count as
+exposure if gains fitted to some seams predict the steps at the others. Otherwise they are paint, and stay; if all are
+paint, OUTPUT equals INPUT. See `beltrami docs levelling`.
 """
 
 
@@ -46,12 +46,12 @@ and stays; if all of them are, OUTPUT is INPUT. See `beltrami docs levelling`.
 @besides
 @options.messages
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
-    """Take the exposure steps between the charts of INPUT out of its textures, and write OUTPUT.
+    """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT.
 
     Charts from photographs of differing exposure meet in steps. Gains and offsets, which may change smoothly over a
-    chart, make colours agree across seams; where a step is painted it stays, and with it all of a model that has no
-    exposure steps. The mean colour stays. INPUT and OUTPUT are what `beltrami smooth` takes and writes, and nothing but
-    colours changes. Vertex colours are levelled where an attribute says which photograph each is from.
+    chart, make colours agree across seams. Painted steps stay, and so do models without exposure steps. The mean colour
+    stays. INPUT and OUTPUT have the formats of `beltrami smooth`, and nothing but colours changes. Vertex colours are
+    levelled if an attribute names the photograph of each vertex.
     """
     wanted = options.record_from(LevelSettings, values)
     del values["strength"]  # which is another parameter where colours are smoothed
@@ -72,7 +72,7 @@ Examples:
   beltrami bake model.glb model.ply --to vertices           a texture into vertex colours
 
 \b
-The output is a new file: the triangles, and their colours. What else INPUT holds is not in it, and said.
+OUTPUT is a new file with the triangles and their colours. A message lists everything else that INPUT holds.
 """
 
 
@@ -86,8 +86,8 @@ The output is a new file: the triangles, and their colours. What else INPUT hold
 def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
     """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
 
-    A new texture gets a new atlas. Vertices take what a renderer would show where they are; those on a seam take the
-    mean of its sides, or stay split where a seam is a real colour edge.
+    A new texture gets a new atlas. Vertices take the colour that a renderer would show at their places; on a seam they
+    take the mean of both sides, or stay split where the seam is a real colour edge.
     """
     settings = options.record_from(BakeSettings, values)
     from beltrami_cli.jobs.new_texture import bake_file
@@ -119,10 +119,11 @@ What --sigma S means:
   poisson      the same at full scale; it falls with the square root of the colour, as when photons are counted
   speckle      the same at full scale; it falls with the colour
   salt-pepper  the share of samples that turn black or white, half of them each
-  grain        as gaussian (which white is another name of), but neighbours share it up to the distance --size
+  grain        as gaussian, but neighbours share it up to the distance --size
+  white        another name of gaussian
 
 \b
-What needs no --sigma:
+Kinds that need no --sigma:
   camera       the variance is --shot L + --read^2 of the light L, linear, from 0 to 1. In images and textures each
                pixel measures one colour, and demosaicing (bilinear, chart by chart) mixes them; vertices measure all.
   jpeg         each picture is coded and decoded at --quality with colour at half the resolution; textures as they
@@ -140,9 +141,9 @@ What needs no --sigma:
 def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
 
-    INPUT and OUTPUT are what `beltrami smooth` takes and writes. The noise is on the surface: vertices at one place get
-    the same, and so do the texels around a chart and their counterparts beyond the seam. Format, type, alpha and
-    metadata stay. Colours are cut off at 0 and at full scale, as in a camera, unless INPUT has some beyond.
+    INPUT and OUTPUT have the formats of `beltrami smooth`. The noise depends on the place on the surface: vertices
+    at one place get the same noise, and so do texels around a chart and their counterparts beyond the seam. Format,
+    type, alpha and metadata stay. Colours are clipped at 0 and full scale, as in a camera, unless INPUT exceeds them.
     """
     settings = options.record_from(SmoothSettings, values)
     noise = options.record_from(NoiseSettings, values)

@@ -42,9 +42,9 @@ Measured for each texture and for the vertices, and for all of them together:
   seams      PSNR and mean dE within 4 texels of seams; of vertices, where the file splits them
   jump       the mean step of colours over seams, extrapolated from three texels on either side (of vertices,
              between those at one place), in TEST minus in REFERENCE. Noise makes steps too
-All that is coloured is compared: each texture of each slot, and vertex colours; equal parts among several
-are called identical. A limit holds for each part alone. Vertices that moved break any limit unless --max-move allows
-it. A line names colours that are not compared, and a difference in opacity.
+Every texture of each slot and the vertex colours are compared; equal parts among several are called identical. A
+limit holds for each part alone. Vertices that moved break any limit unless --max-move allows it. A line names colours
+that are not compared, and a difference in opacity.
 SSIM is of Wang et al. 2004, Delta E of CIE 142-2001 (Sharma et al. 2005).
 
 \b
@@ -103,11 +103,11 @@ def compare(
     messages: Messages,
     **values: Any,
 ) -> int:
-    """Measure how far the colours of TEST are from REFERENCE, and fail if they are further than allowed.
+    """Measure how much the colours of TEST differ from REFERENCE, and fail beyond given limits.
 
     Both are files of one model, with the same triangles, vertices and sizes of textures, or two images of one size;
-    formats and types may differ. All that is coloured is compared, if --slots and --on do not narrow it. Of textures
-    the texels count that the surface covers.
+    formats and types may differ. All coloured parts are compared, unless --slots or --on select some. In textures only
+    texels that the surface covers count.
     """
     settings = options.compared_from(values)
     from beltrami_cli.jobs.compare.files import compare_files
@@ -277,8 +277,8 @@ Exit codes: 0 nothing but colours and images differs; 1 something else does; oth
 def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
     """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours.
 
-    Colours and the pixels of images may differ. Anything else is an error: positions, faces, materials, names,
-    comments, whatever the format holds. So is an image whose colours under an alpha of 0 were cleared.
+    Colours and the pixels of images may differ. Any other difference is an error: in positions, faces, materials,
+    names, comments and everything else that the format holds. Cleared colours under an alpha of 0 are an error, too.
     """
     from beltrami_cli.jobs.inspect import check_files
 

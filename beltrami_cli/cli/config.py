@@ -212,7 +212,7 @@ Examples:
   BELTRAMI_SMOOTH_BETA=8 beltrami config smooth
 
 \b
-What counts, first to last:
+In order of precedence:
   1. options on the command line
   2. variables of the environment: BELTRAMI_, the command, the option in capitals with _ for -, such as
      BELTRAMI_SMOOTH_BETA=8; flags are 1 or 0, options that may be repeated have spaces between values
@@ -222,15 +222,14 @@ What counts, first to last:
   4. the defaults
 
 \b
-A file that was only found sets parameters of the method and of how results are encoded. Options that
-name files or a scheduler, allow something or lift a limit (--report, --overwrite, --out-dir ...) are
-refused in it. It is not read if it, or a link to it, belongs to a user other than you and root, or
-if others may write to it.
+A file that was found, and not named, may set only parameters of the method and of the encoding of results.
+Options that name files or a scheduler, permit something or raise a limit (--report, --overwrite, --out-dir ...)
+are refused in it. It is read only if it, and any link to it, belongs to you or root and is not writable by others.
 
 \b
 beltrami.toml (in pyproject.toml the tables are [tool.beltrami] and [tool.beltrami.smooth]):
   threads = 4          # for all commands that have the option
-  [smooth]             # for smooth; batch takes what bears on a file from here, too
+  [smooth]             # for smooth; also for batch, if it affects the result of a file
   beta = 8
   channels = ["red", "green"]
 """

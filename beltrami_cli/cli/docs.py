@@ -44,7 +44,7 @@ def page_text(path: Path) -> str:
 def docs(topic: str | None) -> None:
     """Show a page of the documentation, or list the pages.
 
-    In a terminal pages are formatted, and shown by $PAGER; into a pipe or a file they go as Markdown.
+    A terminal shows pages formatted, by $PAGER; pipes and files get Markdown.
     """
     if topic is None:
         for name, path in pages().items():

@@ -50,7 +50,7 @@ Examples:
 def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any) -> None:
     """Show the coloured parts of FILE, how noisy they are, and what smoothing would do.
 
-    Of several files, of a folder and of a glob, a table with a line for each part that would be smoothed.
+    For several files, a folder or a glob it prints a table with a line for each part that would be smoothed.
     """
     settings = options.settings_from(smoothing)
     if len(sources) > 1 or (sources[0] != "-" and not Path(sources[0]).is_file()):
@@ -314,7 +314,7 @@ OUTPUT by its extension:
   .png and the like   three squares: the colours, the distances, the weights
   .csv                the samples of the kernel: which, distance, weight, colour. The sum of weight times
                       colour over the sum of the weights is the colour that the iteration gives the sample
-                      (before `smooth` restores what was clipped).
+                      (before `smooth` corrects clipped noise).
 """
 
 
@@ -340,10 +340,10 @@ _OF_WRITING = (
 @options.preset
 @options.writing
 def kernel(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
-    """Write the geodesic distances and the weights of one kernel of FILE, to be looked at.
+    """Write the geodesic distances and the weights of one kernel of FILE as a mesh, an image or a table.
 
-    Distances are on the image manifold, so they go through space and colour together. Parameters are the ones that
-    `beltrami smooth` takes with the same options.
+    Distances are measured on the image manifold, in space and colour together. Parameters are those of
+    `beltrami smooth` with the same options.
     """
     settings = options.settings_from(smoothing)
     from beltrami_cli.jobs.kernel import kernel_file

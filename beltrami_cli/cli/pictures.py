@@ -35,9 +35,9 @@ Examples:
   beltrami render model.glb icon.png --size 128 --background transparent
 
 \b
-Needs no screen and no graphics card. For surfaces it needs a package: pip install 'beltrami-cli[render]'.
-Models that lie in one place are seen by one camera. Colours are linear while they are lit and averaged, and
-sRGB in OUT; factors of materials and reflections are not shown.
+No display or graphics card is needed; surfaces need a package: pip install 'beltrami-cli[render]'. Models at the
+same place share one camera. Colours are lit and averaged in linear light, and stored as sRGB. Factors of materials
+and reflections are not shown.
 """
 
 
@@ -65,8 +65,7 @@ def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettin
 def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Messages, **values: Any) -> None:
     """Draw each FILE, a model, points or an image, and write all as one picture.
 
-    Textures and vertex colours are shown as a viewer shows them, unlit unless --lit is given: it is the colours
-    that are to be judged.
+    Textures and vertex colours are shown without light, so that the colours can be judged, unless --lit is given.
     """
     if values["labels"] and no_labels:
         raise UsageError("--label and --no-labels contradict each other")
@@ -88,8 +87,8 @@ Examples:
   beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
 
 \b
-Every value is tried with every other, and the default without these values. Other parameters are as in `beltrami
-smooth`. Results are drawn and thrown away: smooth with the parameters that you like best.
+Every combination of values is tried, and the default. Other parameters are those of `beltrami smooth`. Results are
+drawn and discarded: run `beltrami smooth` with the parameters that you like best.
 """
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
@@ -142,8 +141,8 @@ def sweep(
 ) -> None:
     """Smooth INPUT with every combination of parameters, and show all results in one picture or page, or their figures.
 
-    The first views are the reference, if there is one, INPUT as it is, and the default; the others show their
-    parameters.
+    The first views show the reference, if there is one, INPUT unchanged, and the default; the others are labelled with
+    their parameters.
     """
     trials, columns = _trials(given)
     plain = trials[0][1]
@@ -187,8 +186,8 @@ Examples:
   beltrami report model.glb clean.glb page.html --slots emissive
 
 \b
-The page holds everything that it needs, so it can be mailed or kept as an artefact of CI, and opens without a
-network. The models are drawn with WebGL by three.js (MIT licence, in the package).
+The page is one file that opens without a network, so it can be mailed or kept as an artefact of CI. The models are
+drawn with WebGL by three.js (MIT licence, in the package).
 """
 
 
@@ -218,8 +217,8 @@ def report(
 ) -> None:
     """Write a page that shows what changed from BEFORE to AFTER, two models or two images that differ in colours only.
 
-    It has both models under one camera with a swipe between them, textures with a swipe, figures, a histogram of the
-    change, and a map of the seams.
+    The page shows both models under one camera with a swipe between them, textures with a swipe, figures, a histogram
+    of the change, and a map of the seams.
     """
     from beltrami_cli.view.report import report_file
 
@@ -248,9 +247,9 @@ Examples:
   beltrami view photo.jpg --no-open              print the address, and open no browser
 
 \b
-The page is served on this machine only, to those who know its address, until it is closed or Ctrl-C is pressed. A part
-of the model is smoothed at once while a control is moved, and the whole when it rests. Nothing is written unless
-"Save" is pressed; "Copy command" gives the call of `beltrami smooth` that does the same.
+The page is served on this machine only, at an address with a secret, until it is closed or Ctrl-C is pressed. While a
+control is moved, a part of the model is smoothed at once, and the whole follows. Nothing is written unless "Save" is
+pressed; "Copy command" gives the call of `beltrami smooth` that does the same.
 """
 
 
@@ -263,8 +262,8 @@ of the model is smoothed at once while a control is moved, and the whole when it
 def view(source: str, no_open: bool, messages: Messages, **smoothing: Any) -> None:
     """Show MODEL in the browser, and smooth it there while parameters are changed.
 
-    MODEL is what `beltrami smooth` takes: a mesh, a textured model, points, an image or a level set. The page has it
-    before and after with a line between them, the difference, and what was chosen.
+    MODEL is any input of `beltrami smooth`: a mesh, a textured model, points, an image or a level set. The page shows
+    it before and after with a line between them, the difference, and the chosen parameters.
     """
     settings = options.settings_from(smoothing)
     from beltrami_cli.view.live import Live

@@ -176,13 +176,13 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     and smooths nothing.
 
     Points without faces are smoothed on the surface that they lie on; points far from all others stay as they are. In
-    .xyz, .asc, .txt, .csv and .pts the columns are what --columns or a first line calls them, or else found by their
+    .xyz, .asc, .txt, .csv and .pts the columns are named by --columns or a first line, or else recognised by their
     values; in .npz the arrays are positions (P, 3), or (H, W, 3) for a range image, and colours (P, C) or intensity
     (P).
 
     INPUT may also be a level set on a grid, which becomes a mesh with a vertex for each voxel on the surface: NRRD, or
     .npz with the arrays values (X, Y, Z) and colours (X, Y, Z, C), or points (P, 3) and point_colours (P, C) near the
-    surface; and, if there are, spacing, origin, level and mask (X, Y, Z). NaN, and 0 in the mask, are holes.
+    surface; optionally spacing, origin, level and mask (X, Y, Z). NaN, and 0 in the mask, are holes.
     """
     settings, dry_run = options.settings_from(smoothing), smoothing["dry_run"]
     unwrap = options.unwrapping_from(smoothing)
