@@ -66,7 +66,7 @@ class KernelParameters:
 
     iterations: int = parameter(
         5,
-        "Kernel iterations; more smooth further. 0 leaves every byte as it is.",
+        "Kernel iterations; more smooth further. 0 leaves every byte unchanged.",
         low=0, unset=_CHOSEN, flags=("-n", "--iterations"), metavar="N", is_daily=True,
     )  # fmt: skip
     t: float = parameter(
@@ -125,14 +125,14 @@ class KernelParameters:
     )  # fmt: skip
     metric_scale: float = parameter(
         0.5,
-        "Take distances from colours smoothed by a Gaussian of this standard deviation, so that noise does "
-        "not make them; the colours themselves are averaged. 0: never.",
+        "Measure distances in colours smoothed by a Gaussian of this standard deviation, so that noise "
+        "does not create distances; averages are of the unsmoothed colours. 0: never.",
         low=_SMALLEST_SCALE, high=3, also=(0,), unit="sample spacings", metavar="S",
     )  # fmt: skip
     metric_steps: int = parameter(
         2,
-        "Take distances from smoothed colours in the first K iterations; in the others, from the colours as "
-        "they are.",
+        "Measure distances in smoothed colours in the first K iterations, and in unsmoothed ones in the "
+        "others.",
         low=0, unset=_CHOSEN, metavar="K",
     )  # fmt: skip
     scheme: Scheme = parameter(
@@ -144,8 +144,8 @@ class KernelParameters:
     )  # fmt: skip
     clipping: Clipping = parameter(
         "restore",
-        "Where noise was cut off at 0 or full scale, averages are too bright or too dark: restore what they "
-        "would be without, or keep them. A --beta of 0 always keeps them.",
+        "Where noise was clipped at 0 or full scale, averages are too bright or too dark: correct them, or "
+        "keep them. A --beta of 0 always keeps them.",
         choices=get_args(Clipping),
     )  # fmt: skip
     solver: Solver = parameter(
@@ -158,16 +158,15 @@ class KernelParameters:
     )  # fmt: skip
     free: tuple[Tunable, ...] = parameter(
         (),
-        "The parameters that are chosen from the data, by their estimated error; the others are kept. The "
-        "values given are used where there is no noise to choose by. A beta of 0 leaves nothing to choose, "
-        "nor do 0 iterations.",
+        "The parameters to choose from the data by their estimated error; the others are kept. The given "
+        "values are used where there is no noise. With a beta of 0 or 0 iterations nothing is chosen.",
         choices=TUNABLE, flags=None,
     )  # fmt: skip
     fast: bool = parameter(
         False,
-        "Try nothing: parameters that are not given follow a fixed rule for the noise. It takes no time, and results "
-        "are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. With --beta 0, --preset and "
-        "--smooth-geometry nothing is tried either.",
+        "Search nothing: parameters that are not given follow a fixed rule for the noise. It takes no "
+        "time, and results are some 0.2 dB worse on vertices, and 1.1 dB on textures and images. --beta 0, "
+        "--preset and --smooth-geometry search nothing either.",
         is_daily=True,
     )  # fmt: skip
     strength: float = parameter(

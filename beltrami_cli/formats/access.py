@@ -62,8 +62,8 @@ class Access(Checked):
     instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)
     columns: tuple[str, ...] = parameter(
         (),
-        "Of points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. Names that "
-        "mean nothing here stay as they are.",
+        "For points in text files: the names of all columns, in their order, such as x,y,z,r,g,b,scalar. "
+        "Columns with other names stay unchanged.",
         unset="those in the file, or by the values", metavar="LIST", parse=names_in, show=",".join,
     )  # fmt: skip
 

@@ -96,14 +96,14 @@ class TextureSettings(Checked):
     )  # fmt: skip
     alpha: AlphaMode = parameter(
         "keep",
-        "Keep the opacity of textures and images, or smooth it with the colours. Invisible texels lend no "
-        "colour unless it is smoothed.",
+        "Keep the opacity of textures and images, or smooth it with the colours. Unless it is smoothed, "
+        "invisible texels contribute no colour.",
         choices=get_args(AlphaMode),
     )  # fmt: skip
     gutter: int | None = parameter(
         16,
-        "Change up to this many texels around every chart too, where they continue its colours, so that lookups "
-        "across its border see no old ones; or keep them.",
+        "Also change up to this many texels around every chart, where they continue its colours, so that "
+        "lookups across its border return no old colours; or keep them.",
         optional=True, low=0, high=_WIDEST_GUTTER, unit="texels", metavar="N|keep", parse=_gutter,
         show=lambda width: "keep" if width is None else str(width),
     )  # fmt: skip
@@ -130,7 +130,7 @@ class LevelSettings(Checked):
 
     strength: float = parameter(
         1.0,
-        "How much of the exposures to take out: 1 levels the seams, 0.5 halves their steps.",
+        "Share of the exposures to remove: 1 levels the seams, 0.5 halves their steps.",
         low=0, high=1, metavar="S", parse=share_in, show=lambda value: f"{value:g}", is_daily=True,
     )  # fmt: skip
     reference: tuple[str, ...] = parameter(
@@ -155,25 +155,25 @@ class ImageSettings:
 
     height: str | None = parameter(
         None,
-        "Of an image: an image of the same size with heights over its plane, which make it the surface (x, "
-        "y, S h). Depth images (EXR, 16-bit PNG) do as well. Where a height is no finite number is a hole.",
+        "For images: an image of the same size with heights over its plane, for the surface (x, y, S h). "
+        "Depth images (EXR, 16-bit PNG) do as well. Pixels without a finite height are holes.",
         metavar="FILE", is_file=True,
     )  # fmt: skip
     height_scale: float = parameter(
         1.0,
-        "Factor of --height. Floats are taken as they are, integers as 0 to 1.",
+        "Factor of --height. Integer heights are scaled to 0 to 1, floats are not.",
         unit="pixels per unit of height", metavar="S",
     )  # fmt: skip
     positions: str | None = parameter(
         None,
-        "Of an image: an image of the same size with the place x, y, z of every pixel, as range scanners "
-        "and bakers write them. Where one is not finite, or has an alpha of 0, is a hole.",
+        "For images: an image of the same size with the position x, y, z of every pixel, as range scanners "
+        "and bakers write them. Pixels without a finite position, or with an alpha of 0, are holes.",
         metavar="FILE", is_file=True,
     )  # fmt: skip
     mask: str | None = parameter(
         None,
-        "Of an image: an image of the same size that is 0 at holes. They stay as they are and do not count, "
-        "and nothing crosses them.",
+        "For images: an image of the same size that is 0 at holes. Holes stay unchanged and contribute "
+        "nothing, and no kernel crosses them.",
         metavar="FILE", is_file=True,
     )  # fmt: skip
 
@@ -194,24 +194,24 @@ class LevelSetSettings(Checked):
 
     iso: float | None = parameter(
         None,
-        "Of a level set: the value on its surface, such as 0.5 for occupancies.",
+        "For level sets: the value on the surface, such as 0.5 for occupancies.",
         kind=float, unset="as INPUT says, or 0", metavar="VALUE",
     )  # fmt: skip
     inside: Inside = parameter(
         "below",
-        "Of a level set: which values are inside: below the surface's, as signed distances, or above it, as "
-        "densities. Triangles face outwards.",
+        "For level sets: which values are inside: those below the value of the surface, as of signed "
+        "distances, or above it, as of densities. Triangles face outwards.",
         choices=get_args(Inside),
     )  # fmt: skip
     colours: str | None = parameter(
         None,
-        "Of a level set: a file with its colours, which may be on a grid of their own (.nrrd, .npz), or at "
-        "points or vertices near the surface (.npz, PLY and all other models).",
+        "For level sets: a file with the colours, on any grid (.nrrd, .npz), or at points or vertices near "
+        "the surface (.npz, PLY and all other models).",
         unset="those in INPUT", metavar="FILE", is_file=True,
     )  # fmt: skip
     max_voxels: int = parameter(
         1 << 28,
-        "Of a level set: the largest grid that is read.",
+        "For level sets: the largest grid that is read.",
         low=8, high=MOST_VOXELS, unit="voxels", metavar="COUNT", lifts_limit=True,
     )  # fmt: skip
 
@@ -233,15 +233,15 @@ class EmbeddingSettings:
     )  # fmt: skip
     guide_betas: tuple[float, ...] = parameter(
         (),
-        "How much a guide counts (images have full scale 1, other numbers are taken as they are); once for "
-        "all guides, or once for each.",
+        "Weight of a guide (images have full scale 1, other numbers are not scaled); once for all guides, "
+        "or once for each.",
         kind=float, low=0, unit="sample spacings per unit of the guide",
         unset="6 / its standard deviation, less if it is noisy or steep",
         flags=("--guide-beta", "guide_betas"), metavar="B", repeatable=True,
     )  # fmt: skip
     metric_channels: tuple[str, ...] | None = parameter(
         None,
-        "Which colour channels count as distance, such as r,g. With none, only the surface and the guides "
+        "Which colour channels enter distances, such as r,g. With none, only the surface and the guides "
         "do.",
         kind=str, several=True, unset="all smoothed channels", metavar="LIST|none", parse=_metric_channels,
     )  # fmt: skip
@@ -286,14 +286,14 @@ class SmoothSettings:
     kernel: KernelParameters = part(KernelParameters, lambda: KernelParameters(free=TUNABLE))
     space: Space = parameter(
         "srgb",
-        "What colours are taken as, and their distances and averages in: display values, linear light, "
-        "Oklab, or with data the stored numbers as they are, for colours that stand for something else.",
+        "Colour space of distances and averages: display values, linear light, Oklab, or with data the "
+        "stored numbers, for colours that encode something else.",
         choices=get_args(Space),
     )  # fmt: skip
     channels: tuple[str, ...] | None = parameter(
         None,
-        "Only these channels, such as r,g; the others stay and do not count. Channels of images have the "
-        "names that `beltrami info` shows; the name of a layer of an EXR file stands for its colours.",
+        "Only these channels, such as r,g; the others stay and do not enter distances. `beltrami info` "
+        "shows the names of image channels; the name of a layer of an EXR file stands for its colours.",
         kind=str, several=True, unset="the colours", metavar="LIST", parse=names_in,
     )  # fmt: skip
     on: Target = parameter(
@@ -303,7 +303,7 @@ class SmoothSettings:
     )  # fmt: skip
     level_seams: bool = parameter(
         False,
-        "First take out exposure steps between the charts of textures, as `beltrami level` does.",
+        "First remove exposure steps between the charts of textures, as `beltrami level` does.",
         group="Exposure steps", flags=("--level", "level_seams"),
     )  # fmt: skip
     textures: TextureSettings = part(TextureSettings)  # images obey its alpha, jpeg_quality and small, too

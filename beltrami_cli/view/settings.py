@@ -68,11 +68,11 @@ class RenderSettings:
         show=lambda size: "x".join(map(str, size)), is_daily=True,
     )  # fmt: skip
     azimuth: float = parameter(
-        0.0, "Where the eye is: around the model, to the right of its front.",
+        0.0, "Position of the eye: around the model, to the right of its front.",
         low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
     )  # fmt: skip
     elevation: float = parameter(
-        0.0, "Where the eye is: upwards; negative: from below.",
+        0.0, "Position of the eye: upwards; negative: from below.",
         low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
     )  # fmt: skip
     up: Axis = parameter(
@@ -82,10 +82,10 @@ class RenderSettings:
         30.0, "Field of view along the shorter side; 0: parallel rays.",
         low=0, high=120, unit="degrees", metavar="DEGREES",
     )  # fmt: skip
-    zoom: float = parameter(1.0, "Larger than what fits the view.", low=0.01, high=1000, metavar="FACTOR")
+    zoom: float = parameter(1.0, "Magnification of the fitted view.", low=0.01, high=1000, metavar="FACTOR")
     lit: bool = parameter(
         False,
-        "Let a lamp show the shape, or show colours as they are. Points have no shape, and are never lit.",
+        "Light the shape, or show colours without light. Points are never lit.",
         flags=("--lit/--unlit",), is_daily=True,
     )  # fmt: skip
     background: str = parameter(
@@ -107,12 +107,12 @@ class RenderSettings:
         "Views all around in equal steps, in a row for each file; as .gif, .webp or .mp4 they move; 0: one view.",
         low=0, high=360, metavar="N", is_daily=True,
     )  # fmt: skip
-    fps: int = parameter(12, "Of a --turntable that moves: views a second.", low=1, high=60, metavar="N")
+    fps: int = parameter(12, "Views a second of a moving --turntable.", low=1, high=60, metavar="N")
     crops: tuple[Crop, ...] = parameter(
         (),
-        "Show a square detail enlarged below each view, drawn again: its middle in fractions of the view from "
-        "the upper left, and its side in fractions of the shorter side (0.2); auto: where the last file has "
-        "most to see. Up to 5 times.",
+        "Draw an enlarged square detail below each view: its middle in fractions of the view from the "
+        "upper left, and its side in fractions of the shorter side (0.2); auto: the place with most detail "
+        "in the last file. Up to 5 times.",
         kind=Crop, flags=("--crop", "crops"), metavar="X,Y[,SIDE]|auto[,SIDE]", repeatable=True,
         parse=Crop.parse, is_daily=True,
     )  # fmt: skip
@@ -122,7 +122,7 @@ class RenderSettings:
         flags=("--label", "labels"), metavar="TEXT", repeatable=True, is_daily=True,
     )  # fmt: skip
     side_by_side: bool = parameter(
-        True, "Of several files: next to each other with one camera, or below each other.",
+        True, "Place several files next to each other with one camera, or below each other.",
         flags=("--side-by-side/--stacked",),
     )  # fmt: skip
 
