@@ -36,13 +36,13 @@ SOURCES := pyproject.toml $(shell find beltrami_cli -name '*.py' -o -name '*.cpp
 VERSION := $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 PACKAGE := build/package-$(shell $(PYTHON) -c "import sys; print(sys.implementation.cache_tag)")
 
-$(VENV)/.pip:
-	$(PYTHON) -m venv $(VENV)
-	@touch $@
-
 # Prints a line every 8 s while the rest of the recipe runs, so that slow compilers and downloads do not look dead.
 BEAT = while sleep 8 >/dev/null 2>&1 && kill -0 $$$$ 2>/dev/null; do echo "... $@ is still being made"; done & beat=$$!; \
        trap 'kill $$beat 2>/dev/null' EXIT;
+
+$(VENV)/.pip:
+	@$(BEAT) $(PYTHON) -m venv $(VENV)
+	@touch $@
 
 # Compiled once for all environments of a Python; not at all if dist/ has a wheel for it that is newer than the sources.
 $(PACKAGE)/.built: $(SOURCES) | $(VENV)/.pip
