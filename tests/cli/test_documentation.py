@@ -212,9 +212,10 @@ def test_docs_writes_pages_as_markdown_without_the_markup_of_the_site(name):
 
 def test_the_page_of_parameters_has_every_parameter_of_smooth():
     shown = beltrami("docs", "parameters", text=True).stdout
-    named = [option.opts[-1] for option in command("smooth").params if isinstance(option, ParameterOption)]
+    options = [each for each in command("smooth").params if isinstance(each, ParameterOption)]
+    named = [option.declared.name for option in options]
     assert len(named) > 30
-    assert [name for name in named if f"`{name}" not in shown] == []
+    assert [name for name in named if f"| `{name}` |" not in shown] == []
 
 
 @pytest.mark.slow  # a process with a terminal

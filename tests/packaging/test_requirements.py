@@ -6,8 +6,11 @@ import re
 import tomllib
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
+
+import beltrami_cli
 
 ROOT = Path(__file__).parents[2]
 DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -49,3 +52,8 @@ def test_the_conda_recipe_needs_what_the_package_needs():
 
     assert listed("run") == renamed(PROJECT["dependencies"]) | {"python"}
     assert listed("host") == renamed(BUILD["requires"]) | {"python", "pip"}
+
+
+@pytest.mark.parametrize("name", beltrami_cli.__all__)
+def test_every_public_name_has_its_module(name):
+    assert getattr(beltrami_cli, name).__name__ == name
