@@ -218,7 +218,6 @@ def test_the_page_of_parameters_has_every_parameter_of_smooth():
     assert [name for name in named if f"| `{name}` |" not in shown] == []
 
 
-@pytest.mark.slow  # a process with a terminal
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_docs_formats_pages_in_a_terminal():
     ours, theirs = os.openpty()
