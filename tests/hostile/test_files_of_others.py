@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pytest
 
@@ -57,6 +56,7 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tm
     beltrami(*arguments, OPTIONS[kind], name, "--overwrite", cwd=tmp_path)
     assert file.read_bytes()[:8] != b"precious"
     # From now on it is one of ours.
+    assert is_preview(file.read_bytes()) == (kind == "preview")
     named = {"cwd": tmp_path, "env": {variable: name}}
     beltrami(*arguments, "--overwrite", **named)
     if kind != "preview":  # which takes seconds to draw
@@ -66,16 +66,11 @@ def test_a_file_of_others_is_replaced_only_if_the_command_line_names_it(kind, tm
     beltrami(*arguments, code=4, **named)  # without --overwrite nothing is replaced
 
 
-@pytest.mark.slow
 def test_what_is_like_one_of_ours_is_not_taken_for_one(tmp_path):
-    """Takes 2 s, as a preview is drawn at its full size."""
-    shutil.copy(NOISY, tmp_path / "in.ply")
-    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path / "photo.png")
-    beltrami("smooth", "photo.png", "out.png", *QUICK, "--preview", "preview.png", cwd=tmp_path)
-    assert is_preview((tmp_path / "preview.png").read_bytes())
-    for name in ("photo.png", "out.png", "in.ply"):
-        head = (tmp_path / name).read_bytes()
-        assert not is_preview(head)
-        assert not is_map(head)
+    photo = SAMPLES / "mirrored-noisy.png"
+    beltrami("smooth", photo, "out.png", *QUICK, cwd=tmp_path)
+    for path in (NOISY, photo, tmp_path / "out.png"):
+        assert not is_preview(path.read_bytes())
+        assert not is_map(path.read_bytes())
     for text in ("{}", '{\n  "input": "a"\n}', "[]", "# ~/.bashrc", '{"input": "a", "output": "b"}'):
         assert not is_report(text.encode())
