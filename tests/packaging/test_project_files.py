@@ -6,6 +6,7 @@ import re
 import shlex
 from pathlib import Path
 
+import beltrami_cli
 from beltrami_cli.cli.main import COMMANDS, group
 
 ROOT = Path(__file__).parents[2]
@@ -33,3 +34,7 @@ def test_the_image_installs_extras_that_exist():
     (extras,) = re.findall(r"/source\[(.*?)\]", (ROOT / "Dockerfile").read_text(encoding="utf-8"))
     declared = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     assert all(re.search(rf"^{extra} = \[", declared, re.MULTILINE) for extra in extras.split(","))
+
+
+def test_every_name_of_the_interface_is_where_the_package_looks_for_it():
+    assert [name for name in beltrami_cli.__all__ if not hasattr(beltrami_cli, name)] == []
