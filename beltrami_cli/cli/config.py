@@ -111,7 +111,7 @@ def _found_table(path: Path) -> dict[str, object] | None:
     try:
         return _parsed(path, read_found(path))
     except UntrustedError as error:
-        if mentions_us(path):
+        if is_for_beltrami(path):
             remedy = f"to have it read, name it: --config {path}"
             click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
         return None
@@ -184,7 +184,7 @@ def read_found(path: Path) -> str:
         return text_in(file, CONFIGURATION)
 
 
-def mentions_us(path: Path) -> bool:
+def is_for_beltrami(path: Path) -> bool:
     """Whether a file that is not read may have been meant for this program."""
     if path.name == OWN_NAME:
         return True

@@ -182,7 +182,7 @@ def _is_on_its_way() -> bool:
     return error is not None
 
 
-class Listener:
+class SignalGuard:
     """Runs a function that signals interrupt.
 
     Python drops exceptions in destructors, and some libraries while they are loaded, or they raise others instead. So

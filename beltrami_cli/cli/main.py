@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from beltrami_cli.cli.commands import spelled, variable_behind, with_variables
-from beltrami_cli.cli.console import Interruption, Listener, ReaderGoneError, prepare_streams, printable
+from beltrami_cli.cli.console import Interruption, ReaderGoneError, SignalGuard, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def main() -> NoReturn:
     """Run the command line and exit with the documented code."""
     # OpenBLAS reserves some 30 MB a processor for products of large matrices, and this program computes none.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.exit(Listener().run(_run))
+    sys.exit(SignalGuard().run(_run))
 
 
 def _run() -> int:

@@ -14,7 +14,6 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
@@ -57,8 +56,10 @@ class Output:
         if not target:
             raise OutputError(what, "its name is empty", "name a file, or - for standard output")
         self.is_device = not self.is_stdout and replacing.is_special(Path(target))
-        # A link is followed, so that what it points to is replaced and the link stays; those to pipes lead nowhere.
+        # A link is followed, so that its target is replaced and the link stays; links to pipes lead nowhere.
         self.path = Path(target if self.is_device else os.path.realpath(target))
+        # None for standard output and devices, which hold one file only.
+        self.folder = None if self.is_stdout or self.is_device else self.path.parent
         self._sidecars: tuple[str, ...] = ()
         self.replaceable: frozenset[str] = frozenset()  # sidecar files of an old OUTPUT
         self._is_alone = files is None
@@ -68,23 +69,17 @@ class Output:
             if sys.stdout.isatty() and not is_text:
                 cause = "a model is not written to a terminal"
                 raise OutputError("<stdout>", cause, "redirect it to a file or pipe")
-        elif not self.is_device:
-            self._check_folder()
+        elif self.folder is not None:
+            self._check_folder(self.folder)
             self._check_file(self.path)
             if overwrite == "own":
                 self._require_own(is_own)
 
     def paths(self) -> Iterator[tuple[str, Path]]:
         """Give the files that are known to be written, with the names that the user knows them by."""
-        if not (self.is_stdout or self.is_device):
+        if self.folder is not None:
             yield self.target, self.path
-            for name in self._sidecars:
-                yield self._named(self.path.parent / name), self.path.parent / name
-
-    @property
-    def folder(self) -> Path | None:
-        """Folder of the output; None for standard output and devices, which hold one file only."""
-        return None if self.is_stdout or self.is_device else self.path.parent
+            yield from ((self._named(self.folder / name), self.folder / name) for name in self._sidecars)
 
     def check_sidecars(self, names: Iterable[str]) -> None:
         """Check that sidecar files, by paths relative to the output's folder, may be written; OutputError if not."""
@@ -113,10 +108,10 @@ class Output:
 
     def _stage(self, written: Written) -> None:
         self.check_sidecars(written.sidecars)
-        if self.is_stdout or self.is_device:
+        if self.folder is None:
             self.files.streams.append(lambda: self._write_stream(written.main))
             return
-        files = {self.path.parent / name: [data] for name, data in written.sidecars.items()}
+        files = {self.folder / name: [data] for name, data in written.sidecars.items()}
         names = {path: self._named(path) for path in files} | {self.path: self.target}
         self.files.stage(self, {**files, self.path: written.main}, names)
 
@@ -163,17 +158,17 @@ class Output:
             remedy = "choose another name, or give it on the command line together with --overwrite"
             raise OutputError(self.target, cause, remedy)
 
-    def _check_folder(self) -> None:
-        folder = self._named(self.path.parent)
+    def _check_folder(self, folder: Path) -> None:
+        name = self._named(folder)
         try:
-            if not self.path.parent.exists():
-                raise OutputError(self.target, f"the folder {folder} does not exist", "make it first")
-            if not self.path.parent.is_dir():
-                raise OutputError(self.target, f"{folder} is no folder", "choose another place")
-            replacing.check_writable(self.path.parent)
-            replacing.recover(self.path.parent)
+            if not folder.exists():
+                raise OutputError(self.target, f"the folder {name} does not exist", "make it first")
+            if not folder.is_dir():
+                raise OutputError(self.target, f"{name} is no folder", "choose another place")
+            replacing.check_writable(folder)
+            replacing.recover(folder)
         except OSError as error:
-            cause = f"the folder {folder} cannot be written to ({error.strerror})"
+            cause = f"the folder {name} cannot be written to ({error.strerror})"
             raise OutputError(self.target, cause, "choose another folder") from error
 
     def _named(self, path: Path) -> str:
@@ -185,14 +180,6 @@ class Output:
         return str(target.parent / path.relative_to(self.path.parent))
 
 
-@dataclass(frozen=True)
-class _Staged(replacing.Aside):
-    """Also the output that a file belongs to, and the name that the user knows it by."""
-
-    output: Output
-    name: str
-
-
 class FileSet:
     """The files that one run writes; as a context, it removes files that were not put in place."""
 
@@ -202,7 +189,7 @@ class FileSet:
         self._outputs: list[Output] = []
         self._reads = {replacing.place_of(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
-        self._staged: dict[Path, _Staged] = {}
+        self._staged: dict[Path, replacing.TemporaryFile] = {}
         # What writes to standard output or devices, before anything is put in place.
         self.streams: list[Callable[[], None]] = []
         self._journal: replacing.Journal | None = None
@@ -281,8 +268,10 @@ class FileSet:
                     if self._journal is None:
                         self._journal = replacing.Journal(main.path.parent, deliver)
                     replacing.make_folder(path.parent, self._made_folders)
-                    temporary = self._journal.temporary_beside(path)
-                    staged = _Staged(temporary, path, may_replace, output, names[path])
+                    staged = dataclasses.replace(
+                        self._journal.new_file(path), overwrite=may_replace, name=names[path],
+                        rank=(path == output.path, output.is_result),
+                    )  # fmt: skip
                     replacing.write_aside(staged, pieces, deliver)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
@@ -307,7 +296,7 @@ class FileSet:
         for write in self.streams:
             write()
         with replacing.endings_held() as deliver:
-            staged = sorted(self._staged.values(), key=_rank)
+            staged = sorted(self._staged.values(), key=lambda each: (each.rank, str(each.path)))
             try:
                 with replacing.folders_locked((path.parent for path in self._staged), deliver):
                     if self._journal is not None:
@@ -320,12 +309,6 @@ class FileSet:
             self._made_folders.pop_all()
             self._remove_temporary()
         self.streams.clear()
-
-
-def _rank(staged: _Staged) -> tuple[bool, bool, str]:
-    """Put files before the files that name them, and OUTPUT last; otherwise in a fixed order."""
-    is_main = staged.name == staged.output.target
-    return is_main, staged.output.is_result, str(staged.path)
 
 
 def _collision(output: Output, name: str, other: str) -> OutputError:

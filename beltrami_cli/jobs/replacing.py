@@ -42,13 +42,20 @@ _OPENING = (
 _PATIENCE, _PAUSE = 30.0, 0.02  # seconds that a run waits for another, and between two looks
 
 
+# Size and time of the last change of the content, which a file keeps when it is linked, renamed, or moved elsewhere.
+_Identity = tuple[int, int]
+
+
 @dataclass(frozen=True)
-class Aside:
-    """A file that is written under a temporary name, the place where it belongs, and whether it may replace a file."""
+class TemporaryFile:
+    """A file under a temporary name, the place where it belongs, and whether it may replace a file there."""
 
     temporary: Path
     path: Path
-    overwrite: bool
+    overwrite: bool = False
+    name: str = ""  # that the user knows it by
+    rank: tuple[bool, bool] = (False, False)  # files come before the files that name them, and OUTPUT last
+    identity: _Identity | None = None  # None: it is not being put in place yet
 
     @property
     def previous(self) -> Path:
@@ -56,44 +63,39 @@ class Aside:
         return self.temporary.with_suffix(".previous.tmp")
 
 
-# Size and time of the last change of the content, which a file keeps when it is linked, renamed, or moved elsewhere.
-_Identity = tuple[int, int]
-_Listed = tuple[Aside, _Identity | None]  # None: it is only written aside yet
-
-
 class Journal:
     """What a run writes down of its temporary files, so that the next one can tidy up if it is killed."""
 
     def __init__(self, folder: Path, deliver: Callable[[], None]) -> None:
-        self._path, self._files, self._is_needed = _new_journal(folder), list[Aside](), False
+        self._path, self._files, self._is_needed = _new_journal(folder), list[TemporaryFile](), False
         # Within the lock of the folder, so that no other run finds the journal before it is locked itself.
         with folders_locked([folder], deliver):
             self._descriptor = os.open(self._path, _OPENING | os.O_CREAT | os.O_EXCL, 0o600)
             _try_lock(self._descriptor)
 
-    def temporary_beside(self, path: Path) -> Path:
-        """Return a free name for a temporary file in the folder of a file."""
-        file = Aside(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path, overwrite=False)
+    def new_file(self, path: Path) -> TemporaryFile:
+        """Return a temporary file in the folder of a file, under a free name."""
+        file = TemporaryFile(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path)
         self._files.append(file)
-        self._list(file, None)
-        return file.temporary
+        self._list(file)
+        return file
 
-    def put_together(self, files: Sequence[Aside]) -> None:
+    def put_together(self, files: Sequence[TemporaryFile]) -> None:
         """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
         if len(files) < 2:  # one rename, which is done or not
             for file in files:
                 _put(file, keep=False)
             return
+        done = list[TemporaryFile]()
+        files = [replace(file, identity=_identity_of(file.temporary)) for file in files]
         files = [replace(file, overwrite=file.overwrite and os.path.lexists(file.path)) for file in files]
-        listed = [(file, _identity_of(file.temporary)) for file in files]
-        for file, put in listed:
-            self._list(file, put)
+        for file in files:
+            self._list(file)
         os.fsync(self._descriptor)
-        done: list[_Listed] = []
         try:
-            for file, put in listed:
+            for file in files:
                 _put(file, keep=True)
-                done.append((file, put))
+                done.append(file)
             if not os.fstat(self._descriptor).st_nlink:
                 raise OSError(errno.ESTALE, "another run has removed its temporary files")
             self._write(_SETTLED)
@@ -113,10 +115,10 @@ class Journal:
         os.close(self._descriptor)
         return [] if self._is_needed else _remove(self._files, self._path)
 
-    def _list(self, file: Aside, put: _Identity | None) -> None:
+    def _list(self, file: TemporaryFile) -> None:
         # A relative name stays right if the folder is moved with all that is in it.
         name = str(file.temporary).removeprefix(f"{self._path.parent}{os.sep}")
-        self._write([name, file.path.name, file.overwrite, put])
+        self._write([name, file.path.name, file.overwrite, file.identity])
 
     def _write(self, value: object) -> None:
         left = memoryview(json.dumps(value).encode() + b"\n")
@@ -135,12 +137,12 @@ def recover(folder: Path) -> None:
     for journal in journals:
         # In the lock of the folder, since two runs would take each other for the one that goes on.
         with endings_held() as deliver, folders_locked([folder], deliver), _left_in(journal) as text:
-            listed, is_settled = _read(journal, text)
-            with folders_locked({file.path.parent for file, _ in listed} - {folder}, deliver):
-                if not is_settled and (stuck := _undo(listed)) is not None:
+            files, is_settled = _read(journal, text)
+            with folders_locked({file.path.parent for file in files} - {folder}, deliver):
+                if not is_settled and (stuck := _undo(files)) is not None:
                     raise stuck
                 if text is not None:
-                    _remove((file for file, _ in listed), journal)
+                    _remove(files, journal)
 
 
 def _new_journal(folder: Path) -> Path:
@@ -161,9 +163,9 @@ def _left_in(journal: Path) -> Iterator[bytes | None]:
         yield file.read(_LARGEST_JOURNAL) if is_ours and _try_lock(file.fileno()) else None
 
 
-def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
+def _read(journal: Path, text: bytes | None) -> tuple[list[TemporaryFile], bool]:
     """Return the files of a set, as far as they can be trusted, and whether the set is complete or undone."""
-    listed: dict[Path, _Listed] = {}
+    files: dict[Path, TemporaryFile] = {}
     name_of_temporary = re.compile(re.escape(journal.stem) + r"\.[0-9]+\.tmp")
     is_settled = False
     # Behind the last break is nothing, or what could not be written before the end.
@@ -174,16 +176,16 @@ def _read(journal: Path, text: bytes | None) -> tuple[list[_Listed], bool]:
                 is_settled = True
                 continue
             name, target, overwrite, put = value
-            temporary = journal.parent / name
-            file = Aside(temporary, temporary.with_name(target), overwrite)
+            temporary, identity = journal.parent / name, None if put is None else tuple(put)
+            file = TemporaryFile(temporary, temporary.with_name(target), overwrite, identity=identity)
             # A planted journal must not reach files elsewhere: a temporary file must be in their folder.
             is_witnessed = any(map(os.path.lexists, (file.temporary, file.previous)))
             if name_of_temporary.fullmatch(temporary.name) and (is_witnessed or "/" not in name):
-                listed[temporary] = file, None if put is None else tuple(put)
-    return list(listed.values()), is_settled
+                files[temporary] = file
+    return list(files.values()), is_settled
 
 
-def _remove(files: Iterable[Aside], journal: Path) -> list[OSError]:
+def _remove(files: Iterable[TemporaryFile], journal: Path) -> list[OSError]:
     """Remove the temporary files of a run, and then its journal; return why some stay, which the next run removes."""
     failures: list[OSError] = []
     for path in (*(name for file in files for name in (file.temporary, file.previous)), journal):
@@ -204,26 +206,26 @@ def _identity_of(path: Path) -> _Identity | None:
     return status.st_size, status.st_mtime_ns
 
 
-def _undo(listed: Sequence[_Listed]) -> OSError | None:
+def _undo(files: Sequence[TemporaryFile]) -> OSError | None:
     """Give all places back what they held before; return why that fails for one."""
     failure = None
-    for file, put in reversed(listed):
+    for file in reversed(files):
         try:
-            _take_back(file, put)
+            _take_back(file)
         except OSError as error:
             failure = error
     return failure
 
 
-def _take_back(file: Aside, put: _Identity | None) -> None:
+def _take_back(file: TemporaryFile) -> None:
     """Restore the previous file of a path, unless another process has replaced it meanwhile."""
     now = _identity_of(file.path)
     # Where there are no links, `_put_new` reserves a name by an empty file.
     is_reserved = now is not None and now[0] == 0 and os.path.lexists(file.temporary)
     if file.overwrite:
-        if now in (None, put) and os.path.lexists(file.previous):
+        if now in (None, file.identity) and os.path.lexists(file.previous):
             file.previous.replace(file.path)
-    elif put is not None and (now == put or is_reserved):
+    elif file.identity is not None and (now == file.identity or is_reserved):
         file.path.unlink()
 
 
@@ -267,18 +269,14 @@ def folders_locked(folders: Iterable[Path], deliver: Callable[[], None]) -> Iter
             except OSError:  # as on Windows, or without the right to list it
                 continue
             locks.callback(os.close, descriptor)  # which unlocks it
-            _lock(descriptor, folder, deliver)
+            end = time.monotonic() + _PATIENCE
+            while _try_lock(descriptor) is False:
+                deliver()
+                if time.monotonic() > end:
+                    cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
+                    raise OSError(errno.EBUSY, cause, str(folder))
+                time.sleep(_PAUSE)
         yield
-
-
-def _lock(descriptor: int, folder: Path, deliver: Callable[[], None]) -> None:
-    end = time.monotonic() + _PATIENCE
-    while _try_lock(descriptor) is False:
-        deliver()
-        if time.monotonic() > end:
-            cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
-            raise OSError(errno.EBUSY, cause, str(folder))
-        time.sleep(_PAUSE)
 
 
 def _try_lock(descriptor: int) -> bool | None:
@@ -338,7 +336,7 @@ def make_folder(folder: Path, cleaning: contextlib.ExitStack) -> None:
         cleaning.callback(_remove_empty, each)
 
 
-def write_aside(file: Aside, pieces: Iterable[Bytes], deliver: Callable[[], None]) -> None:
+def write_aside(file: TemporaryFile, pieces: Iterable[Bytes], deliver: Callable[[], None]) -> None:
     """Write a file under its temporary name, with the mode that a new file gets, or that of the file it replaces."""
     mode = stat.S_IMODE(file.path.stat().st_mode) if file.overwrite and file.path.exists() else None
     flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
@@ -358,7 +356,7 @@ def _remove_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _put(file: Aside, *, keep: bool) -> None:
+def _put(file: TemporaryFile, *, keep: bool) -> None:
     """Give a file its name, and `keep` what it replaces under another one."""
     try:
         if not file.overwrite:
