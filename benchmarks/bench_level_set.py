@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from beltrami_cli import smooth
-from beltrami_cli.surface import level_set
-from beltrami_cli.surface.level_set import GridColours, Lattice, interpolate_colours, places
+from beltrami_cli.surface import reconstruction
+from beltrami_cli.surface.reconstruction import GridColours, Lattice, interpolate_colours, places
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from oracles import level_sets
@@ -33,14 +33,14 @@ def painting(directions):
 
 def meshes(values):
     """Return the vertices and triangles of both meshes by their names."""
-    crossings = level_set.find_crossings(values, 0)
-    whole = level_set.compacted
-    level_set.compacted = lambda vertices, faces: (vertices, faces)
-    plain = level_set.triangulate_level_set(values, 0, crossings)
-    level_set.compacted = whole
+    crossings = reconstruction.find_crossings(values, 0)
+    whole = reconstruction.compacted
+    reconstruction.compacted = lambda vertices, faces: (vertices, faces)
+    plain = reconstruction.triangulate_level_set(values, 0, crossings)
+    reconstruction.compacted = whole
     return {
         "marching cubes": plain,
-        "a vertex a voxel": level_set.triangulate_level_set(values, 0, crossings),
+        "a vertex a voxel": reconstruction.triangulate_level_set(values, 0, crossings),
     }
 
 

@@ -35,7 +35,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
-from beltrami_cli.surface.point_triangulation import faces_of_points
+from beltrami_cli.surface.reconstruction import faces_of_points
 from beltrami_cli.surface.records import PaintedVertices, SampledSurface
 
 # Kernels from which the mean number of samples is estimated, within a few per cent, in milliseconds.

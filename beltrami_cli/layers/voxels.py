@@ -16,10 +16,10 @@ from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.volume import read_colours, read_volume, require_package
 from beltrami_cli.layers.settings import Inside, LevelSetSettings
-from beltrami_cli.surface import level_set
+from beltrami_cli.surface import reconstruction
 from beltrami_cli.surface.records import Encoding, MeshContents, PaintedVertices
 
-Source = level_set.GridColours | level_set.NearColours
+Source = reconstruction.GridColours | reconstruction.NearColours
 
 # More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
 MAX_CROSSINGS = 1 << 26
@@ -28,7 +28,7 @@ _LARGEST_PLANE = 1 << 29  # samples in a layer, four to each counted in 32 bits
 
 
 def _find_colours(
-    volume: level_set.Volume, path: str | None, name: str, access: Access, max_size: int
+    volume: reconstruction.Volume, path: str | None, name: str, access: Access, max_size: int
 ) -> tuple[Source, str]:
     """Return the colours of a level set, from its file or the file at `path`, and the name of that file."""
     if path is None:
@@ -41,21 +41,23 @@ def _find_colours(
     colours = read_colours(data, path, ModelFolder(folder, access), max_size)
     if colours is None:
         painted = open_bytes(data, path, folder, access).painted()
-        colours = level_set.NearColours(painted.positions, painted.colours, painted.encoding, painted.stored)
+        colours = reconstruction.NearColours(
+            painted.positions, painted.colours, painted.encoding, painted.stored
+        )
     return colours, path
 
 
 def _colours_at(
-    source: Source, lattice: level_set.Lattice, known: Bools, positions: Float64s, threads: int
+    source: Source, lattice: reconstruction.Lattice, known: Bools, positions: Float64s, threads: int
 ) -> Float64s:
     """Return the colours of vertices, shape (V, 3), as they are stored; voxels that are not `known` supply none."""
-    if isinstance(source, level_set.GridColours):
+    if isinstance(source, reconstruction.GridColours):
         own = source.lattice
         same = source.samples.shape[:3] == known.shape
         same = same and np.array_equal(own.axes, lattice.axes) and np.array_equal(own.origin, lattice.origin)
-        return level_set.interpolate_colours(source, positions, known if same else None)
+        return reconstruction.interpolate_colours(source, positions, known if same else None)
     voxel = float(np.linalg.norm(lattice.axes, axis=1).max())
-    return level_set.nearest_colours(source, positions, voxel, threads)
+    return reconstruction.nearest_colours(source, positions, voxel, threads)
 
 
 def _scaled(
@@ -65,7 +67,7 @@ def _scaled(
     width = 3 if stored.shape[1] >= 3 else 1
     kind = source.samples.dtype.name
     notices: list[str] = []
-    if isinstance(source, level_set.NearColours) and source.stored:
+    if isinstance(source, reconstruction.NearColours) and source.stored:
         scale, notice = 1.0, ""
     elif kind in ("uint8", "uint16"):
         scale, notice = integer_scale(int(source.samples.max(initial=0)), kind)
@@ -131,17 +133,17 @@ def read_level_set(
         "unknown_voxels": int(known.size - np.count_nonzero(known)),
     }
     vertices, faces = _triangulated(volume, known, level, settings.inside, name)
-    positions = level_set.places(volume.lattice, vertices)
+    positions = reconstruction.places(volume.lattice, vertices)
     source, where = _find_colours(volume, settings.colours, name, access, max_voxels)
     values = _colours_at(source, volume.lattice, known, positions, threads)
-    found = level_set.has_colour(values)
+    found = reconstruction.has_colour(values)
     if not found.any():
         raise InputError(where, "none of its colours is on the surface", "check the spacings and origins")
     colours, alpha, notices = _scaled(source, values, found, where)
     names = ("red", "green", "blue") if colours.shape[1] == 3 else ("grey",)
     encoding: Encoding = "srgb"
     stored = source.samples.dtype.name
-    if isinstance(source, level_set.NearColours):
+    if isinstance(source, reconstruction.NearColours):
         encoding, stored = source.encoding, source.stored or stored
     whole = np.ascontiguousarray(faces[found[faces].all(axis=1)])  # whose corners have colours
     offsets = np.arange(0, faces.size + 1, 3, dtype=np.int64)
@@ -158,19 +160,19 @@ def read_level_set(
 
 
 def _triangulated(
-    volume: level_set.Volume, known: Bools, level: float, inside: Inside, name: str
+    volume: reconstruction.Volume, known: Bools, level: float, inside: Inside, name: str
 ) -> tuple[Float64s, Int32s]:
     """Return the surface, in units of the grid, facing outwards in space."""
     values = volume.values
     if values.shape[1] * values.shape[2] >= _LARGEST_PLANE:
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
-    crossings = level_set.find_crossings(values, level, known)
+    crossings = reconstruction.find_crossings(values, level, known)
     if crossings.count > MAX_CROSSINGS:
         cause = f"the surface at level {level:g} cuts {crossings.count} edges of the grid, as noise does"
         raise InputError(name, cause, "choose another --iso, or smooth the values first")
     vertices, faces = np.empty((0, 3)), np.empty((0, 3), np.int32)
     if crossings.count:
-        vertices, faces = level_set.triangulate_level_set(values, level, crossings, known)
+        vertices, faces = reconstruction.triangulate_level_set(values, level, crossings, known)
     if not len(faces):
         low, high = _range(values, known)
         cause = f"there is no surface at level {level:g}; the values go from {low:g} to {high:g}"

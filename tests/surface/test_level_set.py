@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.surface import level_set
-from beltrami_cli.surface.level_set import find_crossings, triangulate_level_set
+from beltrami_cli.surface import reconstruction
+from beltrami_cli.surface.reconstruction import find_crossings, triangulate_level_set
 from oracles.level_sets import CENTRE, euler_characteristic, sphere
 
 RANDOM = np.random.default_rng(5)
@@ -109,7 +109,7 @@ def test_a_surface_that_no_known_cell_holds_is_empty():
 
 @pytest.mark.parametrize("slab", [1, 100, 1 << 22])
 def test_crossings_are_counted_alike_in_slabs_and_at_once(slab, monkeypatch):
-    monkeypatch.setattr(level_set, "SLAB", slab)
+    monkeypatch.setattr(reconstruction, "SLAB", slab)
     values = RANDOM.standard_normal((9, 7, 8))
     values[RANDOM.random(values.shape) < 0.1] = np.nan
     count = 0
@@ -118,5 +118,5 @@ def test_crossings_are_counted_alike_in_slabs_and_at_once(slab, monkeypatch):
         count += int((a * b < 0).sum())
     assert find_crossings(values, 0.3).count == count
     without_slabs, _ = triangulated(values, 0.3)
-    monkeypatch.setattr(level_set, "SLAB", 1 << 22)
+    monkeypatch.setattr(reconstruction, "SLAB", 1 << 22)
     np.testing.assert_array_equal(triangulated(values, 0.3)[0], without_slabs)

@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
 from beltrami_cli.surface.grouping import sample_vertices
-from beltrami_cli.surface.point_triangulation import faces_of_points, triangulate_points
+from beltrami_cli.surface.reconstruction import faces_of_points, triangulate_points
 from beltrami_cli.surface.records import PaintedVertices
 from oracles import surfaces
 
@@ -189,10 +189,10 @@ def test_tiny_clouds_have_what_triangles_they_can():
 
 
 def test_large_clouds_are_handled_in_blocks(monkeypatch):
-    from beltrami_cli.surface import point_triangulation as points
+    from beltrami_cli.surface import reconstruction
 
     positions, faces = surfaces.icosphere(3)
-    monkeypatch.setattr(points, "BLOCK", 100)
+    monkeypatch.setattr(reconstruction, "POINTS_AT_ONCE", 100)
     assert as_set(triangulate_points(positions)) == as_set(faces)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beltrami_cli.surface.level_set import (
+from beltrami_cli.surface.reconstruction import (
     GridColours,
     Lattice,
     NearColours,
