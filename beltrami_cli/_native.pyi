@@ -226,6 +226,9 @@ def grid_distances(
 ) -> NDArray[np.float32]: ...
 
 PATCH_REACH: int
+PATCH_BLOCK_SIZE: int
+PATCH_TILE_SIDE: int
+PATCH_TILE_MARGIN: int
 
 def blend_terms(
     noisy: NDArray[np.float32],
@@ -277,6 +280,7 @@ class SurfacePatches:
         axes: NDArray[np.float64],
         priorities: NDArray[np.uint64],
         threads: int,
+        blocks: NDArray[np.int32] | None = None,
     ) -> None: ...
     def collaborate(
         self,

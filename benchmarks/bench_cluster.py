@@ -1,4 +1,4 @@
-"""Time many files, and large surfaces in partitions, on one and on two workers of a Dask cluster on this machine.
+"""Time many files, and large surfaces in chunks, on one and on two workers of a Dask cluster on this machine.
 
 Beside the time on the clock there is the processor time of the busiest worker: what the clock would show on a machine
 with nothing else to do, but for what is sent and waited for.
@@ -16,11 +16,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from batch.dask_cluster import Cluster
+from beltrami_cli.batch.chunk_runners import DaskRunner
 from beltrami_cli.batch.cluster import ClusterExecutor
-from beltrami_cli.batch.cluster_partitions import ClusterRunner
 from beltrami_cli.batch.item import Item, Record
 from beltrami_cli.batch.run import Batch
-from beltrami_cli.flow.beltrami_flow import choose_parameters, in_partitions, smooth
+from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
+from beltrami_cli.flow.chunks import in_chunks
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
@@ -31,7 +32,7 @@ from oracles import surfaces
 
 REPEATS = 2
 FIXED = KernelParameters(
-    iterations=5, t=2.4, beta=4.0, beta_growth=1.5, metric_steps=1, clipping="keep", threads=1
+    iterations=5, t=2.4, beta=4.0, beta_growth=1.5, metric_steps=1, clipping="keep", patches="on", threads=1
 )
 FILES = 24
 
@@ -78,11 +79,11 @@ def texture(side=2048):
     )
 
 
-def in_eight_partitions(make):
-    """Return what runs a flow, made before, in eight partitions; the time is of its iterations, from cut to joined."""
+def in_eight_chunks(make):
+    """Return what runs a flow, made before, in eight chunks, patches included."""
 
     def run(client):
-        with in_partitions(8, ClusterRunner(client)):
+        with in_chunks(8, DaskRunner(client)):
             plan = make()
             start = time.perf_counter()
             smooth(plan)
@@ -116,8 +117,8 @@ def main() -> None:
     """Print the table of docs/cluster.md."""
     cases = {
         f"{FILES} meshes of 5,000 vertices": many_files,
-        "a mesh of 490,000 vertices in 8 pieces": in_eight_partitions(mesh),
-        "a picture of 2048 x 2048 pixels in 8 pieces": in_eight_partitions(texture),
+        "a mesh of 490,000 vertices in 8 pieces": in_eight_chunks(mesh),
+        "a picture of 2048 x 2048 pixels in 8 pieces": in_eight_chunks(texture),
     }
     alone = [None, best(lambda: whole(mesh)), best(lambda: whole(texture))]
     times = {}

@@ -205,7 +205,6 @@ class Workers(Executor):
         self._count, self._memory, self.threads = count, memory, threads
         self._idle: list[_Worker] = []
         self._busy: dict[Connection[Any, Any], _Worker] = {}
-        self._context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are
 
     def __exit__(self, *_: object) -> None:
         workers = [*self._idle, *self._busy.values()]
@@ -225,7 +224,7 @@ class Workers(Executor):
 
     def start(self, key: int, item: Item) -> None:
         while True:
-            worker = self._idle.pop() if self._idle else self._start_process()
+            worker = self._idle.pop() if self._idle else _Worker(*start_worker(_work))
             try:
                 worker.pipe.send((item, self._memory))
                 break
@@ -246,14 +245,6 @@ class Workers(Executor):
                     self._idle.append(self._busy.pop(worker.pipe))
             yield worker.key, event
 
-    def _start_process(self) -> _Worker:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(target=_work, args=(theirs,), daemon=True)
-        with _without_interrupts():
-            process.start()
-        theirs.close()  # so that the pipe ends with the process
-        return _Worker(process, ours)
-
     def _remove_dead(self, worker: _Worker, item: Item) -> Attempt:
         self._busy.pop(worker.pipe).pipe.close()
         worker.process.join()
@@ -261,6 +252,17 @@ class Workers(Executor):
         how = f"by signal {-code}" if code < 0 else f"with code {code}"
         cause = f"{item.source}: the process that worked on it ended {how}; there may be too little memory"
         return Attempt(failed(item, cause, 1), wants_memory=True)
+
+
+def start_worker(work: Callable[[Connection[Any, Any]], None]) -> tuple[SpawnProcess, Connection[Any, Any]]:
+    """Start a process that is called with one end of a pipe; return it with the other end."""
+    context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are
+    ours, theirs = context.Pipe()
+    process = context.Process(target=work, args=(theirs,), daemon=True)
+    with _without_interrupts():
+        process.start()
+    theirs.close()  # so that the pipe ends with the process
+    return process, ours
 
 
 @contextlib.contextmanager
@@ -280,15 +282,19 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _work(pipe: Connection[Any, Any]) -> None:
-    """Be a worker: do what comes through the pipe until it is closed."""
+    """Be a worker for files."""
+    progress = at_intervals(_PAUSE, lambda *event: _send(pipe, event))
+    answer_until_closed(pipe, lambda item, memory: do_item(item, memory, progress))
+
+
+def answer_until_closed(pipe: Connection[Any, Any], answer: Callable[..., object]) -> None:
+    """Answer the arguments that come through a pipe until it is closed."""
     for number in unhandled_endings():
         signal.signal(number, _end)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
-    progress = at_intervals(_PAUSE, lambda *event: _send(pipe, event))
     with contextlib.suppress(EOFError, ConnectionError, _Stopped):
         while True:
-            item, memory = pipe.recv()
-            _send(pipe, do_item(item, memory, progress))
+            _send(pipe, answer(*pipe.recv()))
 
 
 def _send(pipe: Connection[Any, Any], message: object) -> None:

@@ -118,8 +118,9 @@ _CLUSTER = "Many machines"
 )  # fmt: skip
 @click.option(
     "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT", cls=GroupedOption, group=_CLUSTER,
-    help="Cut every mesh and texture into this many pieces, which the workers of --scheduler smooth together: for "
-    "surfaces that take one machine too long.",
+    help="Cut every mesh, texture, point cloud and image into up to this many pieces, and do those of one file "
+    "after the other: on the workers of --scheduler, or else in as many processes as --jobs says. It is for surfaces that "
+    "take one machine too long.",
 )  # fmt: skip
 @options.smoothing
 @options.unwrapping
@@ -153,8 +154,6 @@ def batch(
     """
     from beltrami_cli.batch.plan import plan
 
-    if pieces is not None and scheduler is None:
-        raise UsageError("--pieces are for the workers of a --scheduler; name one")
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
     jobs = _jobs_for(requests, given, overwrite=overwrite)
@@ -291,19 +290,24 @@ def _executor(
     scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, messages: Messages
 ) -> Iterator[Executor | None]:
     """Give those who do the files on other machines; None: they are done on this one."""
-    if scheduler is None:
+    if scheduler is None and pieces is None:
         yield None
         return
+    from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
     from beltrami_cli.batch.cluster import ClusterExecutor, connected
-    from beltrami_cli.batch.cluster_partitions import PartitionExecutor
+    from beltrami_cli.flow.parameters import KernelParameters
 
+    if scheduler is None:
+        processes = at_once or KernelParameters().thread_count
+        yield ChunkExecutor(ProcessRunner(processes), pieces or 1, memory)
+        return
     with connected(scheduler) as client:
         if not client.nthreads():
             messages.say(f"{scheduler} has no workers yet; the files wait for them")
         if pieces is None:
             yield ClusterExecutor(client, at_once, memory)
         else:
-            yield PartitionExecutor(client, pieces, memory)
+            yield ChunkExecutor(DaskRunner(client), pieces, memory)
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

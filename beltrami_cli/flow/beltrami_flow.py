@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextvars import ContextVar
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -14,30 +12,17 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.chunks import chunking
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.coarse_levels import denoise_means
 from beltrami_cli.flow.manifold import Manifold, mark_clipped, restore_clipped
 from beltrami_cli.flow.mean_light import MeanLight
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.flow.partitions import Partition, Runner, Split, TooNarrowError
 from beltrami_cli.flow.patches import PASSES, blend_with_patches
 from beltrami_cli.flow.records import Averaged, Step
 from beltrami_cli.flow.tuning.choice import Choice, is_noisy, tune
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
-
-
-_WANTED: ContextVar[Split | None] = ContextVar("split", default=None)
-
-
-@contextlib.contextmanager
-def in_partitions(count: int, runner: Runner) -> Iterator[None]:
-    """Within this context and thread, smooth every surface in up to `count` partitions."""
-    token = _WANTED.set(Split(count, runner))
-    try:
-        yield
-    finally:
-        _WANTED.reset(token)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +35,6 @@ class Plan(Generic[AnyManifold]):
     choice: Choice | None = None  # None where no parameter was chosen from the data
     takes_patches: bool = False
     light: MeanLight | None = None  # whose mean stays
-    split: Split | None = None
 
     @property
     def parameters(self) -> KernelParameters:
@@ -119,8 +103,8 @@ def choose_parameters(
         wanted = dataclasses.replace(wanted, clipping="keep")
         kept = dataclasses.replace(manifold.parameters, clipping="keep")
         manifold = dataclasses.replace(manifold, parameters=kept)
-    split, moves = _WANTED.get(), manifold.moving is not None
-    if moves and split is not None:
+    moves = manifold.moving is not None
+    if moves and chunking() is not None:
         raise UsageError("vertices are not moved in pieces; leave out --pieces, or --smooth-geometry")
     if moves:  # positions take the same iterations, for which the best parameters of colours are too strong
         wanted = dataclasses.replace(wanted, free=())
@@ -141,12 +125,11 @@ def choose_parameters(
     work = manifold.geometry.work(manifold.unit)
     chosen = work.bounded(chosen)
     work.announce(chosen)
-    geometry = manifold.geometry if split is not None else manifold.geometry.for_kernels()
+    geometry = manifold.geometry.for_kernels() if chunking() is None else manifold.geometry
     return Plan(
         manifold=dataclasses.replace(manifold, geometry=geometry, parameters=chosen), noise=noise.of_input,
         described_noise=noise.described(), choice=choice,
         takes_patches=wanted.takes_patches and chosen.iterations > 0 and not moves and noisy, light=light,
-        split=split,
     )  # fmt: skip
 
 
@@ -190,10 +173,7 @@ def _run_kernel(
     manifold = plan.manifold
     steps = [plan.step(iteration) for iteration in range(plan.parameters.iterations)]
     stacks = [colours] if clipped is None else [colours, mark_clipped(manifold, clipped)]
-    if plan.split is not None and steps and manifold.geometry.kernels:
-        done = _iterate_in_partitions(manifold, stacks, steps, plan.split, stages)
-    else:
-        done = _iterate(manifold, stacks, steps, stages)
+    done = _iterate(manifold, stacks, steps, stages)
     if clipped is not None:
         restore_clipped(manifold, clipped, *done.stacks)
     return done
@@ -209,34 +189,6 @@ def _iterate(manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], 
         if done.moving is not None:
             manifold = dataclasses.replace(manifold, moving=done.moving)
     return Averaged(stacks, samples, truncated, manifold.moving)
-
-
-def _iterate_in_partitions(
-    manifold: Manifold, stacks: list[Float32s], steps: Sequence[Step], split: Split, stages: _Stages
-) -> Averaged:
-    """Run all iterations partition by partition: the same colours bit for bit; `samples` is an estimate."""
-    from beltrami_cli.flow.grid_partitions import cut_grid
-    from beltrami_cli.flow.mesh_manifold import MeshManifold
-    from beltrami_cli.flow.mesh_partitions import cut_mesh
-
-    cut: Callable[..., Sequence[Partition]] = cut_mesh if isinstance(manifold, MeshManifold) else cut_grid
-    geometry = manifold.geometry
-    axis, samples, progress = geometry.axis, geometry.samples, stages.of(len(steps))
-    shared = None if progress is None else lambda done, total: progress(geometry.size * done // total)
-    before = np.concatenate([geometry.take(stack, samples) for stack in stacks], axis=1)
-    done, widening = None, 1
-    while done is None:
-        try:
-            parts = cut(manifold, split.count, widening, steps, stacks[0].shape[axis])
-            done = split.runner.run(parts, before, len(steps), shared)
-        except TooNarrowError:  # all are cut again, twice as wide
-            widening *= 2
-    widths = np.cumsum([stack.shape[axis] for stack in stacks])
-    for stack, rows in zip(stacks, np.split(done.values, widths[:-1], axis=1), strict=True):
-        flat = stack if axis == 1 else stack.reshape(len(stack), -1).T
-        flat[samples] = rows
-        geometry.refresh(stack)
-    return Averaged(stacks, done.samples, done.truncated)
 
 
 class _Stages:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
 from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Mixing, NewColours
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Indices, refresh_halo
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo
 
 # Rows and columns around a halo cell that are searched for other cells with the same texel: enough for a chart up to
 # seven times as fine as the one beyond the seam.
@@ -86,6 +87,51 @@ def collaborate_on_canvas(
     relative: Float32s | None = None,
 ) -> Float32s:
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
+    wanted = chunking()
+    if wanted is not None:
+        chunks = _patch_chunks(kind, wanted.count)
+        stacks = [noisy, pilot] if relative is None else [noisy, pilot, relative]
+        estimates: Float32s = large_arrays.zeros(noisy.shape, np.float32)
+        work, how = Work(_patches_of_chunk, (mixing,)), {"size": kind.size, "threads": threads}
+        wanted.apply(chunks, work, stacks, estimates, progress, **how)
+        return estimates
+    return _estimate_patches(kind, noisy, pilot, relative, mixing, threads, progress)
+
+
+def _patch_chunks(kind: Uint8s, count: int) -> list[Chunk]:
+    """Cut a canvas for patches, whose groups start tile by tile."""
+    from beltrami_cli._native import PATCH_TILE_MARGIN, PATCH_TILE_SIDE
+
+    chunks = []
+    # The order in which tiles add to a cell repeats itself after two of them.
+    for core in rectangles(kind == OWNED, count, 2 * PATCH_TILE_SIDE):
+        around = core.grown(2 * PATCH_TILE_SIDE, PATCH_TILE_SIDE + PATCH_TILE_MARGIN, kind.shape)
+        part = kind[around.index].copy()
+        # The groups of the next tiles reach the core; those beyond only supply candidates.
+        inside = np.zeros(part.shape, bool)
+        inside[core.grown(PATCH_TILE_SIDE, PATCH_TILE_SIDE, kind.shape).within(around)] = True
+        part[(part == OWNED) & ~inside] = HALO
+        chunks.append(chunk_of(part, core, around))
+    return chunks
+
+
+def _patches_of_chunk(
+    kind: Uint8s, stacks: Sequence[Float32s], threads: int, mixing: Mixing
+) -> tuple[Float32s, Figures]:
+    noisy, pilot, *relative = stacks
+    variances = relative[0] if relative else None
+    return _estimate_patches(kind, noisy, pilot, variances, mixing, threads, None), (0, 0)
+
+
+def _estimate_patches(
+    kind: Uint8s,
+    noisy: Float32s,
+    pilot: Float32s,
+    relative: Float32s | None,
+    mixing: Mixing,
+    threads: int,
+    progress: Callable[[int], None] | None,
+) -> Float32s:
     from beltrami_cli._native import collaborate_on_grid
 
     estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, mean_spacing, without_references
+from beltrami_cli.flow.chunks import Rectangle
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
 from beltrami_cli.flow.domain import Geometry, Stack
 from beltrami_cli.flow.parameters import KernelParameters
@@ -67,13 +68,16 @@ class GridGeometry(Geometry):
     def kind(self) -> Uint8s:
         return self.atlas.kind[None]
 
-    def cut(self, samples: slice | Int64s, inside: Bools) -> GridGeometry:
-        """Return a part: rows, or cells by flat index, shape (R', C'); `inside`: mask of cells that have a kernel."""
+    def cut(self, samples: Cells, inside: Bools) -> GridGeometry:
+        """Return a part, shape (R', C'); `inside`: mask of cells that have a kernel."""
         kind = pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
         lengths = pick(self.atlas.squared_lengths, samples)
         atlas = dataclasses.replace(self.atlas, kind=kind, squared_lengths=lengths)
-        if not isinstance(samples, slice):
+        if isinstance(samples, Rectangle):
+            rows = np.arange(samples.top, samples.bottom)[:, None] * self.atlas.kind.shape[1]
+            atlas = without_references(atlas, self.atlas, rows + np.arange(samples.left, samples.right))
+        elif not isinstance(samples, slice):
             atlas = without_references(atlas, self.atlas, samples)
         scale = None if self.scale is None else pick(self.scale, samples)
         repeats = None if self.repeats is None else pick(self.repeats, samples)
@@ -147,10 +151,16 @@ class GridGeometry(Geometry):
         return large_arrays.blocks(rows, max(ROWS, large_arrays.BLOCK // max(1, columns)))
 
 
-def pick(planes: Array, samples: slice | Int64s) -> Array:
-    """Return rows, or cells by flat index, of an array of planes."""
+Cells: TypeAlias = slice | Rectangle | Int64s
+"""Some cells of a canvas: rows, a rectangle, or flat indices, shape (R', C')."""
+
+
+def pick(planes: Array, samples: Cells) -> Array:
+    """Return some cells of an array of planes."""
     if isinstance(samples, slice):
         return planes[..., samples, :]
+    if isinstance(samples, Rectangle):
+        return np.ascontiguousarray(planes[samples.index])
     flat = planes.reshape(*planes.shape[:-2], -1)
     picked = np.empty((*flat.shape[:-1], *samples.shape), planes.dtype)
     for rows in large_arrays.blocks(len(samples), _PICKED_ROWS):

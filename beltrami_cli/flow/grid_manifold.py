@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -23,9 +24,10 @@ from beltrami_cli.flow.canvas import (
     painted,
 )
 from beltrami_cli.flow.cell_squares import Squares, squares_for
+from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, Work, chunk_of, chunking, rectangles
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_geometry import ROWS, GridGeometry, pick
+from beltrami_cli.flow.grid_geometry import ROWS, Cells, GridGeometry, pick
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
 from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
@@ -156,7 +158,6 @@ class GridManifold(Manifold):
 
     geometry: GridGeometry
     jumps: int = 0  # seams over which colours jump, which end the surface for kernels
-    is_in_one_block: bool = False  # leaves stacks as they are, and returns averages in new ones
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
         """Choose the metric, eq. (1), which is induced row block by row block while they are averaged."""
@@ -165,7 +166,10 @@ class GridManifold(Manifold):
     def average(
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
-        """Average the channels by eq. (9): in place, unless all is one block."""
+        """Average the channels by eq. (9): in place, unless all is one block, or in chunks."""
+        wanted = chunking()
+        if wanted is not None and not self.is_in_one_block:
+            return self._average_in_chunks(stacks, metric, wanted, progress)
         grid, threads = self.geometry, self.parameters.thread_count
         (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
         blocks = row_blocks(rows, columns, margin, threads)
@@ -200,6 +204,30 @@ class GridManifold(Manifold):
         for stack in stacks:
             refresh_halo(stack, grid.atlas, threads)
         return Averaged(stacks, samples)
+
+    def _average_in_chunks(
+        self, stacks: list[Stack], metric: Metric, wanted: Chunking, progress: Callable[[int], None] | None
+    ) -> Averaged:
+        grid, before = self.geometry, np.concatenate(stacks)
+        work, after = Work(_average_chunk, (metric.step, metric.channels)), grid.planes(len(before))
+        chunks = self._kernel_chunks
+        how = {"size": grid.size, "threads": grid.threads}
+        samples, _ = wanted.apply(chunks, work, [before], after, progress, **how)
+        grid.refresh(after)
+        return Averaged(_split(after, stacks), round(samples))
+
+    @cached_property
+    def _kernel_chunks(self) -> list[Chunk]:
+        """The chunks for one iteration."""
+        wanted, kind, margin = chunking(), self.geometry.atlas.kind, kernel_margin(self.parameters)
+        assert wanted is not None
+        chunks = []
+        for core in rectangles(kind == OWNED, wanted.count, TILE_ROWS):
+            around = core.grown(margin, margin, kind.shape)
+            inside = np.zeros(around.shape, bool)
+            inside[core.within(around)] = True
+            chunks.append(chunk_of(self.cut(around, inside), core, around))
+        return chunks
 
     def _put(self, stacks: Sequence[Stack], rows: slice, planes: Float32s) -> None:
         from beltrami_cli._native import copy_planes
@@ -298,7 +326,7 @@ class GridManifold(Manifold):
         signs = np.array(drawn, np.float32)
         return SampleTrial(part, planes, signs, scored, correlated=self.noise.is_shared)
 
-    def cut(self, samples: slice | Int64s, inside: Bools) -> GridManifold:
+    def cut(self, samples: Cells, inside: Bools) -> GridManifold:
         """Return a part without colours, see `GridGeometry.cut`."""
         noise = self.noise
         if noise.relative is not None:
@@ -327,6 +355,16 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
     part = whole.cut(cells, np.tile(inner[:, None] & inner, (len(cells) // side, 1)))
     atlas = with_halo(part.geometry.atlas, whole.geometry.atlas, cells, core)
     return dataclasses.replace(part, geometry=dataclasses.replace(part.geometry, atlas=atlas))
+
+
+def _average_chunk(
+    part: GridManifold, stacks: Sequence[Stack], threads: int, step: Step, channels: int
+) -> tuple[Float32s, Figures]:
+    (colours,), parameters = stacks, dataclasses.replace(part.parameters, threads=threads)
+    part = dataclasses.replace(part, parameters=parameters)
+    metric = part.measure(colours[:channels], step)
+    after, samples = part._apply_kernel([colours], metric, None)
+    return after, (samples, 0)
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:

@@ -74,6 +74,7 @@ class Manifold(ABC):
     metric_channels: list[int] | slice
     guides: tuple[GuideStack, ...] = ()
     moving: MovingPositions | None = None  # positions that are smoothed along with the colours
+    is_in_one_block: bool = False  # averaged at once, whatever its size; stacks stay as they are
 
     search_range: ClassVar[SearchRange]
     """The parameters that are tried when they are chosen from the data."""

@@ -16,7 +16,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import MeshWork
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.tuning.mesh_trial import fingerprints
-from beltrami_cli.flow.vertex_graph import Graph
+from beltrami_cli.flow.vertex_graph import Graph, all_known
 from beltrami_cli.surface.atlas import OWNED, Indices
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 from beltrami_cli.surface.records import SampledSurface
@@ -107,20 +107,27 @@ class MeshGeometry(Geometry):
             self._graph = Graph(places, self.edges, priorities, axes, self.threads)
         return self._graph
 
-    def cut(self, samples: Int64s, places: Int64s, size: int) -> MeshGeometry:
-        """Return the part of some samples, ascending, at places in a larger part of `size`."""
+    def scaled_lengths(self, edges: Int32s) -> Float32s:
+        """Return the lengths of edges between samples in the unit of length of the parameters, shape (E,)."""
+        low, high = edges.T
+        lengths = np.linalg.norm(self.positions[low] - self.positions[high], axis=1)
+        if self.scales is not None:
+            lengths *= np.sqrt(self.scales[low] * self.scales[high])
+        return np.asarray(lengths, np.float32)
+
+    def cut(self, samples: Int64s) -> MeshGeometry:
+        """Return the part of some samples, ascending."""
         rank = np.full(self.size, -1, np.int32)
-        rank[samples] = places
+        rank[samples] = np.arange(len(samples))
         corners, ends = rank[self.faces], rank[self.edges]
-        inside = (ends >= 0).all(axis=1)
+        inside = all_known(ends)
         scales, weights = self.scales, self.weights
         return dataclasses.replace(
             self, order=np.zeros(0, self.order.dtype),
-            positions=placed(self.positions, samples, places, size),
-            faces=corners[(corners >= 0).all(axis=1)], edges=ends[inside], lengths=self.lengths[inside],
-            scales=None if scales is None else placed(scales, samples, places, size, 1),
-            weights=None if weights is None else placed(weights, samples, places, size), _core=None,
-            _graph=None,
+            positions=self.positions[samples],
+            faces=corners[all_known(corners)], edges=ends[inside], lengths=self.lengths[inside],
+            scales=None if scales is None else scales[samples],
+            weights=None if weights is None else weights[samples], _core=None, _graph=None,
         )  # fmt: skip
 
     def for_kernels(self) -> MeshGeometry:
@@ -179,15 +186,6 @@ def rank_in(order: Int32s) -> Int32s:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order), dtype=rank.dtype)
     return rank
-
-
-def placed(rows: Array, samples: Int64s, places: Int64s, size: int, filling: float = 0) -> Array:
-    """Return the rows of some samples at places in an array of `size` rows."""
-    if size == len(samples):
-        return rows[samples]
-    whole = np.full((size, *rows.shape[1:]), filling, rows.dtype)
-    whole[places] = rows[samples]
-    return whole
 
 
 def coarse(colours: Stack) -> Float32s:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, Neighbours, Work, chunk_of_run, chunking, runs
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
-from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, placed, rank_in
+from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
 from beltrami_cli.flow.noise.by_place import relative_to_mean
 from beltrami_cli.flow.noise.by_scale import FoundNoise
@@ -40,6 +42,14 @@ from beltrami_cli.flow.tuning.sure import wanted_probes
 from beltrami_cli.flow.vertex_clusters import Clusters, clusters_for, collaborate_on_graph
 from beltrami_cli.flow.vertex_graph import levels_of
 from beltrami_cli.surface.records import SampledSurface
+
+# Paths along edges are longer than straight ones: by up to 1.16 on a triangle lattice, and by hardly more than half
+# elsewhere. What kernels would hold beyond lies at their ends, where it counts least.
+_STRETCH = 1.5
+
+# How far beyond its kernels, in sample spacings, a chunk has samples: the triangles around the last ones decide how far
+# segments and unfolded corners reach, and the colours of the regularised metric are means over neighbours.
+_KNOWN = 5.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +122,9 @@ class MeshManifold(Manifold):
     search_range, rule = ON_MESHES, RULE_ON_MESHES
 
     def measure(self, colours: Stack, step: Step, gaussian: Gaussian | None = None) -> Metric:
-        """Induce the metric, eq. (1)."""
+        """Induce the metric, eq. (1); in chunks, each has its own when it is averaged."""
+        if chunking() is not None and not self.is_in_one_block:
+            return Metric(step, colours.shape[1], None)
         mesh, moving = self.geometry, self.moving
         positions = mesh.positions if moving is None else moving.positions
         features = () if moving is None else ((moving.normals, moving.beta),)
@@ -127,7 +139,9 @@ class MeshManifold(Manifold):
         """Average the channels, and the positions if they move, by eq. (9)."""
         widths = np.cumsum([stack.shape[1] for stack in stacks])
         channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
-        moving = self.moving
+        moving, wanted = self.moving, chunking()
+        if wanted is not None and not self.is_in_one_block:
+            return self._average_in_chunks(channels, stacks, metric, wanted, progress)
         if moving is not None:
             before = moving.channels()
             channels = np.hstack([channels, before])
@@ -138,6 +152,41 @@ class MeshManifold(Manifold):
             )
         parts = np.split(smoothed, widths, axis=1)[: len(stacks)]
         return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated, moving)
+
+    def _average_in_chunks(
+        self,
+        channels: Stack,
+        stacks: list[Stack],
+        metric: Metric,
+        wanted: Chunking,
+        progress: Callable[[int], None] | None,
+    ) -> Averaged:
+        after, work = np.empty_like(channels), Work(_average_chunk, (metric.step, metric.channels))
+        chunks, size = self._kernel_chunks, self.geometry.size
+        how = {"size": size, "threads": self.geometry.threads}
+        samples, truncated = wanted.apply(chunks, work, [channels], after, progress, **how)
+        # The core counts the samples around chunks, too.
+        share = size / max(1, sum(len(chunk.around) for chunk in chunks))
+        parts = np.split(after, np.cumsum([stack.shape[1] for stack in stacks]), axis=1)[: len(stacks)]
+        averages = [np.ascontiguousarray(part) for part in parts]
+        return Averaged(averages, samples * share, round(truncated * share))
+
+    @cached_property
+    def _kernel_chunks(self) -> list[Chunk]:
+        """The chunks for one iteration."""
+        wanted, mesh, own = chunking(), self.geometry, self.parameters
+        assert wanted is not None
+        whole = self
+        if own.metric_steps and own.metric_scale > 0:
+            gain = mesh.gaussian(own.metric_scale).gain
+            whole = dataclasses.replace(self, geometry=dataclasses.replace(mesh, gain=gain))
+        reach = _STRETCH * own.radius + _KNOWN * ((mesh.spacing or 1.0) if mesh.scales is None else 1.0)
+        edges = mesh.core.edges()  # with bridges
+        neighbours, chunks = Neighbours(mesh.size, edges, mesh.scaled_lengths(edges)), []
+        for first, last in runs(mesh.size, wanted.count):
+            near = np.isfinite(neighbours.distances(first, last, reach))
+            chunks.append(chunk_of_run(whole.cut, near, first, last))
+        return chunks
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
         """Return the kernel of a sample, in the caller's numbers."""
@@ -175,27 +224,25 @@ class MeshManifold(Manifold):
         # A patch that reached a hub would hold everything around it.
         patches = choose_patches(colours, around, without_hubs(size, edges))
         signs = self._perturbations(colours, around, wanted_probes(int(np.count_nonzero(patches.scored))))
-        part, samples = self, patches.samples
+        part, samples = dataclasses.replace(self, is_in_one_block=True), patches.samples
         if len(samples) < size:
             part, colours, signs = self.cut(samples), colours[samples], signs[:, samples]
         scored = np.flatnonzero(patches.scored) if not patches.scored.all() else None
         return SampleTrial(part, colours, signs, scored, correlated=self.noise.is_shared)
 
-    def cut(self, samples: Int64s, places: Int64s | None = None, size: int | None = None) -> MeshManifold:
-        """Return the part of some samples, ascending, without colours, at places in a larger part of `size`."""
-        at = np.arange(len(samples)) if places is None else places, len(samples) if size is None else size
+    def cut(self, samples: Int64s) -> MeshManifold:
+        """Return the part of some samples, ascending, without colours."""
         noise = self.noise
         if noise.relative is not None:
-            noise = noise.with_relative(placed(noise.relative, samples, *at, 1))
+            noise = noise.with_relative(noise.relative[samples])
         return dataclasses.replace(
             self,
-            geometry=self.geometry.cut(samples, *at),
+            geometry=self.geometry.cut(samples),
             colours=self.colours[:0],
             noise=noise,
-            guides=tuple(
-                dataclasses.replace(guide, stack=placed(guide.stack, samples, *at)) for guide in self.guides
-            ),
+            guides=tuple(dataclasses.replace(guide, stack=guide.stack[samples]) for guide in self.guides),
             moving=None,
+            is_in_one_block=True,
         )
 
     def new_colours(self) -> NewColours:
@@ -223,6 +270,16 @@ def average_rows(
     return mesh.core.smooth(
         rows, mesh.weights, own.t, own.radius, own.max_samples, own.thread_count, progress
     )
+
+
+def _average_chunk(
+    part: MeshManifold, stacks: Sequence[Stack], threads: int, step: Step, channels: int
+) -> tuple[Float32s, Figures]:
+    (colours,), parameters = stacks, dataclasses.replace(part.parameters, threads=threads)
+    part = dataclasses.replace(part, parameters=parameters)
+    metric = part.measure(np.ascontiguousarray(colours[:, :channels]), step)
+    after, samples, truncated = average_rows(part, colours, metric)
+    return after, (samples, truncated)
 
 
 def samples_per_kernel(manifold: MeshManifold, kernels: int, step: Step) -> float:

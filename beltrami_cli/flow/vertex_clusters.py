@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import ClassVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
+from beltrami_cli.flow.chunks import Figures, Work, chunking
 from beltrami_cli.flow.domain import CoarseLevel, Stack
 from beltrami_cli.flow.noise.haar_noise import root_of
 from beltrami_cli.flow.records import Mixing
@@ -26,11 +27,41 @@ def collaborate_on_graph(
     mixing: Mixing,
     relative: Float32s | None,
     progress: Callable[[int], None] | None = None,
+    *,
+    is_whole: bool = False,
 ) -> Stack:
     """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
+    wanted = chunking()
+    # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
+    if wanted is None or is_whole:
+        return _estimate(graph, noisy, pilot, relative, mixing, graph.threads, progress)
+    stacks = [noisy, pilot] if relative is None else [noisy, pilot, relative[:, None]]
+    estimates = np.empty_like(noisy)
+    work, how = Work(_estimate_chunk, (mixing,)), {"size": graph.size, "threads": graph.threads}
+    wanted.apply(graph.chunks, work, stacks, estimates, progress, **how)
+    return estimates
+
+
+def _estimate_chunk(
+    part: Graph, stacks: Sequence[Stack], threads: int, mixing: Mixing
+) -> tuple[Float32s, Figures]:
+    noisy, pilot, *relative = stacks
+    variances = relative[0][:, 0] if relative else None
+    return _estimate(part, noisy, pilot, variances, mixing, threads, None), (0, 0)
+
+
+def _estimate(
+    graph: Graph,
+    noisy: Stack,
+    pilot: Stack,
+    relative: Float32s | None,
+    mixing: Mixing,
+    threads: int,
+    progress: Callable[[int], None] | None,
+) -> Stack:
     estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
     graph.patches.collaborate(
-        noisy, pilot, mixing.parts, relative, mixing.has_pilot, estimates, weights, graph.threads, progress
+        noisy, pilot, mixing.parts, relative, mixing.has_pilot, estimates, weights, threads, progress
     )
     return estimates
 
@@ -55,7 +86,7 @@ class Clusters(CoarseLevel):
     def collaborate(self, noisy: Stack, pilot: Stack, mixing: Mixing, *, shared: bool = False) -> Stack:
         """Estimate means from patches of clusters; shared noise does not fall with their size."""
         relative = self.relative if shared else self.relative / (self._counts * np.float32(self.noise))
-        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative)
+        return collaborate_on_graph(self._graph, noisy, pilot, mixing, relative, is_whole=shared)
 
     def add_enlarged(self, stack: Stack, changes: Stack) -> None:
         """Add changes of clusters to their samples, smoothed as far as linear interpolation smooths squares."""

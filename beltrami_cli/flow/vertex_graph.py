@@ -12,6 +12,7 @@ References
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,11 +22,20 @@ from numpy.typing import NDArray
 
 from beltrami_cli._native import SurfacePatches
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.flow.chunks import Chunk, Neighbours, chunk_of_run, chunking, runs
 from beltrami_cli.flow.regularisation import MeshGaussian
 
 # Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally. On a triangle
 # lattice a pass adds so many squared spacings to the variance.
 _FLAT, _PASS = 3.0, 0.43
+
+# Edges from the start of a group to the samples that it estimates: 200 candidates lie within eight, or twelve at the
+# border of a surface, and the nodes of their patches within four more.
+_RINGS_OF_GROUP = 16
+
+# Edges from the samples of a chunk to the last one that it has: a group reads as far as it estimates, and which samples
+# start groups depends on the starts around these.
+_RINGS = 2 * _RINGS_OF_GROUP + 2
 
 
 @dataclass(frozen=True)
@@ -37,6 +47,9 @@ class Graph:
     priorities: NDArray[np.uint64]  # (S,)
     axes: Float64s = field(default_factory=lambda: np.eye(3)[:2])  # that turn with the model, (2, 3)
     threads: int = 1
+    blocks: Int32s | None = (
+        None  # (S,): block of the whole in which a group starts; -1: none does; None: by place
+    )
 
     @property
     def size(self) -> int:
@@ -49,7 +62,36 @@ class Graph:
     @cached_property
     def patches(self) -> SurfacePatches:
         """The patches in the tangent planes of all samples."""
-        return SurfacePatches(self.positions, self.edges, self.axes, self.priorities, self.threads)
+        return SurfacePatches(
+            self.positions, self.edges, self.axes, self.priorities, self.threads, self.blocks
+        )
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("patches", "chunks")}
+
+    @cached_property
+    def chunks(self) -> list[Chunk]:
+        """The chunks in which patches are estimated."""
+        wanted, neighbours = chunking(), Neighbours(self.size, self.edges)
+        assert wanted is not None
+        return [self._chunk(neighbours, *run) for run in runs(self.size, wanted.count)]
+
+    def _chunk(self, neighbours: Neighbours, first: int, last: int) -> Chunk:
+        from beltrami_cli._native import PATCH_BLOCK_SIZE
+
+        rings = neighbours.distances(first, last, _RINGS)
+
+        def part_of(samples: Int64s) -> Graph:
+            rank = np.full(self.size, -1, np.int32)
+            rank[samples] = np.arange(len(samples))
+            ends = rank[self.edges]
+            blocks = np.where(rings[samples] <= _RINGS_OF_GROUP, samples // PATCH_BLOCK_SIZE, -1)
+            return dataclasses.replace(
+                self, positions=self.positions[samples], edges=ends[all_known(ends)],
+                priorities=self.priorities[samples], blocks=blocks.astype(np.int32),
+            )  # fmt: skip
+
+        return chunk_of_run(part_of, np.isfinite(rings), first, last)
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
         """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
@@ -83,6 +125,14 @@ class Graph:
         number = np.empty(self.size, np.int32)
         number[rank[centres]] = np.arange(len(centres))
         return number[best], centres
+
+
+def all_known(numbers: Int32s) -> Bools:
+    """Return which rows have no number below 0; ten times as fast as numpy.all along so short an axis."""
+    known: Bools = numbers[:, 0] >= 0
+    for column in numbers.T[1:]:
+        known &= column >= 0
+    return known
 
 
 def _independent(rank: Int64s, edges: Int32s) -> Bools:

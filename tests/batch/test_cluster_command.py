@@ -11,8 +11,8 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,11 +20,12 @@ import pytest
 from batch.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch import cluster as cluster_module
-from beltrami_cli.batch import cluster_partitions
-from beltrami_cli.batch.cluster_partitions import ClusterRunner
+from beltrami_cli.batch.chunk_runners import DaskRunner
 from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
-from beltrami_cli.flow.beltrami_flow import in_partitions
+from beltrami_cli.errors import ProcessingError
+from beltrami_cli.flow import chunks
+from beltrami_cli.flow.chunks import Chunk, Work, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES
@@ -49,7 +50,7 @@ def cluster(running):
 
 @pytest.fixture
 def scans(tmp_path):
-    """A mesh of more than one partition, and a texture."""
+    """A mesh, and a texture."""
     folder = tmp_path / "scans"
     (folder / "deep").mkdir(parents=True)
     shutil.copy(SAMPLES / "knot-noisy.ply", folder / "knot.ply")
@@ -59,7 +60,7 @@ def scans(tmp_path):
 
 
 @pytest.mark.slow
-def test_files_whole_and_in_partitions_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path):
+def test_files_whole_and_in_chunks_are_as_on_one_machine_and_done_once(cluster, scans, tmp_path, monkeypatch):
     """That a batch on one machine gives what `smooth` gives has its own test."""
     batch("scans", "--out-dir", "here", *QUICK, "-n", "2", cwd=tmp_path)
     expected = files_in(tmp_path / "here")
@@ -81,6 +82,8 @@ def test_files_whole_and_in_partitions_are_as_on_one_machine_and_done_once(clust
     batch("scans", "--out-dir", "here", "--resume", *on_cluster, cwd=tmp_path)
     assert [line["status"] for line in lines_of(tmp_path / "here" / "batch.jsonl")] == ["skipped", "skipped"]
 
+    monkeypatch.setattr(chunks, "LEAST_SAMPLES", 1)
+    monkeypatch.setattr(chunks, "LEAST_CELLS", 1)
     batch(scans, "--out-dir", tmp_path / "joined", "--pieces", 3, *on_cluster)
     assert files_in(tmp_path / "joined") == expected
 
@@ -101,44 +104,61 @@ def test_a_worker_that_is_killed_midway_costs_nothing_but_time(cluster, tmp_path
 
 
 @pytest.mark.slow
-def test_a_surface_in_partitions_outlives_a_worker(cluster):
-    parameters = KernelParameters(**FIXED)
+def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
+    monkeypatch.setattr(chunks, "LEAST_SAMPLES", 1)
+    parameters = KernelParameters(**{**FIXED, "patches": "on"})
     whole = smooth_mesh(SURFACE, parameters)
     killed = []
 
     def progress(done, total):
-        if not killed and done >= total // 2:
+        if not killed and done >= total // 4:
             cluster.kill_first()
             killed.append(done)
 
-    with cluster.client() as client, in_partitions(3, ClusterRunner(client)):
+    with cluster.client() as client, in_chunks(3, DaskRunner(client)):
         parts = smooth_mesh(SURFACE, parameters, progress)
     assert killed
     assert np.array_equal(parts.colours, whole.colours)
 
 
 @pytest.mark.parametrize("kind", [KeyError, OSError, ValueError, RuntimeError, AssertionError])
-def test_a_surface_is_begun_again_whatever_dask_raises_if_a_worker_is_gone_and_only_then(kind, monkeypatch):
-    monkeypatch.setattr(cluster_partitions, "_NOTICE", 0.2)
-    alive, tries = {"one": 1, "two": 1}, []
-    runner = ClusterRunner(SimpleNamespace(status="running", nthreads=lambda: dict(alive)))
+def test_a_chunk_is_sent_again_whatever_dask_raises_and_not_for_ever(kind):
+    """Dask raises many kinds of exceptions when a worker dies, and these are never those of the work itself."""
+    lost = [1]
 
-    def run(*_):
-        tries.append(sorted(alive))
-        runner._places = list(alive)
-        if len(tries) == 1 and dies:  # the scheduler hears of it a little later
-            threading.Timer(0.05, alive.pop, ["two"]).start()
-        if len(alive) == 2:
-            raise kind("two")
-        return "joined"
+    class Client:
+        status = "running"
 
-    monkeypatch.setattr(runner, "_run", run)
-    dies = False
-    with pytest.raises(kind, match="two"):
-        runner.run([], None, 1, None)
-    dies, tries = True, []
-    assert runner.run([], None, 1, None) == "joined"
-    assert tries == [["one", "two"], ["one"]]
+        def nthreads(self):
+            return {"one": 1, "two": 1}
+
+        def scatter(self, value, **_):
+            return value
+
+        def submit(self, function, chunk, job, version, **_):
+            future = Future()
+            if lost[0] and chunk.part == 1:
+                lost[0] -= 1
+                future.set_exception(kind("two"))
+            else:
+                future.set_result(function(chunk, job, version))
+            return future
+
+        def cancel(self, futures, **_):
+            pass
+
+    cut = [Chunk(part, kept=slice(None)) for part in range(4)]
+    work = Work(lambda part, stacks, threads: (stacks[0] + part, (1.0, 0)), ())
+
+    def done():
+        answers = DaskRunner(Client()).run(cut, work, lambda chunk: [np.zeros(1, np.float32)])
+        return sorted((number, values.tolist()) for number, values, _ in answers)
+
+    assert done() == [(number, [number]) for number in range(4)]
+    assert lost == [0]
+    lost[0] = 1000
+    with pytest.raises(ProcessingError, match="workers died 5 times"):
+        done()
 
 
 @pytest.mark.slow
@@ -203,7 +223,6 @@ def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_pat
 @pytest.mark.parametrize(
     ("options", "words", "code"),
     [
-        (("--pieces", 2), "--pieces are for the workers of a --scheduler", 2),
         (("--scheduler", "nonsense"), "no Dask scheduler answers there", 1),
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers there", 1),
         (("--scheduler", "missing.json"), "no Dask scheduler answers there", 1),

@@ -1,4 +1,4 @@
-"""Surfaces to be smoothed as a whole and in parts, and parameters that reach all that parts could get wrong."""
+"""Surfaces to be smoothed as a whole and in chunks, and parameters that reach all that chunks could get wrong."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
-from beltrami_cli.flow.partitions import Joined, TooNarrowError, collect, joined, plan_transfers
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
@@ -101,29 +100,3 @@ def is_clipped(plan):
 
 def same_bits(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-
-
-class InTurn:
-    """Runs partitions one after the other, with some threads for each."""
-
-    def __init__(self, threads):
-        self._threads = threads
-
-    def run(self, partitions, values, iterations, progress=None):
-        transfers = plan_transfers(partitions, len(values))
-        own = [values[partition.owned] for partition in partitions]
-        samples, truncated = 0.0, 0
-        for iteration in range(iterations):
-            received = [
-                collect(plan, [own[transfer.source][transfer.rows] for transfer in plan], values.shape[1])
-                for plan in transfers
-            ]
-            for number, partition in enumerate(partitions):
-                step = partition.advance(own[number], received[number], iteration, self._threads)
-                if not step.is_exact:
-                    raise TooNarrowError
-                own[number] = step.values
-                samples, truncated = samples + step.samples, truncated + step.truncated
-                if progress is not None:
-                    progress(iteration * len(partitions) + number + 1, iterations * len(partitions))
-        return Joined(joined(partitions, own, values), samples, truncated)

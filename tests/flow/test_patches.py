@@ -12,7 +12,6 @@ import pytest
 
 from beltrami_cli import SmoothSettings, _native, smooth, smooth_file, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
-from beltrami_cli.flow.beltrami_flow import in_partitions
 from beltrami_cli.flow.beltrami_flow import smooth as smooth_plan
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
@@ -22,7 +21,6 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,
-    InTurn,
     image_plan,
     outcome,
     same_bits,
@@ -299,7 +297,7 @@ def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
 
 
 @pytest.mark.parametrize("make", [textured_plan, image_plan])
-def test_on_grids_nothing_depends_on_threads_row_blocks_partitions_and_instruction_sets(make, monkeypatch):
+def test_on_grids_nothing_depends_on_threads_row_blocks_and_instruction_sets(make, monkeypatch):
     def run(**others):
         return outcome(make(KernelParameters(**{**ON, "threads": 1, **others})))
 
@@ -307,15 +305,13 @@ def test_on_grids_nothing_depends_on_threads_row_blocks_partitions_and_instructi
     assert not same_bits(whole[:1], run(patches="off")[:1])
     for threads in (2, 3):
         assert same_bits(run(threads=threads), whole)
-    with in_partitions(3, InTurn(2)):
-        assert same_bits(run(), whole)
     for name in instruction_sets(monkeypatch):
         assert same_bits(run(), whole), name
     low_row_blocks(monkeypatch)
     assert same_bits(run(), whole)
 
 
-def test_on_meshes_nothing_depends_on_threads_partitions_and_instruction_sets(monkeypatch):
+def test_on_meshes_nothing_depends_on_threads_and_instruction_sets(monkeypatch):
     def run(**others):
         return smooth_mesh(
             SMALL_MESH, KernelParameters(**{**ON, "solver": "segments", "threads": 1, **others})
@@ -325,8 +321,6 @@ def test_on_meshes_nothing_depends_on_threads_partitions_and_instruction_sets(mo
     assert not np.array_equal(whole.colours, run(patches="off").colours)
     for threads in (2, 3):
         assert np.array_equal(run(threads=threads).colours, whole.colours)
-    with in_partitions(2, InTurn(2)):
-        assert np.array_equal(run().colours, whole.colours)
     for name in instruction_sets(monkeypatch):
         assert np.array_equal(run().colours, whole.colours), name
 

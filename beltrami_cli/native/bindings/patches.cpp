@@ -68,10 +68,12 @@ using WritableRows = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::c
 
 // See SurfacePatches; edges are pairs of vertices, axes two directions.
 SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
-                                     const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads) {
+                                     const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads,
+                                     const std::optional<Vector<std::int32_t>>& blocks) {
   if (positions.shape(1) != 3 || edges.shape(1) != 2 || axes.shape(0) != 2 || axes.shape(1) != 3)
     throw nb::value_error("positions, edges and axes need rows of 3, 2 and 3");
   if (priorities.size() != positions.shape(0)) throw nb::value_error("one priority a vertex is needed");
+  if (blocks && blocks->size() != positions.shape(0)) throw nb::value_error("one block a vertex is needed");
   for (std::size_t i = 0; i < edges.size(); ++i)
     if (edges.data()[i] < 0 || static_cast<std::size_t>(edges.data()[i]) >= positions.shape(0))
       throw nb::index_error("an edge ends at no vertex");
@@ -81,7 +83,8 @@ SurfacePatches* make_surface_patches(const Matrix<double>& positions, const Matr
   run_polled(no_progress, [&](const Poll& poll) {
     made = new SurfacePatches({reinterpret_cast<const Position*>(positions.data()), positions.shape(0)},
                               {reinterpret_cast<const std::array<std::int32_t, 2>*>(edges.data()), edges.shape(0)},
-                              {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads, poll);
+                              {directions[0], directions[1]}, {priorities.data(), priorities.size()}, threads,
+                              blocks ? blocks->data() : nullptr, poll);
   });
   return made;
 }
@@ -200,6 +203,9 @@ void add_multiple_to(const Channels<float>& values, const Channels<const Value>&
 void bind_patches(nb::module_& module) {
   using namespace nb::literals;
   module.attr("PATCH_REACH") = patch_reach;
+  module.attr("PATCH_BLOCK_SIZE") = block_size;
+  module.attr("PATCH_TILE_SIDE") = tile_side;
+  module.attr("PATCH_TILE_MARGIN") = margin;
   module.def("blend_terms", &write_blend_terms, "noisy"_a, "probe"_a, "estimates"_a, "noise"_a, "terms"_a.noconvert(),
              "threads"_a);
   module.def("blend_residual", &write_blend_residual, "noisy"_a, "estimate"_a, "noise"_a, "residual"_a.noconvert(),
@@ -214,11 +220,13 @@ void bind_patches(nb::module_& module) {
   nb::class_<SurfacePatches>(module, "SurfacePatches")
       .def("__init__",
            [](SurfacePatches* self, const Matrix<double>& positions, const Matrix<std::int32_t>& edges,
-              const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads) {
-             const std::unique_ptr<SurfacePatches> made(make_surface_patches(positions, edges, axes, priorities, threads));
+              const Matrix<double>& axes, const Vector<std::uint64_t>& priorities, unsigned threads,
+              const std::optional<Vector<std::int32_t>>& blocks) {
+             const std::unique_ptr<SurfacePatches> made(
+                 make_surface_patches(positions, edges, axes, priorities, threads, blocks));
              new (self) SurfacePatches(std::move(*made));
            },
-           "positions"_a, "edges"_a, "axes"_a, "priorities"_a, "threads"_a)
+           "positions"_a, "edges"_a, "axes"_a, "priorities"_a, "threads"_a, "blocks"_a = nb::none())
       .def("collaborate", &collaborate_on_surface, "noisy"_a, "pilot"_a, "mixing"_a,
            "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
 }

@@ -21,8 +21,8 @@ constexpr double furthest = 0.8, highest = 2.0;
 // Squared distances from nodes that differ by less are equal.
 constexpr double tie = 1e-6;
 
-// Vertices, and starts of groups, that are handled together.
-constexpr std::size_t chunk = 1024, starts_in_part = 256;
+// Vertices that are handled together.
+constexpr std::size_t chunk = 1024;
 
 using points::dot;
 
@@ -151,7 +151,7 @@ class SurfacePatches::VertexRings {
 
 SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
                                const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities,
-                               unsigned threads, const Poll& poll)
+                               unsigned threads, const std::int32_t* blocks, const Poll& poll)
     : first_(positions.size() + 1, 0), neighbours_(2 * edges.size()), patches_(positions.size()) {
   for (const auto& edge : edges)
     for (const std::int32_t end : edge) ++first_[static_cast<std::size_t>(end) + 1];
@@ -163,7 +163,9 @@ SurfacePatches::SurfacePatches(std::span<const Position> positions, std::span<co
   }
   std::vector<VertexRings> rings(threads);
   find_patches(positions, axes, priorities, rings, poll);
-  find_candidates(choose_starts(priorities), rings, poll);
+  std::vector<std::int32_t> starts = choose_starts(priorities);
+  if (blocks != nullptr) std::erase_if(starts, [&](std::int32_t start) { return blocks[start] < 0; });
+  find_candidates(starts, blocks, rings, poll);
 }
 
 void SurfacePatches::find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
@@ -218,15 +220,22 @@ std::vector<std::int32_t> SurfacePatches::choose_starts(std::span<const std::uin
   return starts;
 }
 
-void SurfacePatches::find_candidates(const std::vector<std::int32_t>& starts, std::span<VertexRings> rings, const Poll& poll) {
-  parts_.resize((starts.size() + starts_in_part - 1) / starts_in_part);
+void SurfacePatches::find_candidates(const std::vector<std::int32_t>& starts, const std::int32_t* blocks,
+                                     std::span<VertexRings> rings, const Poll& poll) {
+  const auto block_of = [&](std::int32_t vertex) {
+    return blocks != nullptr ? blocks[vertex] : vertex / static_cast<std::int32_t>(block_size);
+  };
+  std::vector<std::size_t> ends;  // of the starts of each part
+  for (std::size_t i = 0; i < starts.size(); ++i)
+    if (i + 1 == starts.size() || block_of(starts[i]) != block_of(starts[i + 1])) ends.push_back(i + 1);
+  parts_.resize(ends.size());
   std::vector<std::vector<std::int32_t>> ranks(rings.size());
   const auto find = [&](std::size_t begin, std::size_t end, unsigned worker) {
     std::vector<std::int32_t>& rank = ranks[worker];
     rank.resize(patches_.size(), -1);
     for (std::size_t number = begin; number < end; ++number) {
       Part& part = parts_[number];
-      const std::size_t first = number * starts_in_part, last = std::min(starts.size(), first + starts_in_part);
+      const std::size_t first = number == 0 ? 0 : ends[number - 1], last = ends[number];
       part.first.push_back(0);
       for (std::size_t i = first; i < last; ++i) {
         for (const std::int32_t vertex : rings[worker].around(starts[i], enough_candidates, first_, neighbours_)) {

@@ -20,6 +20,9 @@ namespace beltrami::patches {
 constexpr int lattice_reach = 2;
 constexpr std::size_t nodes = (2 * lattice_reach + 1) * (2 * lattice_reach + 1);
 
+// Vertices between whose ends sums are added, of which some two hundred start groups.
+constexpr std::size_t block_size = 4096;
+
 using Position = std::array<double, 3>;
 using Nodes = std::array<std::int32_t, nodes>;  // vertices, -1 where there is none
 
@@ -27,10 +30,12 @@ class SurfacePatches {
  public:
   // axes: directions to which the lattices are turned; the second where the first is normal to the surface.
   // priorities: of vertices as starts of groups, the least first, so that the order of vertices makes no difference.
+  // blocks: numbers, ascending but for -1, of the blocks of vertices whose groups are summed one after another; -1: groups
+  // that start at the vertex are left out. nullptr: of blocks of `block_size` vertices.
   // Throws Cancelled if poll returned false.
   SurfacePatches(std::span<const Position> positions, std::span<const std::array<std::int32_t, 2>> edges,
                  const std::array<Position, 2>& axes, std::span<const std::uint64_t> priorities, unsigned threads,
-                 const Poll& poll = {});
+                 const std::int32_t* blocks = nullptr, const Poll& poll = {});
 
   struct Colours {
     const float *noisy, *pilot;  // a row of `channels` a vertex
@@ -53,7 +58,7 @@ class SurfacePatches {
   class VertexRings;
   class Worker;
 
-  // Some starts, and the vertices whose patches theirs are compared with.
+  // The starts of a block, and the vertices whose patches theirs are compared with.
   struct Part {
     std::vector<std::int32_t> vertices;
     std::vector<std::int32_t> candidates;  // of all starts, places in `vertices`; of each, itself first
@@ -64,7 +69,8 @@ class SurfacePatches {
   void find_patches(std::span<const Position> positions, const std::array<Position, 2>& axes,
                     std::span<const std::uint64_t> priorities, std::span<VertexRings> rings, const Poll& poll);
   std::vector<std::int32_t> choose_starts(std::span<const std::uint64_t> priorities) const;
-  void find_candidates(const std::vector<std::int32_t>& starts, std::span<VertexRings> rings, const Poll& poll);
+  void find_candidates(const std::vector<std::int32_t>& starts, const std::int32_t* blocks, std::span<VertexRings> rings,
+                       const Poll& poll);
 
   std::vector<std::size_t> first_;         // of each vertex's neighbours
   std::vector<std::int32_t> neighbours_;

@@ -96,7 +96,7 @@ void a_stop_ends_the_search_for_patches() {
   const std::array axes{Position{1, 0, 0}, Position{0, 1, 0}};
   bool stopped = false;
   try {
-    const SurfacePatches patches(own.positions, own.edges, axes, own.priorities, 2, [](std::size_t) { return false; });
+    const SurfacePatches patches(own.positions, own.edges, axes, own.priorities, 2, nullptr, [](std::size_t) { return false; });
   } catch (const beltrami::Cancelled&) {
     stopped = true;
   }

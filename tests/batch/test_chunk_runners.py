@@ -1,0 +1,158 @@
+"""Chunks in worker processes: whichever of them dies, and whatever the work raises."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from batch.batches import QUICK, batch, files_in
+from beltrami_cli.batch import chunk_runners
+from beltrami_cli.batch.chunk_runners import ProcessRunner
+from beltrami_cli.batch.cluster import Cancelled
+from beltrami_cli.errors import ProcessingError
+from beltrami_cli.flow import chunks
+from beltrami_cli.flow.chunks import Chunk, Work, in_chunks
+from beltrami_cli.flow.parameters import KernelParameters
+from cli.commands import COMMAND, SAMPLES
+from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
+from formats.image_files import encode
+
+CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
+
+
+def add(part, stacks, threads):
+    return stacks[0] + part, (1.0, threads)
+
+
+def die_once(part, stacks, threads, trace):
+    """Die with one of the chunks, the first time."""
+    if part == 2 and not trace.exists():
+        trace.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return add(part, stacks, threads)
+
+
+def die(part, stacks, threads):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuse(part, stacks, threads):
+    raise ProcessingError("no such chunk")
+
+
+def sleep(part, stacks, threads):
+    time.sleep(60)
+
+
+def done(runner, work):
+    answers = runner.run(CUT, work, lambda chunk: [np.zeros(1, np.float32)])
+    return sorted((number, values.tolist(), figures) for number, values, figures in answers)
+
+
+@pytest.fixture
+def runner():
+    """Give two processes, which take a second to start."""
+    made = ProcessRunner(2)
+    yield made
+    made.close()
+
+
+@pytest.mark.slow
+def test_a_chunk_whose_process_dies_is_done_by_another(runner, tmp_path):
+    expected = [(number, [number], (1.0, 1)) for number in range(5)]
+    assert done(runner, Work(add, ())) == expected
+    assert done(runner, Work(die_once, (tmp_path / "died",))) == expected
+    assert done(runner, Work(add, ())) == expected
+    with pytest.raises(ProcessingError, match="no such chunk"):
+        done(runner, Work(refuse, ()))
+    assert done(runner, Work(add, ())) == expected
+
+
+@pytest.mark.slow
+def test_a_chunk_that_every_process_dies_with_fails(runner, monkeypatch):
+    monkeypatch.setattr(chunk_runners, "_TRIES", 2)
+    with pytest.raises(ProcessingError, match="workers died 2 times with one piece of the surface"):
+        done(runner, Work(die, ()))
+
+
+@pytest.mark.slow
+def test_work_that_is_given_up_ends_at_once(runner):
+    answers = runner.run(CUT, Work(sleep, ()), lambda chunk: [])
+    start = time.monotonic()
+    runner.close()
+    with pytest.raises(Cancelled):
+        next(answers)
+    assert time.monotonic() - start < 30
+
+
+@pytest.mark.slow
+def test_a_mesh_in_processes_has_the_bits_of_the_whole(runner, monkeypatch):
+    monkeypatch.setattr(chunks, "LEAST_SAMPLES", 1)
+    parameters = KernelParameters(**{**FIXED, "patches": "on"})
+    whole = smooth_mesh(SURFACE, parameters)
+    with in_chunks(3, runner):
+        parts = smooth_mesh(SURFACE, parameters)
+    assert np.array_equal(parts.colours, whole.colours)
+
+
+@pytest.mark.slow
+def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(chunks, "LEAST_CELLS", 1)
+    (tmp_path / "in").mkdir()
+    for kind in ("obj", "mtl", "png"):
+        os.link(SAMPLES / f"mirrored-noisy.{kind}", tmp_path / "in" / f"mirrored-noisy.{kind}")
+    for name, options in (("whole", ()), ("pieces", ("--pieces", 4, "-j", 2))):
+        batch(tmp_path / "in", "--out-dir", tmp_path / name, *options, "-n", 2, "--patches", "on")
+    assert files_in(tmp_path / "pieces") == files_in(tmp_path / "whole")
+
+
+# A command starts, loads its modules, and starts processes that load theirs.
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
+def test_an_interruption_ends_processes_and_leaves_nothing(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 255, (800, 800, 3), np.uint8)
+    (tmp_path / "large.png").write_bytes(encode(pixels, "png"))
+    out = tmp_path / "out"
+    command = [
+        *COMMAND,
+        "batch",
+        tmp_path / "large.png",
+        "--out-dir",
+        out,
+        "--pieces",
+        2,
+        "-j",
+        2,
+        *QUICK,
+        "-n",
+        9999,
+    ]
+    with subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL) as run:
+        deadline = time.monotonic() + 60
+        # Beside the processes for chunks there is one that watches over them.
+        while len(workers := children(run.pid)) < 3 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        run.send_signal(signal.SIGINT)
+        assert run.wait(timeout=30) == 130
+    assert not (out / "large.png").exists()
+    assert len(workers) == 3
+    # The one that watches ends when it sees that the command has.
+    while (left := [pid for pid in workers if is_running(pid)]) and time.monotonic() < deadline + 30:
+        time.sleep(0.1)
+    assert not left
+
+
+def is_running(pid):
+    status = Path(f"/proc/{pid}/stat")
+    return status.exists() and status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def children(pid):
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(each) for task in tasks for each in task.read_text().split()]

@@ -1,0 +1,193 @@
+"""A surface that is smoothed in chunks has the bits of one that is smoothed as a whole."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import settings as run_with
+from hypothesis import strategies as st
+
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow import canvas, chunks, grid_manifold, mesh_manifold
+from beltrami_cli.flow.canvas import kernel_margin
+from beltrami_cli.flow.chunks import InTurn, in_chunks
+from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.moving_positions import GeometryParameters
+from beltrami_cli.flow.parameters import KernelParameters, parameters_with
+from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
+from flow.split_surfaces import (
+    FIXED,
+    ON_GRIDS,
+    SURFACE,
+    image_plan,
+    noisy,
+    outcome,
+    same_bits,
+    smooth_mesh,
+    textured_plan,
+    wavy_surface,
+)
+from properties.textured_planes import smoothed
+
+ON_MESHES = {
+    "segments": {"solver": "segments"},
+    "marching": {"solver": "fast-marching"},
+    "areas": {"solver": "segments", "weights": "area", "iterations": 3},
+    "world": {"solver": "segments", "units": "world", "metric_steps": 0, "beta": 0.0},
+    "cut short": {"solver": "segments", "max_samples": 15},
+    "wide": {"solver": "segments", "t": 8.0, "iterations": 1},
+    "patches": {"patches": "on"},
+}
+
+
+class Sent:
+    """Works on chunks that were sent through a pickle, last first, and remembers how many there were."""
+
+    def __init__(self):
+        self.counts = []
+
+    def run(self, cut, work, stacks_of):
+        self.counts.append(len(cut))
+        for number in reversed(range(len(cut))):
+            chunk, sent = pickle.loads(pickle.dumps((cut[number].without_whole(), work)))
+            yield number, *sent.on(chunk, stacks_of(cut[number]), 2)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_chunks():
+    """Cut surfaces however small they are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(chunks, "LEAST_CELLS", 1)
+        patch.setattr(chunks, "LEAST_SAMPLES", 1)
+        yield
+
+
+def is_kept(one, other):
+    """Whether colours differ by no more than is promised for any number of chunks."""
+    steps = 255 * np.abs(one.astype(np.float64) - other).max(axis=1)
+    return steps.max() <= 0.5 and np.count_nonzero(steps > 0.1) <= 1e-4 * len(steps)
+
+
+# Some runs of half a second each, since the surface must have several blocks.
+@pytest.mark.slow
+@run_with(max_examples=10)
+@example("patches", 3, 0)
+@given(st.sampled_from([*ON_MESHES]), st.integers(2, 12), st.integers(0, 99))
+def test_a_mesh_in_chunks_has_the_bits_of_the_whole(name, count, seed):
+    surface = wavy_surface(94, seed)
+    parameters = KernelParameters(**{**FIXED, **ON_MESHES[name]})
+    guides = [Guide("guide", surface.colours[:, ::-1].copy(), 2.0)]
+    whole = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
+    assert not np.array_equal(whole.colours, surface.colours)
+    runner = Sent()
+    with in_chunks(count, runner):
+        parts = smooth_mesh(surface, parameters, guides=guides, metric_channels=[0, 1])
+    assert runner.counts[0] == min(count, 3)  # blocks
+    if name == "patches":  # at a corner of the surface groups reach further than chunks do
+        assert is_kept(parts.colours, whole.colours)
+    else:
+        assert np.array_equal(parts.colours, whole.colours)
+    assert parts.samples_per_kernel == pytest.approx(whole.samples_per_kernel, rel=0.2)
+    assert (parts.truncated > 0) == (whole.truncated > 0)
+
+
+@pytest.mark.slow
+@run_with(max_examples=20)
+@given(st.sampled_from([textured_plan, image_plan]), st.sampled_from([*ON_GRIDS]), st.integers(2, 9))
+def test_a_grid_in_chunks_has_the_bits_of_the_whole(make, name, count):
+    """The result and the gutter are those of the whole, and samples are counted exactly."""
+    parameters = KernelParameters(**{**FIXED, **ON_GRIDS[name]})
+    whole, runner = outcome(make(parameters)), Sent()
+    with in_chunks(count, runner):
+        parts = outcome(make(parameters))
+    assert runner.counts[0] > 1
+    assert same_bits(parts, whole)
+
+
+def picture(shape, parameters, relative=None):
+    """Plan pixels with holes, with patches; `relative`: noise that differs from place to place."""
+    values = noisy(shape[0] * shape[1])
+    valid = np.random.default_rng(6).random(shape) > 0.02
+    return plan_on_image(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters, noise=relative)
+
+
+# Patches go tile by tile, so that a canvas of several chunks has some hundred thousand cells.
+@pytest.mark.slow
+@pytest.mark.parametrize("differs", [False, True])
+def test_patches_and_their_coarse_levels_take_part(differs):
+    shape = 520, 390
+    relative = np.linspace(10, 30, shape[0] * shape[1])[:, None].astype(np.float32) / 255 if differs else None
+    parameters = KernelParameters(**{**FIXED, "patches": "on"})
+    whole = outcome(picture(shape, parameters, relative))
+    kernel = outcome(picture(shape, KernelParameters(**FIXED), relative))
+    assert not same_bits(whole, kernel)
+    for count in (2, 7):
+        runner = Sent()
+        with in_chunks(count, runner):
+            parts = outcome(picture(shape, parameters, relative))
+        assert min(runner.counts) > 1
+        assert len(runner.counts) > 2 * FIXED["iterations"] + 4  # the kernel, the patches, and levels
+        assert same_bits(parts, whole)
+
+
+@pytest.mark.slow
+def test_parameters_are_chosen_on_the_whole():
+    surface = SURFACE
+    free = parameters_with({"threads": 1})
+    whole = smooth_mesh(surface, free)
+    with in_chunks(3, InTurn()):
+        parts = smooth_mesh(surface, free)
+    assert parts.choice.chosen == whole.choice.chosen
+    assert np.array_equal(parts.colours, whole.colours)
+
+
+@pytest.mark.parametrize(("module", "less"), [(grid_manifold, 2), (canvas, 0)])
+def test_a_margin_that_is_too_narrow_is_not_enough(module, less, monkeypatch):
+    """So the tests above would see it."""
+    parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0, "patches": "on"})
+
+    def make():
+        return picture((270, 140), parameters)
+
+    whole = smoothed(make())
+    if module is canvas:  # without the tiles around
+        monkeypatch.setattr(chunks.Rectangle, "grown", lambda self, *_: self)
+    else:
+        monkeypatch.setattr(module, "kernel_margin", lambda own: kernel_margin(own) - less)
+    with in_chunks(4, InTurn()):
+        assert not np.array_equal(smoothed(make()), whole)
+
+
+@pytest.mark.slow
+def test_a_margin_of_a_mesh_that_is_too_narrow_is_not_enough(monkeypatch):
+    monkeypatch.setattr(mesh_manifold, "_STRETCH", 0.3)
+    monkeypatch.setattr(mesh_manifold, "_KNOWN", 0.0)
+    parameters = KernelParameters(**FIXED)
+    whole = smooth_mesh(SURFACE, parameters)
+    with in_chunks(4, InTurn()):
+        assert not np.array_equal(smooth_mesh(SURFACE, parameters).colours, whole.colours)
+
+
+def test_vertices_are_not_moved_in_chunks():
+    geometry = GeometryParameters(np.arange(len(SURFACE.positions), dtype=np.int32))
+    with in_chunks(2, InTurn()), pytest.raises(UsageError, match="not moved in pieces"):
+        smooth_mesh(SURFACE, KernelParameters(**FIXED), geometry=geometry)
+
+
+def test_nothing_to_do_is_nothing_in_chunks_too():
+    nothing = KernelParameters(**{**FIXED, "iterations": 0})
+    values = noisy(30)
+
+    def grid(valid, parameters):
+        return smoothed(plan_on_image(ImageSurface(valid=valid), lambda pixels: values[pixels], parameters))
+
+    with in_chunks(3, InTurn()):
+        result = grid(np.ones((5, 6), bool), nothing)
+        mesh = smooth_mesh(SURFACE, nothing)
+        empty = grid(np.zeros((5, 6), bool), KernelParameters(**FIXED))
+    assert np.array_equal(result, values)
+    assert np.array_equal(mesh.colours, SURFACE.colours)
+    assert len(empty) == 0
