@@ -119,7 +119,7 @@ _CLUSTER = "Many machines"
 @click.option(
     "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT", cls=GroupedOption, group=_CLUSTER,
     help="Cut every mesh, texture, point cloud and image into up to this many pieces, and do those of one file "
-    "after the other: on the workers of --scheduler, or else in as many processes as --jobs says. It is for surfaces that "
+    "after the other: on the workers of --scheduler, or else in as many processes as --jobs says. For surfaces that "
     "take one machine too long.",
 )  # fmt: skip
 @options.smoothing

@@ -94,7 +94,7 @@ def inspect_file(
         for samples in layers_of(document, chosen, settings, access, in_groups=in_groups):
             if isinstance(samples, TextureLayer):
                 textures.append(samples.describe())
-                if samples.group is None:
+                if samples.is_whole:
                     textures[-1]["exposure"] = describe_exposure(samples)
             else:
                 facts |= samples.describe()

@@ -202,11 +202,13 @@ def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSe
 
 
 def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
-    """Put together the reports of the groups that textures of one slot were smoothed in with the same parameters."""
+    """Join the reports of groups of textures of one slot that have the same noise and parameters."""
     groups: dict[object, list[Smoothed]] = {}
     for number, each in enumerate(done):
         report = each.report
-        key = (report.slot, str(report.choice)) if isinstance(report, SlotReport) else number
+        key: object = number
+        if isinstance(report, SlotReport):
+            key = report.slot, str(report.choice), str(report.noise)
         groups.setdefault(key, []).append(each)
     return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
 

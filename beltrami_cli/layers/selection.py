@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,8 +22,8 @@ from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures
-from beltrami_cli.layers.texture_groups import TextureGroup, separate_groups
-from beltrami_cli.layers.texture_layer import TextureLayer, common_of
+from beltrami_cli.layers.texture_groups import separate_surfaces
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
@@ -101,7 +100,7 @@ def layers_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Layer]:
-    """Give the selected layers; `in_groups`: textures that do not touch, or do not fit, separately."""
+    """Give the selected layers; `in_groups`: textures that do not touch, or do not fit into memory, separately."""
     # For the other parameters see `ImageLayer`.
     if document.kind == "image":
         if selection.image:
@@ -113,20 +112,19 @@ def layers_of(
     counts = Counter(texture.key for surface in chosen for texture in surface.textures)
     shared = frozenset(key for key, count in counts.items() if count > 1)
     for slot, surface in zip(selection.slots, chosen, strict=True):
-        many = too_many_together(surface.textures, memory_beside(document, access)) if in_groups else None
-        groups: list[TextureGroup] = []
-        if many is None:
-            whole = TextureLayer.read(surface, slot, settings, guided=(document, access), shared=shared)
-            if in_groups and len(surface.textures) > 1:
-                groups = separate_groups(surface, whole.atlas, settings.kernel, partial(common_of, whole))
-            if not groups:
-                yield whole
-            del whole
-        else:
-            tiles = TileGroups(surface, *many)
-            groups = tiles.parted(tiles.common(slot, settings))
-        for group in groups:
-            yield TextureLayer.read(group.surface, slot, group.common.settings, shared=shared, group=group)
+        parts = separate_surfaces(surface, settings.kernel) if in_groups else [surface]
+        for number, part in enumerate(parts, 1):
+            many = too_many_together(part.textures, memory_beside(document, access)) if in_groups else None
+            name = f"part {number} of {len(parts)}" if len(parts) > 1 else ""
+            if many is None:
+                whole = document, access
+                yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
+                continue
+            tiles = TileGroups(part, *many)
+            for group in tiles.parted(tiles.common(slot, settings)):
+                label = f"{name}, {group.label}" if name else group.label
+                own = group.common.settings
+                yield TextureLayer.read(group.surface, slot, own, shared=shared, group=group, part=label)
 
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:

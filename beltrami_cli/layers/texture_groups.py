@@ -1,21 +1,22 @@
 """Textures of a slot that are smoothed together, and apart from others.
 
-Textures that touch each other nowhere on the surface have parameters of their own: what suits wood is too little for a
-plain wall. Noise is estimated once for all, as they mostly come from one camera.
+Textures that touch each other nowhere on the surface have noise and parameters of their own: what is noise on a plain
+wall is less than the fibres of a carpet, and what suits wood is too little for the wall.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Int64s
+from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.grid_manifold import Whole
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import only_textures
 from beltrami_cli.surface import large_arrays
@@ -23,7 +24,7 @@ from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import TexturedSurface
 
-# Covered texels that parameters are chosen from well; parts of a surface with fewer are put together.
+# Covered texels by which noise and parameters are found well; parts of a surface with fewer are put together.
 _ENOUGH_TEXELS = 1 << 16
 
 
@@ -65,25 +66,24 @@ class Common:
         return Whole(self.unit, self.noise if names == self.names else None)
 
 
-def separate_groups(
-    surface: TexturedSurface, atlas: Atlas, kernel: KernelParameters, common_of_all: Callable[[], Common]
-) -> list[TextureGroup]:
-    """Part textures into groups that touch each other on the surface; none, if parameters are the same for all."""
-    if kernel.fast or not kernel.is_open:
-        return []
-    parts = _large_parts(_touching(surface), atlas.covered_by_texture())
-    if len(parts) < 2:
-        return []
-    common = common_of_all()
-    return [
-        TextureGroup(
-            f"group {number} of {len(parts)}",
-            only_textures(surface, part),
-            frozenset(surface.textures[index].key for index in part),
-            common,
-        )
-        for number, part in enumerate(parts, 1)
-    ]
+def separate_surfaces(surface: TexturedSurface, kernel: KernelParameters) -> list[TexturedSurface]:
+    """Part textures so that those which touch are together; one part, if nothing is chosen from the colours."""
+    if len(surface.textures) < 2 or not kernel.is_open:
+        return [surface]
+    covered = np.array([_covered(surface, index) for index in range(len(surface.textures))])
+    parts = _large_parts(_touching(surface), covered)
+    return [only_textures(surface, part) for part in parts] if len(parts) > 1 else [surface]
+
+
+def _covered(surface: TexturedSurface, index: int) -> float:
+    """Return about how many texels of a texture triangles cover, without decoding it."""
+    texture = surface.textures[index]
+    size = measure_image(texture.data, texture.name)
+    if size is None:  # its decoder raises the error
+        return 0.0
+    u, v = np.moveaxis(np.diff(surface.uv[surface.texture_of == index], axis=1), 1, 0)
+    area = float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()) / 2
+    return size.texels * min(1.0, area)
 
 
 def _touching(surface: TexturedSurface) -> Int64s:
@@ -100,7 +100,7 @@ def _touching(surface: TexturedSurface) -> Int64s:
     return numbers
 
 
-def _large_parts(part_of: Int64s, covered: Int64s) -> list[list[int]]:
+def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
     """Return the textures of each part, in their order; parts of few texels are one, or join the largest."""
     texels = np.bincount(part_of, covered)
     small = texels < _ENOUGH_TEXELS

@@ -14,7 +14,7 @@ from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole, common_noise, grid_manifold
+from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
@@ -33,7 +33,7 @@ from beltrami_cli.layers.texel_colours import (
     texel_colours,
     without_transparent,
 )
-from beltrami_cli.layers.texture_groups import Common, TextureGroup
+from beltrami_cli.layers.texture_groups import TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas
 from beltrami_cli.surface.baking import Cells
@@ -66,6 +66,7 @@ class TextureLayer(layer.Layer):
     guided: GuidedTexels | None = None  # where its guides are read from
     noise: Float32s | None = None  # standard deviations of the owned cells, (T, K)
     group: TextureGroup | None = None
+    is_whole: bool = True  # no texture of the slot is in another layer
     levelled: Float32s | None = None  # colours of the owned cells without exposure steps, (T, N)
     level_report: LevelReport | None = None
 
@@ -73,8 +74,12 @@ class TextureLayer(layer.Layer):
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
         guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (), group: TextureGroup | None = None,
+        part: str = "",
     ) -> TextureLayer:  # fmt: skip
-        """Decode the chosen textures, and lay their charts out; `guided`: where guides and noise are read from."""
+        """Decode the chosen textures, and lay their charts out.
+
+        `guided`: where guides and noise are read from; `part`: a name, if it has not all textures of the slot.
+        """
         surface = choose_textures(surface, settings.textures)
         pictures, tables = list[Picture](), list[JpegTables | None]()
         for texture in surface.textures:
@@ -83,7 +88,10 @@ class TextureLayer(layer.Layer):
             is_written = group is None or texture.key in group.own
             pictures.append(picture if is_written else dataclasses.replace(picture, source=b""))
             tables.append(read_jpeg_tables(data))
-        return cls.of(surface, pictures, tables, slot, settings, guided=guided, shared=shared, group=group)
+        made = cls.of(surface, pictures, tables, slot, settings, guided=guided, shared=shared, group=group)
+        if not part:
+            return made
+        return dataclasses.replace(made, label=f"{made.label}, {part}", is_whole=False)
 
     @classmethod
     def of(
@@ -103,10 +111,10 @@ class TextureLayer(layer.Layer):
                 noise = None if noise is None else noise[atlas.owned_texels]
             if settings.embedding.guides:
                 guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
-        label = f"{slot} textures" + ("" if group is None else f", {group.label}")
         return cls(
-            label=label, names=colours.names, slot=slot, settings=settings, surface=surface, pictures=pictures,
-            tables=tables, atlas=atlas, colours=colours, shared=shared, guided=guides, noise=noise, group=group,
+            label=f"{slot} textures", names=colours.names, slot=slot, settings=settings, surface=surface,
+            pictures=pictures, tables=tables, atlas=atlas, colours=colours, shared=shared, guided=guides,
+            noise=noise, group=group,
         )  # fmt: skip
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
@@ -214,10 +222,8 @@ class TextureLayer(layer.Layer):
             texture, picture = self.surface.textures[index], self.pictures[index]
             pixels, change = painter.repaint(index, new)
             large_arrays.leave_memory()
-            write = partial(
-                _written, picture, wanted, as_data=self.slot not in COLOUR_SLOTS,
-                is_kept=self.group is not None and texture.is_read_anew,
-            )  # fmt: skip
+            as_data, is_kept = self.slot not in COLOUR_SLOTS, texture.is_read_anew
+            write = partial(_written, picture, wanted, as_data=as_data, is_kept=is_kept)
             if texture.key in self.shared:
                 columns = self.colours.columns(picture)
                 shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
@@ -245,13 +251,6 @@ def on_canvas(textures: TextureLayer) -> Float32s:
         return painted(atlas, textures.levelled, threads)
     working = partial(texel_colours, textures.colours, textures.pictures, atlas)
     return painted_by(atlas, len(textures.names), working, threads)
-
-
-def common_of(textures: TextureLayer) -> Common:
-    """Return what groups of textures share: noise only if it does not differ from place to place."""
-    manifold = textures.manifold()
-    noise = None if manifold.noise.relative is not None else common_noise(manifold.noise)
-    return Common(textures.settings, manifold.unit, noise, textures.names)
 
 
 def painter_of(textures: TextureLayer, gutter: int | None, *, is_dithered: bool = False) -> Repainting:

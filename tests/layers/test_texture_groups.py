@@ -1,4 +1,4 @@
-"""Textures that touch each other nowhere have parameters of their own, and are smoothed as if in files of their own."""
+"""Textures that touch each other nowhere are smoothed as if in files of their own."""
 
 from __future__ import annotations
 
@@ -67,7 +67,6 @@ def test_each_has_the_parameters_that_suit_it(tmp_path, noisy):
     of_soft, of_stripes = report.textures
     assert [texture["name"] for texture in of_soft.textures] == ["image0.png"]
     assert [texture["name"] for texture in of_stripes.textures] == ["image1.png"]
-    assert of_soft.noise == of_stripes.noise  # which is estimated on both together
     for own, image, clean, other in (
         (of_soft, soft, clean_images()[0], of_stripes),
         (of_stripes, stripes, clean_images()[1], of_soft),
@@ -79,6 +78,16 @@ def test_each_has_the_parameters_that_suit_it(tmp_path, noisy):
         )
         number = [of_soft, of_stripes].index(own)
         assert error(image, clean) < error(swapped[number], clean)
+
+
+def test_noise_of_one_is_none_of_another(tmp_path, noisy):
+    """A clean image stays the file that it is, however noisy one is that it does not touch."""
+    soft, _ = clean_images()
+    images, report = smoothed(write_model(tmp_path / "apart", [soft, noisy[1]], gap=0.5))
+    clean, loud = report.textures
+    assert max(clean.noise.values()) < 1 / 255 < SIGMA / 2 < min(loud.noise.values())
+    assert len(images) == 1
+    assert clean.iterations == 0 < loud.iterations
 
 
 def test_textures_that_touch_are_smoothed_together(tmp_path, noisy):
