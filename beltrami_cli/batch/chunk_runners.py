@@ -6,15 +6,18 @@ a worker dies, its chunk is sent to another.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
-from collections import Counter, deque
+import time
+from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.cluster import LOST, Cancelled
@@ -30,21 +33,74 @@ _PAUSE = 0.1  # seconds between two messages on progress
 _GRACE = 0.5  # seconds that a file has to end when it is given up
 
 StacksOf = Callable[[Chunk], list[Float32s]]
+Answer = tuple[Float32s, Figures] | Exception | None
 
 
-class ClosableRunner(Protocol):
-    """A `Runner` that can be told to end."""
+class WorkerRunner(ABC):
+    """Works on chunks with workers that may die; a `Runner`."""
 
-    def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]: ...
+    def __init__(self) -> None:
+        self._chunks: Sequence[Chunk] = ()
+        self._is_closed = False
 
     def close(self) -> None:
         """End what is in work; `run` raises Cancelled."""
+        self._is_closed = True
+
+    def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]:
+        if chunks is not self._chunks:
+            self._chunks = chunks
+            self._forget()
+        waiting, deaths, pending = list(range(len(chunks))), Counter[int](), set[int]()
+        try:
+            while waiting or pending:
+                if self._is_closed:
+                    raise Cancelled
+                while waiting and (number := self._next(waiting, len(pending))) is not None:
+                    waiting.remove(number)
+                    pending.add(number)
+                    self._send(number, work, stacks_of(chunks[number]))
+                for number, answer in self._answers():
+                    pending.discard(number)
+                    if isinstance(answer, Exception):
+                        raise answer
+                    if answer is not None:
+                        yield number, *answer
+                        continue
+                    deaths[number] += 1
+                    if deaths[number] == _TRIES:
+                        cause = f"workers died {_TRIES} times with one piece of the surface"
+                        raise ProcessingError(
+                            f"{cause}; there may be too little memory for it: raise --pieces"
+                        )
+                    waiting.append(number)
+        finally:
+            self._give_up()
+
+    @abstractmethod
+    def _forget(self) -> None:
+        """Other chunks follow than before."""
+
+    @abstractmethod
+    def _next(self, waiting: Sequence[int], pending: int) -> int | None:
+        """Choose the chunk to be sent next; None: there are enough at work."""
+
+    @abstractmethod
+    def _send(self, number: int, work: Work, stacks: list[Float32s]) -> None: ...
+
+    @abstractmethod
+    def _answers(self) -> Iterator[tuple[int, Answer]]:
+        """Wait for a while, and yield what came of chunks; None: the worker died."""
+
+    @abstractmethod
+    def _give_up(self) -> None:
+        """End what is at work, as nobody waits for it any more."""
 
 
 class ChunkExecutor(Executor):
     """Does one file at a time here, and has up to `count` chunks of each surface done by a runner."""
 
-    def __init__(self, runner: ClosableRunner, count: int, memory: int | None) -> None:
+    def __init__(self, runner: WorkerRunner, count: int, memory: int | None) -> None:
         self._runner, self._count, self._memory = runner, count, memory
         self._events: queue.SimpleQueue[tuple[int, Attempt | tuple[str, int, int]]] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
@@ -86,89 +142,70 @@ class ChunkExecutor(Executor):
             pass
 
 
-def _require_few(deaths: int) -> None:
-    if deaths >= _TRIES:
-        cause = f"workers died {_TRIES} times with one piece of the surface"
-        raise ProcessingError(f"{cause}; there may be too little memory for it: raise --pieces")
-
-
 # ---- processes
 @dataclass
 class _Worker:
     process: SpawnProcess
     pipe: Connection[Any, Any]
     held: set[int] = field(default_factory=set)  # numbers of the chunks whose parts it has
+    number: int | None = None  # of the chunk in work
 
 
-class ProcessRunner:
+class ProcessRunner(WorkerRunner):
     """Works on chunks in `count` processes of this machine, with a thread each."""
 
     def __init__(self, count: int) -> None:
-        self._count, self._generation, self._is_closed = count, 0, False
-        self._chunks: Sequence[Chunk] = ()
+        super().__init__()
+        self._count, self._generation = count, 0
         self._workers: list[_Worker] = []
 
     def close(self) -> None:
-        self._is_closed = True
+        super().close()
         for worker in self._workers:
             worker.process.kill()
 
-    def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]:
-        if chunks is not self._chunks:
-            self._chunks, self._generation = chunks, self._generation + 1
-            for worker in self._workers:
-                worker.held.clear()
-        waiting, deaths, busy = list(range(len(chunks))), Counter[int](), dict[Any, tuple[_Worker, int]]()
-        try:
-            while waiting or busy:
-                while waiting and len(busy) < self._count:
-                    worker = self._idle(busy)
-                    number = self._next_for(worker, waiting)
-                    if self._send(worker, number, work, stacks_of(chunks[number])):
-                        waiting.remove(number)
-                        busy[worker.pipe] = worker, number
-                for pipe in wait(list(busy), _POLL):
-                    worker, number = busy.pop(cast("Connection[Any, Any]", pipe))
-                    try:
-                        answer: tuple[Float32s, Figures] | Exception = worker.pipe.recv()
-                    except (EOFError, OSError):
-                        self._remove(worker)
-                        deaths[number] += 1
-                        _require_few(deaths[number])
-                        waiting.append(number)
-                        continue
-                    if isinstance(answer, Exception):
-                        raise answer
-                    yield number, *answer
-                if self._is_closed:
-                    raise Cancelled
-        finally:  # whoever is still at work has nobody to answer
-            for worker, _ in busy.values():
-                self._remove(worker)
-
-    def _idle(self, busy: dict[Any, tuple[_Worker, int]]) -> _Worker:
+    def _forget(self) -> None:
+        self._generation += 1
         for worker in self._workers:
-            if worker.pipe not in busy:
-                return worker
-        worker = _Worker(*start_worker(_work_on_chunks))
-        self._workers.append(worker)
-        return worker
+            worker.held.clear()
 
-    def _next_for(self, worker: _Worker, waiting: Sequence[int]) -> int:
-        """Choose a chunk whose part a worker has, or else no other one has."""
-        held = set[int]().union(*(each.held for each in self._workers if each is not worker))
-        return min(waiting, key=lambda number: (number not in worker.held, number in held, number))
+    def _idle(self) -> _Worker | None:
+        return next((worker for worker in self._workers if worker.number is None), None)
 
-    def _send(self, worker: _Worker, number: int, work: Work, stacks: list[Float32s]) -> bool:
-        """Send a chunk to a worker; return whether it lives."""
+    def _next(self, waiting: Sequence[int], pending: int) -> int | None:
+        if pending == self._count:
+            return None
+        worker, held = self._idle(), set[int]().union(*(each.held for each in self._workers))
+        own = set[int]() if worker is None else worker.held
+        return min(waiting, key=lambda number: (number not in own, number in held, number))
+
+    def _send(self, number: int, work: Work, stacks: list[Float32s]) -> None:
+        worker = self._idle()
+        if worker is None:
+            worker = _Worker(*start_worker(_work_on_chunks))
+            self._workers.append(worker)
         chunk = None if number in worker.held else self._chunks[number].without_whole()
-        try:
-            worker.pipe.send((self._generation, number, chunk, work, stacks))
-        except OSError:
-            self._remove(worker)
-            return False
         worker.held.add(number)
-        return True
+        worker.number = number
+        with contextlib.suppress(OSError):  # if it is dead, its pipe says so
+            worker.pipe.send((self._generation, number, chunk, work, stacks))
+
+    def _answers(self) -> Iterator[tuple[int, Answer]]:
+        busy = {worker.pipe: worker for worker in self._workers if worker.number is not None}
+        for pipe in wait(list(busy), _POLL):
+            worker = busy[cast("Connection[Any, Any]", pipe)]
+            number, worker.number = cast("int", worker.number), None
+            try:
+                answer: Answer = worker.pipe.recv()
+            except (EOFError, OSError):
+                answer = None
+                self._remove(worker)
+            yield number, answer
+
+    def _give_up(self) -> None:
+        for worker in self._workers[:]:
+            if worker.number is not None:
+                self._remove(worker)
 
     def _remove(self, worker: _Worker) -> None:
         self._workers.remove(worker)
@@ -201,91 +238,79 @@ def _result(chunk: Chunk, work: Work, stacks: list[Float32s]) -> tuple[Float32s,
 
 
 # ---- Dask
-class DaskRunner:
+class DaskRunner(WorkerRunner):
     """Works on chunks on the workers of a scheduler."""
 
     def __init__(self, client: Any) -> None:
-        self._client, self._is_closed = client, False
-        self._chunks: Sequence[Chunk] = ()
+        super().__init__()
+        self._client = client
         self._sent: dict[int, Any] = {}  # parts on workers, by the numbers of their chunks
+        self._futures: dict[int, Any] = {}  # of the chunks in work; None: the worker is gone
+        self._ended = queue.SimpleQueue[tuple[int, Any]]()
 
-    def close(self) -> None:
-        self._is_closed = True
-
-    def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]:
-        if chunks is not self._chunks:
-            self._chunks, self._sent = chunks, {}
-        waiting, deaths, pending = deque(range(len(chunks))), Counter[int](), dict[int, Any]()
-        ended = queue.SimpleQueue[int]()
-        try:
-            while waiting or pending:
-                workers = self._workers()
-                while waiting and len(pending) < 2 * len(workers):  # one in work and one on its way
-                    number = waiting.popleft()
-                    place = workers[number % len(workers)]
-                    pending[number] = self._submit(number, work, stacks_of(chunks[number]), place, ended)
-                number = self._ended(ended)
-                if number not in pending:
-                    continue
-                answer = self._answer(pending.pop(number))
-                if answer is None:
-                    self._sent.pop(number, None)  # it may be what was lost
-                    deaths[number] += 1
-                    _require_few(deaths[number])
-                    waiting.append(number)
-                elif isinstance(answer, Exception):
-                    raise answer
-                else:
-                    yield number, *answer
-        finally:
-            self._client.cancel([future for future in pending.values() if future is not None], force=True)
+    def _forget(self) -> None:
+        self._sent.clear()
 
     def _workers(self) -> list[str]:
         """Return the addresses of workers, once there is one."""
-        while True:
+        while not (workers := sorted(self._client.nthreads())):
+            self._require_scheduler()
             if self._is_closed:
                 raise Cancelled
-            if self._client.status not in ("running", "connecting"):
-                raise ProcessingError(LOST)
-            if workers := sorted(self._client.nthreads()):
-                return workers
-            threading.Event().wait(_POLL)
+            time.sleep(_POLL)
+        return workers
 
-    def _submit(
-        self, number: int, work: Work, stacks: list[Float32s], place: str, ended: queue.SimpleQueue[int]
-    ) -> Any:
-        """Send a chunk to a worker, or any other; return its future, None if the worker is gone."""
+    def _require_scheduler(self) -> None:
+        if self._client.status not in ("running", "connecting"):
+            raise ProcessingError(LOST)
+
+    def _next(self, waiting: Sequence[int], pending: int) -> int | None:
+        return waiting[0] if pending < 2 * len(self._workers()) else None  # one in work and one on its way
+
+    def _send(self, number: int, work: Work, stacks: list[Float32s]) -> None:
+        workers = self._workers()
         try:
+            place = workers[number % len(workers)]
             if number not in self._sent:
                 self._sent[number] = self._scatter(self._chunks[number].without_whole(), place)
             future = self._client.submit(
                 _do_on_worker, self._sent[number], self._scatter((work, stacks), place),
                 version("beltrami-cli"), workers=[place], allow_other_workers=True, pure=False,
             )  # fmt: skip
-        except Exception:  # of many kinds, KeyError, OSError and TimeoutError among them
-            ended.put(number)
-            return None
-        future.add_done_callback(lambda _: ended.put(number))
-        return future
+        except (
+            Exception
+        ):  # of many kinds where a worker is gone, KeyError, OSError and TimeoutError among them
+            future = None
+            self._ended.put((number, future))
+        self._futures[number] = future
+        if future is not None:
+            future.add_done_callback(lambda done: self._ended.put((number, done)))
 
     def _scatter(self, value: Any, place: str) -> Any:
         return self._client.scatter(value, workers=[place], hash=False)
 
-    def _ended(self, ended: queue.SimpleQueue[int]) -> int:
-        """Wait for the number of a chunk that ended; -1: for none within a while."""
-        try:
-            return ended.get(timeout=_POLL)
-        except queue.Empty:
-            return -1
-
-    def _answer(self, future: Any) -> tuple[Float32s, Figures] | Exception | None:
-        """Return what a worker answered; None if it was lost."""
+    def _answers(self) -> Iterator[tuple[int, Answer]]:
         from distributed import CancelledError
 
         try:
-            return None if future is None else future.result()
+            number, future = self._ended.get(timeout=_POLL)
+        except queue.Empty:
+            self._require_scheduler()
+            return
+        if number not in self._futures or self._futures[number] is not future:  # of an operation before
+            return
+        del self._futures[number]
+        try:
+            answer: Answer = None if future is None else future.result()
         except (Exception, CancelledError):  # what the work itself raises is its answer
-            return None
+            answer = None
+        if answer is None:
+            self._sent.pop(number, None)  # it may be what was lost
+        yield number, answer
+
+    def _give_up(self) -> None:
+        self._client.cancel([future for future in self._futures.values() if future is not None], force=True)
+        self._futures.clear()
 
 
 def _do_on_worker(

@@ -87,15 +87,13 @@ def collaborate_on_canvas(
     relative: Float32s | None = None,
 ) -> Float32s:
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
-    wanted = chunking()
-    if wanted is not None:
-        chunks = _patch_chunks(kind, wanted.count)
-        stacks = [noisy, pilot] if relative is None else [noisy, pilot, relative]
-        estimates: Float32s = large_arrays.zeros(noisy.shape, np.float32)
-        work, how = Work(_patches_of_chunk, (mixing,)), {"size": kind.size, "threads": threads}
-        wanted.apply(chunks, work, stacks, estimates, progress, **how)
-        return estimates
-    return _estimate_patches(kind, noisy, pilot, relative, mixing, threads, progress)
+    stacks, wanted = [noisy, pilot, *([] if relative is None else [relative])], chunking()
+    if wanted is None:
+        return _patches_on(kind, stacks, threads, mixing, progress)[0]
+    estimates: Float32s = large_arrays.zeros(noisy.shape, np.float32)
+    work, how = Work(_patches_on, (mixing,)), {"size": kind.size, "threads": threads}
+    wanted.apply(_patch_chunks(kind, wanted.count), work, stacks, estimates, progress, **how)
+    return estimates
 
 
 def _patch_chunks(kind: Uint8s, count: int) -> list[Chunk]:
@@ -115,25 +113,16 @@ def _patch_chunks(kind: Uint8s, count: int) -> list[Chunk]:
     return chunks
 
 
-def _patches_of_chunk(
-    kind: Uint8s, stacks: Sequence[Float32s], threads: int, mixing: Mixing
-) -> tuple[Float32s, Figures]:
-    noisy, pilot, *relative = stacks
-    variances = relative[0] if relative else None
-    return _estimate_patches(kind, noisy, pilot, variances, mixing, threads, None), (0, 0)
-
-
-def _estimate_patches(
+def _patches_on(
     kind: Uint8s,
-    noisy: Float32s,
-    pilot: Float32s,
-    relative: Float32s | None,
-    mixing: Mixing,
+    stacks: Sequence[Float32s],
     threads: int,
-    progress: Callable[[int], None] | None,
-) -> Float32s:
+    mixing: Mixing,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Float32s, Figures]:
     from beltrami_cli._native import collaborate_on_grid
 
+    noisy, pilot, *relative = stacks
     estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
 
     def report(done: int) -> None:
@@ -141,11 +130,11 @@ def _estimate_patches(
         if progress is not None:
             progress(done)
 
-    variances = None if relative is None else relative[0]
+    variances = relative[0][0] if relative else None
     collaborate_on_grid(
         kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, report
     )
-    return estimates
+    return estimates, (0, 0)
 
 
 def canvas_margin(parameters: KernelParameters) -> int:

@@ -167,14 +167,14 @@ class GridManifold(Manifold):
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
         """Average the channels by eq. (9): in place, unless all is one block, or in chunks."""
-        wanted = chunking()
-        if wanted is not None and not self.is_in_one_block:
-            return self._average_in_chunks(stacks, metric, wanted, progress)
-        grid, threads = self.geometry, self.parameters.thread_count
+        grid, threads, wanted = self.geometry, self.parameters.thread_count, chunking()
         (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
         blocks = row_blocks(rows, columns, margin, threads)
-        if self.is_in_one_block or len(blocks) < 2:
-            after, samples = self._apply_kernel(stacks, metric, progress)
+        if self.is_in_one_block or wanted is not None or len(blocks) < 2:
+            if self.is_in_one_block or wanted is None:
+                after, samples = self._apply_kernel(stacks, metric, progress)
+            else:
+                after, samples = self._apply_in_chunks(np.concatenate(stacks), metric, wanted, progress)
             refresh_halo(after, grid.atlas, threads)
             return Averaged(_split(after, stacks), samples)
         samples, finished = 0, None
@@ -205,16 +205,13 @@ class GridManifold(Manifold):
             refresh_halo(stack, grid.atlas, threads)
         return Averaged(stacks, samples)
 
-    def _average_in_chunks(
-        self, stacks: list[Stack], metric: Metric, wanted: Chunking, progress: Callable[[int], None] | None
-    ) -> Averaged:
-        grid, before = self.geometry, np.concatenate(stacks)
-        work, after = Work(_average_chunk, (metric.step, metric.channels)), grid.planes(len(before))
-        chunks = self._kernel_chunks
-        how = {"size": grid.size, "threads": grid.threads}
-        samples, _ = wanted.apply(chunks, work, [before], after, progress, **how)
-        grid.refresh(after)
-        return Averaged(_split(after, stacks), round(samples))
+    def _apply_in_chunks(
+        self, before: Stack, metric: Metric, wanted: Chunking, progress: Callable[[int], None] | None
+    ) -> tuple[Float32s, int]:
+        grid, work = self.geometry, Work(_average_chunk, (metric.step, metric.channels))
+        after, how = grid.planes(len(before)), {"size": grid.size, "threads": grid.threads}
+        samples, _ = wanted.apply(self._kernel_chunks, work, [before], after, progress, **how)
+        return after, round(samples)
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:

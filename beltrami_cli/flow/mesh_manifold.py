@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
-from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, Neighbours, Work, chunk_of_run, chunking, runs
+from beltrami_cli.flow.chunks import Chunk, Figures, Neighbours, Work, chunk_of_run, chunking, runs
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
@@ -139,9 +139,7 @@ class MeshManifold(Manifold):
         """Average the channels, and the positions if they move, by eq. (9)."""
         widths = np.cumsum([stack.shape[1] for stack in stacks])
         channels = stacks[0] if len(stacks) == 1 else np.concatenate(stacks, axis=1)
-        moving, wanted = self.moving, chunking()
-        if wanted is not None and not self.is_in_one_block:
-            return self._average_in_chunks(channels, stacks, metric, wanted, progress)
+        moving = self.moving
         if moving is not None:
             before = moving.channels()
             channels = np.hstack([channels, before])
@@ -152,24 +150,6 @@ class MeshManifold(Manifold):
             )
         parts = np.split(smoothed, widths, axis=1)[: len(stacks)]
         return Averaged([np.ascontiguousarray(part) for part in parts], samples, truncated, moving)
-
-    def _average_in_chunks(
-        self,
-        channels: Stack,
-        stacks: list[Stack],
-        metric: Metric,
-        wanted: Chunking,
-        progress: Callable[[int], None] | None,
-    ) -> Averaged:
-        after, work = np.empty_like(channels), Work(_average_chunk, (metric.step, metric.channels))
-        chunks, size = self._kernel_chunks, self.geometry.size
-        how = {"size": size, "threads": self.geometry.threads}
-        samples, truncated = wanted.apply(chunks, work, [channels], after, progress, **how)
-        # The core counts the samples around chunks, too.
-        share = size / max(1, sum(len(chunk.around) for chunk in chunks))
-        parts = np.split(after, np.cumsum([stack.shape[1] for stack in stacks]), axis=1)[: len(stacks)]
-        averages = [np.ascontiguousarray(part) for part in parts]
-        return Averaged(averages, samples * share, round(truncated * share))
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
@@ -264,12 +244,21 @@ class MeshManifold(Manifold):
 
 def average_rows(
     manifold: MeshManifold, rows: Float32s, metric: Metric, progress: Callable[[int], None] | None = None
-) -> tuple[Float32s, int, int]:
+) -> tuple[Float32s, float, int]:
     """Average rows by the kernels of the metric; return them, the samples held, and the kernels cut short."""
-    own, mesh = at_step(manifold.parameters, metric.step), manifold.geometry
-    return mesh.core.smooth(
-        rows, mesh.weights, own.t, own.radius, own.max_samples, own.thread_count, progress
+    own, mesh, wanted = at_step(manifold.parameters, metric.step), manifold.geometry, chunking()
+    if wanted is None or manifold.is_in_one_block:
+        how = own.t, own.radius, own.max_samples, own.thread_count, progress
+        return mesh.core.smooth(rows, mesh.weights, *how)
+    after, chunks = np.empty_like(rows), manifold._kernel_chunks
+    work, how_many = (
+        Work(_average_chunk, (metric.step, metric.channels)),
+        {"size": mesh.size, "threads": mesh.threads},
     )
+    samples, truncated = wanted.apply(chunks, work, [rows], after, progress, **how_many)
+    # The core counts the samples around chunks, too.
+    share = mesh.size / max(1, sum(len(chunk.around) for chunk in chunks))
+    return after, samples * share, round(truncated * share)
 
 
 def _average_chunk(

@@ -31,39 +31,30 @@ def collaborate_on_graph(
     is_whole: bool = False,
 ) -> Stack:
     """Estimate colours from similar patches, compared on the pilot; `relative`: variance of the noise by its mean."""
-    wanted = chunking()
+    stacks, wanted = [noisy, pilot, *([] if relative is None else [relative[:, None]])], chunking()
     # Parameters are chosen by colours without shared noise, which must have the same bits in any number of chunks.
     if wanted is None or is_whole:
-        return _estimate(graph, noisy, pilot, relative, mixing, graph.threads, progress)
-    stacks = [noisy, pilot] if relative is None else [noisy, pilot, relative[:, None]]
+        return _patches_on(graph, stacks, graph.threads, mixing, progress)[0]
     estimates = np.empty_like(noisy)
-    work, how = Work(_estimate_chunk, (mixing,)), {"size": graph.size, "threads": graph.threads}
+    work, how = Work(_patches_on, (mixing,)), {"size": graph.size, "threads": graph.threads}
     wanted.apply(graph.chunks, work, stacks, estimates, progress, **how)
     return estimates
 
 
-def _estimate_chunk(
-    part: Graph, stacks: Sequence[Stack], threads: int, mixing: Mixing
+def _patches_on(
+    graph: Graph,
+    stacks: Sequence[Stack],
+    threads: int,
+    mixing: Mixing,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[Float32s, Figures]:
     noisy, pilot, *relative = stacks
-    variances = relative[0][:, 0] if relative else None
-    return _estimate(part, noisy, pilot, variances, mixing, threads, None), (0, 0)
-
-
-def _estimate(
-    graph: Graph,
-    noisy: Stack,
-    pilot: Stack,
-    relative: Float32s | None,
-    mixing: Mixing,
-    threads: int,
-    progress: Callable[[int], None] | None,
-) -> Stack:
     estimates, weights = np.zeros_like(noisy), np.zeros_like(noisy)
+    variances = relative[0][:, 0] if relative else None
     graph.patches.collaborate(
-        noisy, pilot, mixing.parts, relative, mixing.has_pilot, estimates, weights, threads, progress
+        noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, progress
     )
-    return estimates
+    return estimates, (0, 0)
 
 
 class Clusters(CoarseLevel):
