@@ -28,7 +28,7 @@ from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
 from beltrami_cli.jobs.job import at_intervals
 
 _TRIES = 5  # of a chunk, after workers died with it
-_POLL = 0.1  # seconds between two checks that nobody waits in vain
+_POLL = 0.1  # seconds between two checks that there still are workers
 _PAUSE = 0.1  # seconds between two messages on progress
 _GRACE = 0.5  # seconds that a file has to end when it is given up
 
@@ -44,7 +44,7 @@ class WorkerRunner(ABC):
         self._is_closed = False
 
     def close(self) -> None:
-        """End what is in work; `run` raises Cancelled."""
+        """End the work, now; `run` raises Cancelled."""
         self._is_closed = True
 
     def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]:
@@ -94,7 +94,7 @@ class WorkerRunner(ABC):
 
     @abstractmethod
     def _give_up(self) -> None:
-        """End what is at work, as nobody waits for it any more."""
+        """Stop the workers that still have a chunk: their answers are not wanted any more."""
 
 
 class ChunkExecutor(Executor):

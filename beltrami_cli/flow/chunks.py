@@ -247,7 +247,7 @@ def runs(size: int, count: int) -> list[tuple[int, int]]:
 
 def chunk_of_run(part_of: Callable[[Int64s], Any], near: Bools, first: int, last: int) -> Chunk:
     """Return the chunk of a run of samples, with the samples near it, marked in an array of all."""
-    # Samples from anywhere before, so that the blocks of the part begin where those of the whole do.
+    # Samples from anywhere before, so that the blocks of the part begin where blocks of the whole do.
     missing = -int(np.count_nonzero(near[:first])) % BLOCK
     near[np.flatnonzero(~near[:first])[:missing]] = True
     samples = np.flatnonzero(near)

@@ -248,14 +248,12 @@ def average_rows(
     """Average rows by the kernels of the metric; return them, the samples held, and the kernels cut short."""
     own, mesh, wanted = at_step(manifold.parameters, metric.step), manifold.geometry, chunking()
     if wanted is None or manifold.is_in_one_block:
-        how = own.t, own.radius, own.max_samples, own.thread_count, progress
-        return mesh.core.smooth(rows, mesh.weights, *how)
-    after, chunks = np.empty_like(rows), manifold._kernel_chunks
-    work, how_many = (
-        Work(_average_chunk, (metric.step, metric.channels)),
-        {"size": mesh.size, "threads": mesh.threads},
-    )
-    samples, truncated = wanted.apply(chunks, work, [rows], after, progress, **how_many)
+        return mesh.core.smooth(
+            rows, mesh.weights, own.t, own.radius, own.max_samples, own.thread_count, progress
+        )
+    work, chunks = Work(_average_chunk, (metric.step, metric.channels)), manifold._kernel_chunks
+    after, how = np.empty_like(rows), {"size": mesh.size, "threads": mesh.threads}
+    samples, truncated = wanted.apply(chunks, work, [rows], after, progress, **how)
     # The core counts the samples around chunks, too.
     share = mesh.size / max(1, sum(len(chunk.around) for chunk in chunks))
     return after, samples * share, round(truncated * share)

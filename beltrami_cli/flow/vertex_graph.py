@@ -47,9 +47,8 @@ class Graph:
     priorities: NDArray[np.uint64]  # (S,)
     axes: Float64s = field(default_factory=lambda: np.eye(3)[:2])  # that turn with the model, (2, 3)
     threads: int = 1
-    blocks: Int32s | None = (
-        None  # (S,): block of the whole in which a group starts; -1: none does; None: by place
-    )
+    # Shape (S,): numbers of the blocks whose groups start at samples; -1: none starts; None: by place.
+    blocks: Int32s | None = None
 
     @property
     def size(self) -> int:

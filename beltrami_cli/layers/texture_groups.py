@@ -1,7 +1,7 @@
 """Textures of a slot that are smoothed together, and apart from others.
 
-Textures that touch each other nowhere on the surface have noise and parameters of their own: what is noise on a plain
-wall is less than the fibres of a carpet, and what suits wood is too little for the wall.
+Textures that touch each other nowhere on the surface have noise and parameters of their own: the fibres of a carpet are
+no noise of a plain wall, and parameters that suit wood smooth the wall too little.
 """
 
 from __future__ import annotations

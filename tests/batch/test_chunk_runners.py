@@ -135,7 +135,7 @@ def test_an_interruption_ends_processes_and_leaves_nothing(tmp_path):
     ]
     with subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL) as run:
         deadline = time.monotonic() + 60
-        # Beside the processes for chunks there is one that watches over them.
+        # Two processes for chunks, and one of multiprocessing that watches over them.
         while len(workers := children(run.pid)) < 3 and time.monotonic() < deadline:
             time.sleep(0.1)
         run.send_signal(signal.SIGINT)

@@ -123,7 +123,7 @@ def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
 
 @pytest.mark.parametrize("kind", [KeyError, OSError, ValueError, RuntimeError, AssertionError])
 def test_a_chunk_is_sent_again_whatever_dask_raises_and_not_for_ever(kind):
-    """Dask raises many kinds of exceptions when a worker dies, and these are never those of the work itself."""
+    """Dask raises many kinds of exceptions when a worker dies; exceptions of the work itself are its answer."""
     lost = [1]
 
     class Client:
