@@ -204,7 +204,7 @@ void bind_patches(nb::module_& module) {
   using namespace nb::literals;
   module.attr("PATCH_REACH") = patch_reach;
   module.attr("PATCH_BLOCK_SIZE") = block_size;
-  module.attr("PATCH_TILE_SIDE") = tile_side;
+  module.attr("PATCH_TILE_SIDE") = beltrami::patches::tile_side;
   module.attr("PATCH_TILE_MARGIN") = margin;
   module.def("blend_terms", &write_blend_terms, "noisy"_a, "probe"_a, "estimates"_a, "noise"_a, "terms"_a.noconvert(),
              "threads"_a);
