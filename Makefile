@@ -177,7 +177,7 @@ release-check: wheel
 
 check-release:
 	$(BIN)/python -m twine check --strict dist/*$(VERSION)*
-	$(BIN)/python -m pytest -q tests/packaging/test_site.py tests/packaging/test_requirements.py -k "versions or conda"
+	$(BIN)/python -m pytest -q tests/packaging/test_release.py
 	@echo "Left to do by hand for $(VERSION):"
 	@echo "  1. Set the date of $(VERSION) in CHANGELOG.md, and run .ci/run on a clean checkout."
 	@echo "  2. git tag v$(VERSION), and push the tag: .github/workflows/release.yml builds for all systems and publishes."

@@ -13,8 +13,7 @@ from packaging.version import Version
 import beltrami_cli
 
 ROOT = Path(__file__).parents[2]
-DECLARED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-PROJECT, BUILD = DECLARED["project"], DECLARED["build-system"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 ALL = Requirement(*EXTRAS["all"]).extras
 
@@ -36,22 +35,6 @@ def test_extras_that_messages_name_are_there_and_in_all():
     named = set(re.findall(r"beltrami-cli\[(\w+)\]", sources))
     assert len(named) >= 5
     assert named <= ALL <= set(EXTRAS)
-
-
-def test_the_conda_recipe_needs_what_the_package_needs():
-    lines = (ROOT / "recipe" / "meta.yaml").read_text(encoding="utf-8").split("\nrequirements:\n")[1]
-    sections = dict(re.findall(r"^  (\w+):\n((?:    - .*\n)+)", lines, re.MULTILINE))
-    of_conda = {"OpenImageIO": "py-openimageio", "xatlas": "xatlas-python"}
-
-    def listed(section):
-        return set(re.findall(r"- (.*)", sections[section]))
-
-    def renamed(requirements):
-        parsed = [Requirement(text) for text in requirements]
-        return {f"{of_conda.get(each.name, each.name)} {each.specifier}" for each in parsed}
-
-    assert listed("run") == renamed(PROJECT["dependencies"]) | {"python"}
-    assert listed("host") == renamed(BUILD["requires"]) | {"python", "pip"}
 
 
 @pytest.mark.parametrize("name", beltrami_cli.__all__)

@@ -113,17 +113,3 @@ def test_the_floors_are_those_of_the_contract():
     assert [set(floor) for floor in floors] == [
         set(re.findall(r"\w+", layer)) for layer in layers if layer != "__main__"
     ]
-
-
-VERSIONS = {
-    "CITATION.cff": "\nversion: {}\n",
-    "CHANGELOG.md": "\n## {} (",
-    "recipe/meta.yaml": '{{% set version = "{}" %}}',
-    "beltrami_cli/blender/blender_manifest.toml": '\nversion = "{}"\n',
-}
-
-
-@pytest.mark.parametrize("name", VERSIONS)
-def test_versions_agree(name):
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert VERSIONS[name].format(version) in (ROOT / name).read_text(encoding="utf-8")
