@@ -1,20 +1,60 @@
-"""Take exposure steps between the charts of a file out of its colours."""
+"""Take exposure steps between the charts of a file out of its colours: the painter, and the job on a file."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.formats.document import Document
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import recolour
-from beltrami_cli.jobs.smooth import Levelling
-from beltrami_cli.layers.layer import LevelReport
+from beltrami_cli.jobs.recolour import Painter, recolour
+from beltrami_cli.layers.layer import Layer, LevelReport, Repainted
+from beltrami_cli.layers.levelled_charts import colours_of, level, photographs_of
+from beltrami_cli.layers.selection import OutputFormat, Selection
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
+
+
+@dataclass(frozen=True)
+class Levelled:
+    """A layer without exposure steps, and what was found of these."""
+
+    repainted: Repainted
+    report: LevelReport
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Levelling(Painter[Levelled]):
+    """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
+
+    works_on_disk: ClassVar[bool] = True
+
+    wanted: LevelSettings
+    photographs: Int64s | None = None  # number of the photograph that each vertex is from
+
+    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Levelling:
+        """Find the photographs of vertices; errors if there are none, or it is an image."""
+        del target
+        if selection.image:
+            cause = "an image has no charts that could differ in exposure; give a model with textures"
+            raise UsageError(f"{document.name}: {cause}")
+        if not selection.vertices:
+            return self
+        return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
+
+    def paint(self, layer: Layer, job: Job) -> Levelled:
+        del job
+        layer = level(layer, self.wanted, self.photographs)
+        repainted = layer.repaint(colours_of(layer), is_smoothed=False)
+        assert layer.level_report is not None
+        change = repainted.change.summary()
+        return Levelled(repainted, dataclasses.replace(layer.level_report, change=change))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Smoothing a file: the painters that smooth and level, and the record of what was done, whose dict is JSON."""
+"""Smoothing a file: the painter that smooths, and the record of what was done, whose dict is JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.beltrami_flow import smooth
@@ -23,6 +22,7 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import write_textured
 from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
+from beltrami_cli.jobs.level import Levelling
 from beltrami_cli.jobs.recolour import Painter, paint, recolour
 from beltrami_cli.layers.layer import (
     Change,
@@ -35,7 +35,7 @@ from beltrami_cli.layers.layer import (
     SlotReport,
     VertexReport,
 )
-from beltrami_cli.layers.levelled_charts import colours_of, level, photographs_of
+from beltrami_cli.layers.levelled_charts import level
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
@@ -111,43 +111,6 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
         choosing(number := next(steps), number + _USUAL_TICKS)
 
     return smooth_layer(layer, job.progress_of(label), None if choosing is None else tick)
-
-
-@dataclass(frozen=True)
-class Levelled:
-    """A layer without exposure steps, and what was found of these."""
-
-    repainted: Repainted
-    report: LevelReport
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Levelling(Painter[Levelled]):
-    """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
-
-    works_on_disk: ClassVar[bool] = True
-
-    wanted: LevelSettings
-    photographs: Int64s | None = None  # number of the photograph that each vertex is from
-
-    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Levelling:
-        """Find the photographs of vertices; errors if there are none, or it is an image."""
-        del target
-        if selection.image:
-            cause = "an image has no charts that could differ in exposure; give a model with textures"
-            raise UsageError(f"{document.name}: {cause}")
-        if not selection.vertices:
-            return self
-        return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
-
-    def paint(self, layer: Layer, job: Job) -> Levelled:
-        del job
-        layer = level(layer, self.wanted, self.photographs)
-        repainted = layer.repaint(colours_of(layer), is_smoothed=False)
-        assert layer.level_report is not None
-        change = repainted.change.summary()
-        return Levelled(repainted, dataclasses.replace(layer.level_report, change=change))
 
 
 @dataclass(frozen=True)
