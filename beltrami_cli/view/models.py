@@ -15,6 +15,7 @@ References
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import zlib
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
@@ -35,6 +36,7 @@ from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import (
     VIRIDIS,
@@ -62,6 +64,7 @@ _FILLED_AT_FIRST = 0.99  # share of the room for pictures; PNG adds at most 1 % 
 # The same of pictures that are larger than the measured ones: their texels have more noise, and 10 % more bytes.
 _FILLED_AT_LAST = 0.85
 _LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
+_ROWS = 256  # of a picture, scaled down at a time
 
 
 class ModelWriter:
@@ -310,24 +313,38 @@ def _scaled(images: list[Image], room: float) -> tuple[list[Image], float]:
         wanted = min(1.0, float(np.sqrt(limit / most)))
         if wanted <= share:
             break
-        made = [("image/png", _png(_resized(sheet_of(each), wanted))) for each in pictures]
+        made = [("image/png", _png(_resized(each, wanted))) for each in pictures]
         if share and _size(made) > room:
             break
         fitting, share, most = made, wanted, _size(made) / wanted**2
     return fitting, share
 
 
-def _resized(sheet: Float32s, share: float) -> Float32s:
-    """Return a smaller image, whose sides are a share of the given one's, with averaged texels."""
-    import OpenImageIO
-
-    height, width = (max(1, int(share * side)) for side in sheet.shape[:2])
-    sheet[..., :3] *= sheet[..., 3:]
-    region = OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, 4)
-    averages = OpenImageIO.ImageBufAlgo.resize(OpenImageIO.ImageBuf(sheet), "box", 0, region)
-    small = np.asarray(averages.get_pixels(OpenImageIO.FLOAT), np.float32)
+def _resized(picture: Picture, share: float) -> Float32s:
+    """Return a smaller sheet, whose sides are a share of the picture's, with averaged texels."""
+    height, width = picture.pixels.shape[:2]
+    down, across = (_averages(side, max(1, int(share * side))) for side in (height, width))
+    narrow = np.zeros((down.shape[0], width * 4), np.float32)
+    for rows in large_arrays.blocks(height, _ROWS):
+        sheet = sheet_of(dataclasses.replace(picture, pixels=picture.pixels[rows]))
+        sheet[..., :3] *= sheet[..., 3:]
+        part = down[:, rows.start : rows.stop]
+        touched = slice(rows.start * len(narrow) // height, -(-rows.stop * len(narrow) // height))
+        narrow[touched] += part[touched] @ sheet.reshape(len(sheet), -1)
+    columns = narrow.reshape(-1, width, 4).transpose(1, 0, 2).reshape(width, -1)
+    small = np.ascontiguousarray((across @ columns).reshape(-1, len(narrow), 4).transpose(1, 0, 2))
     np.divide(small[..., :3], small[..., 3:], out=small[..., :3], where=small[..., 3:] > 0)
     return np.clip(small, 0, 1)
+
+
+def _averages(count: int, fewer: int) -> csr_array:
+    """Return the matrix (fewer, count) that averages values over intervals of equal length."""
+    bounds = np.linspace(0, count, fewer + 1)
+    cells = np.unique(np.concatenate([bounds, np.arange(count + 1)]))
+    middles = (cells[:-1] + cells[1:]) / 2
+    rows, columns = np.searchsorted(bounds, middles) - 1, middles.astype(np.int64)
+    weights = (np.diff(cells) * fewer / count).astype(np.float32)
+    return csr_array(coo_array((weights, (rows, columns)), (fewer, count)))
 
 
 def displayed_pixels(picture: Picture) -> Uint8s:

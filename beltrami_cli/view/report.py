@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s
+from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source, text_in
 from beltrami_cli.formats.document import Document, Written
@@ -39,6 +40,8 @@ _NAMES = {3: ("red", "green", "blue")}
 _DASHES = ("none", "8 4", "2 3")
 _STEPS = 64
 _FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
+_FINE = 64  # parts of 1/255 that changes are counted in: half the width of the narrowest bin, 2 / _STEPS
+_MOST = 2 * 255 * _FINE  # of these, twice full scale; larger changes, of light, count as such
 _WHITE = 1.0
 
 
@@ -70,7 +73,7 @@ def report_file(
     compared = compare_documents(documents, settings, "uniform", job)
     page, notices = _page(names, compared, documents, used, full_size=full_size, progress=job.progress)
     output.write(Written(main=[page]))
-    return {**figures(compared.measured()), "notices": notices}
+    return {**compared.overall(), "notices": notices}
 
 
 def _page(
@@ -78,18 +81,19 @@ def _page(
     full_size: bool, progress: Progress | None,
 ) -> tuple[bytes, list[str]]:  # fmt: skip
     """Return the page and its notices."""
-    parts, short = tracked(compared.parts, "drawing seams", progress), distinct_labels(names)
+    short = distinct_labels(names)
+    changes = [Changes.of(each.part) for each in tracked(compared.differing(), "counting changes", progress)]
     values: dict[str, Any] = {
         "library": pages.LIBRARY, "licence": pages.asset("three.LICENSE"),
-        "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared),
-        "change": histogram(compared.measured()), "used": used,
-        "seams": [drawn for part in parts if (drawn := seam_map(part))],
+        "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared, changes),
+        "change": histogram(changes), "used": used,
+        "seams": [drawn for part in tracked(compared.parts, "drawing seams", progress) if (drawn := seam_map(part))],
     }  # fmt: skip
     writer, notices = _writer(compared, documents, progress), compared.all_notices()
     scripts, data = [*pages.VIEWER_SCRIPTS, "report.js"], {"three": pages.packed_text(pages.LIBRARY)}
     without_models = pages.page_from("report.html", scripts, data, **values, notices=[*notices, _SCALED])
     limit = np.inf if full_size else _LARGEST - len(without_models)
-    models, share = writer.packed(_reach(compared), limit)
+    models, share = writer.packed(_percentile(changes), limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
     page = pages.page_from("report.html", scripts, {**data, "models": models}, **values, notices=notices)
     return page, notices
@@ -107,10 +111,29 @@ def _writer(
     return writer
 
 
-def _reach(compared: Compared) -> float:
-    """Return the change that is shown brightest, in 255ths."""
-    changes = [255 * np.abs(part.test - part.reference).ravel() for part in compared.measured()]
-    return float(np.percentile(np.concatenate([*changes, np.zeros(1)]), _NEARLY_ALL))
+@dataclass(frozen=True)
+class Changes:
+    """How often the channels of samples changed by how much, counted in 64ths of 1/255."""
+
+    counts: Int64s  # (N, 2 * _MOST + 1): of each channel
+    total: float  # of all absolute changes, in 255ths
+
+    @classmethod
+    def of(cls, part: ComparedColours) -> Changes:
+        counts, total = np.zeros((1, 2 * _MOST + 1), np.int64), 0.0
+        for _, reference, test in part.blocks():
+            change = 255 * (test.astype(np.float64) - reference)
+            total += float(np.abs(change).sum())
+            bins = np.clip(np.rint(_FINE * change), -_MOST, _MOST).astype(np.int64) + _MOST
+            counts = counts + [np.bincount(channel, minlength=2 * _MOST + 1) for channel in bins.T]
+        return cls(counts, total)
+
+
+def _percentile(changes: Sequence[Changes]) -> float:
+    """Return the change in 255ths that nearly all channels of all samples stay within."""
+    counts = np.sum([each.counts.sum(axis=0) for each in changes], axis=0)
+    sizes = np.cumsum(counts[_MOST:] + np.append(0, counts[:_MOST][::-1]))
+    return float(np.searchsorted(sizes, _NEARLY_ALL / 100 * sizes[-1])) / _FINE
 
 
 def _parameters(path: str, access: Access) -> dict[str, Any]:
@@ -122,19 +145,19 @@ def _parameters(path: str, access: Access) -> dict[str, Any]:
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
 
 
-def _rows(compared: Compared) -> list[list[str]]:
-    rows, measured = [_COLUMNS], compared.measured()
-    parts = [(pair.name, [pair]) for pair in measured]
+def _rows(compared: Compared, changes: Sequence[Changes]) -> list[list[str]]:
+    rows, measured = [_COLUMNS], list(zip(compared.differing(), changes, strict=True))
+    parts = [(pair[0].part.name, [pair]) for pair in measured]
     for name, chosen in [*parts, *([("all", measured)] if len(measured) > 1 else [])]:
-        found: dict[str, Any] = figures(chosen)
+        found: dict[str, Any] = figures([each for each, _ in chosen])
         delta_e, jump = found["delta_e"] or {}, found["seam_jump"] or {}
-        change = np.concatenate([np.abs(pair.test - pair.reference).ravel() for pair in chosen])
+        totals, counts = zip(*((each.total, int(each.counts.sum())) for _, each in chosen), strict=True)
         psnr = "equal" if found["samples"] and found["psnr"] is None else _number(found["psnr"], 2)
         rows.append(
             [
                 name, str(found["samples"]), psnr, _number(found["ssim"], 3),
                 _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
-                _number(255 * float(change.mean()) if change.size else None, 2),
+                _number(sum(totals) / sum(counts) if sum(counts) else None, 2),
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
             ]
         )  # fmt: skip
@@ -146,13 +169,14 @@ def _number(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def histogram(pairs: Sequence[ComparedColours]) -> dict[str, Any]:
+def histogram(changes: Sequence[Changes]) -> dict[str, Any]:
     """Return the lines of a drawing of how often channels changed by how much, in steps of 1/255, and its axis."""
-    widest = max(pair.test.shape[1] for pair in pairs)
-    shown = [pair for pair in pairs if pair.test.shape[1] == widest]
-    change = 255 * np.concatenate([pair.test.astype(np.float64) - pair.reference for pair in shown])
-    bins, reach = _bins(change)
-    counts = [np.histogram(channel, bins, (-reach, reach))[0] for channel in np.clip(change, -reach, reach).T]
+    widest = max(len(each.counts) for each in changes)
+    fine = np.sum([each.counts for each in changes if len(each.counts) == widest], axis=0)
+    bins, step = _bins(_percentile([each for each in changes if len(each.counts) == widest]))
+    # What changed by more is counted in the bins at both ends.
+    places = np.clip(np.arange(-_MOST, _MOST + 1) / (step * _FINE) + bins / 2, 0, bins - 1).astype(np.int64)
+    counts = [np.bincount(places, channel, bins) for channel in fine]
     most = max(1, max(int(count.max()) for count in counts))
     names = _NAMES.get(widest, ("",) * widest)
     lines = []
@@ -161,15 +185,14 @@ def histogram(pairs: Sequence[ComparedColours]) -> dict[str, Any]:
         points = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
         ink = f"var(--{name})" if name else "currentColor"
         lines.append({"name": name, "ink": ink, "dash": _DASHES[number % 3], "points": points})
-    return {"size": (_WIDTH, _HEIGHT), "lines": lines, "reach": reach}
+    return {"size": (_WIDTH, _HEIGHT), "lines": lines, "reach": step * bins / 2}
 
 
-def _bins(change: Float64s) -> tuple[int, float]:
-    """Return the number of bins of a histogram of changes in 255ths, and its largest change."""
-    wanted = max(1.0, float(np.percentile(np.abs(change), 99.5))) if change.size else 1.0
-    step = -(-2 * wanted // _STEPS) // 2 * 2 + 1 if wanted > _FEW else 2 * wanted / _STEPS
-    bins = 2 * int(wanted // step) + 1
-    return bins, step * bins / 2
+def _bins(largest: float) -> tuple[int, float]:
+    """Return the number of bins of a histogram of changes in 255ths, and their width."""
+    largest = max(1.0, largest)
+    step = -(-2 * largest // _STEPS) // 2 * 2 + 1 if largest > _FEW else 2 * largest / _STEPS
+    return 2 * int(largest // step) + 1, step
 
 
 def seam_map(pair: ComparedColours) -> dict[str, Any] | None:
@@ -178,13 +201,14 @@ def seam_map(pair: ComparedColours) -> dict[str, Any] | None:
         return None
     stride = max(1, -(-max(pair.size) // _LONGEST))
     small = tuple(-(-side // stride) for side in pair.size)
-    amount = np.abs(pair.test.astype(np.float64) - pair.reference).max(axis=1)
-    largest = max(float(amount[pair.near_seams].max()), 1 / 255)
-    columns, rows = pair.index.T // stride
-    values, covered = np.full(small, -1.0, np.float32), np.zeros(small, bool)
-    covered[rows, columns] = True
-    near = pair.near_seams
-    np.maximum.at(values, (rows[near], columns[near]), (amount[near] / largest).astype(np.float32))
+    near = dataclasses.replace(pair, index=pair.index[pair.near_seams])
+    amount = near.errors()
+    largest = max(float(amount.max()), 1 / 255)
+    values = np.full(small, -1.0, np.float32)
+    rows, columns = np.divmod(near.index, pair.size[1])
+    np.maximum.at(values, (rows // stride, columns // stride), (amount / largest).astype(np.float32))
+    ends = [np.arange(0, side, stride) for side in pair.size]
+    covered = np.logical_or.reduceat(np.logical_or.reduceat(pair.covered(), ends[0], axis=0), ends[1], axis=1)
     shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
     drawn = colour_by_value(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
     return {"name": pair.name, "picture": as_bytes(drawn), "largest": 255 * largest}

@@ -18,7 +18,6 @@ from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
-from beltrami_cli.jobs.compare.figures import figures
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
@@ -153,13 +152,12 @@ def _figures(truth: Document, result: Document, settings: SmoothSettings, job: J
     )  # fmt: skip
     compared = compare_documents((truth, result), chosen, "uniform", Job(job.access))
     require_samples(compared.parts, truth.name)
-    overall = figures(compared.measured())
-    near, delta_e = overall["near_seams"], overall["delta_e"]
+    overall = compared.overall()
     return {
         "psnr": overall["psnr"],
-        "psnr_near_seams": near["psnr"] if isinstance(near, dict) else None,
+        "psnr_near_seams": (overall["near_seams"] or {}).get("psnr"),
         "ssim": overall["ssim"],
-        "delta_e": delta_e["mean"] if isinstance(delta_e, dict) else None,
+        "delta_e": (overall["delta_e"] or {}).get("mean"),
     }
 
 

@@ -14,7 +14,7 @@ import pytest
 from beltrami_cli.jobs.compare.figures import ComparedColours
 from beltrami_cli.view import report
 from beltrami_cli.view.parameters import used_parameters
-from beltrami_cli.view.report import histogram
+from beltrami_cli.view.report import Changes, histogram
 from cli.commands import SAMPLES, beltrami, refused
 from cli.pictures import encode, textured_square
 
@@ -29,9 +29,15 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
     """Each number of 255ths between two bounds occurs once: all bins within them are equally high."""
     change = np.arange(-largest, largest + 1)[:, None]
     before = np.where(change < 0, 250, 5)
-    colours = [(values / np.float32(255)).astype(np.float32) for values in (before, before + change)]
-    flat = np.zeros(len(change))
-    drawn = histogram([ComparedColours("x", "vertices", *colours, flat.astype(np.int64), flat + 1, None)])
+    one, other = [(values / np.float32(255)).astype(np.float32) for values in (before, before + change)]
+    part = ComparedColours(
+        name="x",
+        kind="vertices",
+        index=np.arange(len(change)),
+        read=lambda rows: (one[rows], other[rows]),
+        space="data",
+    )
+    drawn = histogram([Changes.of(part)])
     (line,) = drawn["lines"]
     heights = [float(point.split(",")[1]) for point in line["points"].split()]
     assert len(set(heights[2:-2])) == 1

@@ -10,6 +10,7 @@ from beltrami_cli.jobs.compare.figures import (
     cie_lab,
     delta_e_2000,
     figures,
+    measure,
     structural_similarity,
 )
 from beltrami_cli.jobs.compare.parts import near_seams, seam_steps, texel_areas
@@ -75,6 +76,10 @@ def _display(linear):
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
+def similarity(one, other, counts):
+    return structural_similarity(lambda rows: (one[rows], other[rows]), counts)
+
+
 def test_structural_similarity_agrees_with_scikit_image():
     metrics = pytest.importorskip("skimage.metrics")
     rng = np.random.default_rng(2)
@@ -85,8 +90,8 @@ def test_structural_similarity_agrees_with_scikit_image():
         gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
     )  # fmt: skip
     whole = np.ones((40, 50), bool)
-    assert structural_similarity(one, other, whole) == pytest.approx(expected, abs=1e-9)
-    assert structural_similarity(one, one, whole) == 1
+    assert similarity(one, other, whole) == pytest.approx(expected, abs=1e-9)
+    assert similarity(one, one, whole) == 1
 
 
 def test_structural_similarity_takes_no_notice_of_what_does_not_count():
@@ -95,22 +100,26 @@ def test_structural_similarity_takes_no_notice_of_what_does_not_count():
     counts = np.zeros((30, 30), bool)
     counts[5:25, 3:20] = True
     changed = np.where(counts[..., None], other, rng.random((30, 30, 1)).astype(np.float32))
-    assert structural_similarity(one, changed, counts) == structural_similarity(one, other, counts)
-    assert structural_similarity(one, other, counts & (np.arange(30) < 12)) is None
+    assert similarity(one, changed, counts) == similarity(one, other, counts)
+    assert similarity(one, other, counts & (np.arange(30) < 12)) is None
 
 
-def pair(reference, test, weights, **more):
-    place = np.arange(len(reference), dtype=np.int64)
-    return ComparedColours("p", "vertices", reference, test, place, np.asarray(weights, float), None, **more)
+def measured(reference, test, weights):
+    return measure(
+        ComparedColours(
+            name="p", kind="vertices", index=np.arange(len(reference)), space="data",
+            weights=np.asarray(weights, float), read=lambda rows: (reference[rows], test[rows]),
+        )
+    )  # fmt: skip
 
 
 def test_weights_count_and_the_parts_make_the_whole():
     reference = np.zeros((4, 3), np.float32)
     test = reference.copy()
     test[1] = 0.5  # a quarter of the squared error, on a sample that weighs 3 of 6
-    whole = figures([pair(reference, test, [1, 3, 1, 1])])
+    whole = figures([measured(reference, test, [1, 3, 1, 1])])
     assert whole["psnr"] == pytest.approx(-10 * np.log10(0.25 * 3 / 6))
-    halves = [pair(reference[:2], test[:2], [1, 3]), pair(reference[2:], test[2:], [1, 1])]
+    halves = [measured(reference[:2], test[:2], [1, 3]), measured(reference[2:], test[2:], [1, 1])]
     assert figures(halves)["psnr"] == pytest.approx(whole["psnr"])
     assert figures(halves)["worst"]["vertex"] == 1
 
@@ -145,7 +154,7 @@ def test_a_step_over_a_seam_is_measured_and_a_slope_is_none():
     for painting in (slope, stepped):
         image = np.zeros((BOARD.size**2, 3), np.float32)
         image[rows * BOARD.size + columns] = painting
-        cells, steps = seam_steps(atlas, image[atlas.owned_texels])
+        cells, steps = seam_steps(atlas, image[atlas.owned_texels].__getitem__)
         measured.append(steps)
     assert len(cells) == 4 * SIDE  # two seams as long as the board, each seen from both sides
     np.testing.assert_allclose(measured[0], 0, atol=1e-5)

@@ -14,17 +14,23 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s
 from beltrami_cli.errors import InputError
+from beltrami_cli.flow.parameters import Space
 from beltrami_cli.jobs.compare.models import ROUNDED_MOVE, Moves
 from beltrami_cli.jobs.job import Limits
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import Indices, within
+from beltrami_cli.surface.records import srgb_to_linear
+
+Pair = tuple[Float32s, Float32s]  # the same samples, or means of them, in reference and test
 
 # Linear sRGB -> XYZ [2]; rows add up to the white point.
 _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
@@ -35,7 +41,10 @@ _OPPOSITE = 180 + 1e-9
 # Section III-C of [4]: a Gaussian window of 11 x 11 with a deviation of 1.5, K1 and K2; full scale is 1.
 _RADIUS, _DEVIATION = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
-
+_WINDOW = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _DEVIATION) ** 2)
+_WINDOW /= _WINDOW.sum()
+# Arrays of a block of samples, and of a square of windows, stay in the processor's cache.
+_BLOCK, _SQUARE = 1 << 14, 96
 
 _FIGURES = {"min_psnr": "psnr", "min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}
 _WITHIN = {"max_delta_e": "mean", "max_seam_jump": "change"}
@@ -47,112 +56,184 @@ _WITHOUT = {
 _REMEDY = "leave that limit out, or choose what has it with --on, --slots, --texture, --channels or --space"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ComparedColours:
-    """A texture, an image, or the vertices of a mesh, in two files."""
+    """A texture, an image, or the vertices of a mesh, in two files; its colours are read block by block."""
 
     name: str
     kind: Literal["vertices", "texture", "image"]
-    reference: Float32s  # (S, N): their colours, full scale 1
-    test: Float32s
-    index: Int64s  # (S,) or (S, 2): the vertex, or column and row
-    weights: Float64s  # (S,): what each counts
-    delta_e: Float64s | None  # (S,): CIEDE2000 differences, where the numbers are colours
-    ssim: float | None = None  # structural similarity, of images and textures
+    index: Indices  # (S,): the compared vertices, or pixels as row * width + column
+    read: Callable[[Indices], Pair]  # colours of vertices or pixels, (K, N), full scale 1
+    space: Space  # of these
+    weights: Float64s | None = None  # (S,): what each sample counts; None: all the same
     # (S,): within 4 texels of a seam, or at a place where the file splits vertices; None: no seams.
     near_seams: Bools | None = None
     # (K,) in both: how far colours jump where the surface goes on in another chart, mean over channels.
     jumps: tuple[Float64s, Float64s] | None = None
     size: tuple[int, int] | None = None  # rows and columns of an image or texture
-    # Whether both files have the same colours here while another part is measured; textures then hold no colours.
-    is_identical: bool = False
-    # (K, N) in both: colours of texels that no face covers, but that faces look up; None: not a texture.
-    around: tuple[Float32s, Float32s] | None = None
+    is_identical: bool = False  # the same colours in both files, so that only other parts are measured
+    # (K, N): colours of texels that no face covers, but that faces look up; None: not a texture.
+    around: Pair | None = None
     other_opacity: bool = False  # whether opacity differs, which is not measured
 
-    def squares(self) -> Float64s:
-        """Return the squared error of each sample, mean over its channels, shape (S,)."""
-        return np.asarray(np.square(self.test.astype(np.float64) - self.reference).mean(axis=1), np.float64)
+    def blocks(self) -> Iterator[tuple[slice, Float32s, Float32s]]:
+        for block in large_arrays.blocks(len(self.index), _BLOCK):
+            yield block, *self.read(self.index[block])
+
+    def errors(self) -> Float64s:
+        """Return the largest error of each sample in any channel, shape (S,)."""
+        errors = [np.abs(test - reference).max(axis=1) for _, reference, test in self.blocks()]
+        return np.concatenate([np.zeros(0), *errors])
+
+    def covered(self) -> Bools:
+        """Return which pixels of an image or texture are compared, (H, W)."""
+        assert self.size is not None
+        covered = np.zeros(self.size, bool)
+        covered.reshape(-1)[self.index] = True
+        return covered
+
+    def read_rows(self, rows: slice) -> Pair:
+        """Return rows of pixels of an image or texture, (R, W, N)."""
+        assert self.size is not None
+        width = self.size[1]
+        one, other = self.read(np.arange(rows.start * width, rows.stop * width))
+        return one.reshape(-1, width, one.shape[1]), other.reshape(-1, width, other.shape[1])
+
+
+@dataclass
+class _Sums:
+    """Sums over samples; those with a Delta E are summed apart, since not all colours have one."""
+
+    samples: int = 0
+    weight: float = 0.0
+    squares: float = 0.0  # squared errors, mean over channels
+    seen_weight: float = 0.0
+    delta_e: float = 0.0
+
+    def add(self, squares: Float64s, delta_e: Float64s | None, weights: Float64s) -> None:
+        self.samples += len(squares)
+        self.weight += float(weights.sum())
+        self.squares += float(weights @ squares)
+        if delta_e is not None:
+            self.seen_weight += float(weights.sum())
+            self.delta_e += float(weights @ delta_e)
+
+    @classmethod
+    def joined(cls, several: Iterable[_Sums]) -> _Sums:
+        return cls(*map(sum, zip(*(vars(each).values() for each in (cls(), *several)), strict=True)))
+
+    @property
+    def psnr(self) -> float | None:
+        """The peak signal-to-noise ratio in dB for a full scale of 1; None if nothing differs."""
+        return -10 * math.log10(self.squares / self.weight) if self.squares > 0 else None
+
+    @property
+    def mean_delta_e(self) -> float | None:
+        return self.delta_e / self.seen_weight if self.seen_weight > 0 else None
+
+
+@dataclass
+class Measured:
+    """What was measured of one part; `figures` joins several."""
+
+    part: ComparedColours
+    every: _Sums = field(default_factory=_Sums)
+    near: _Sums = field(default_factory=_Sums)
+    delta_e: Float64s | None = None  # (S,): CIEDE2000 differences; None where the numbers are no colours
+    ssim: float | None = None
+    worst: dict[str, Any] = field(default_factory=dict)  # the sample with the largest error in any channel
 
     def described(self) -> dict[str, object]:
-        return {"name": self.name, "kind": self.kind, "identical": self.is_identical, **figures([self])}
+        part = self.part
+        return {"name": part.name, "kind": part.kind, "identical": part.is_identical, **figures([self])}
 
-    def worst(self) -> dict[str, object]:
-        """Return where the largest error in any channel is, and what it is, in JSON types; empty without samples."""
-        errors = np.abs(self.test - self.reference).max(axis=1)
-        if not errors.size:
-            return {}
+
+def measure(part: ComparedColours, tick: Callable[[int], None] | None = None) -> Measured:
+    """Go through the samples of a part; `tick` is called with the number of those that are done."""
+    found, largest = Measured(part), -1.0
+    for block, reference, test in part.blocks():
+        if tick is not None:
+            tick(block.start)
+        errors = np.abs(test - reference).max(axis=1)
+        squares = np.asarray(np.square(test.astype(np.float64) - reference).mean(axis=1), np.float64)
+        delta_e = colour_differences(reference, test, part.space)
+        weights = np.ones(len(errors)) if part.weights is None else part.weights[block]
+        found.every.add(squares, delta_e, weights)
+        if part.near_seams is not None and (near := part.near_seams[block]).any():
+            found.near.add(squares[near], None if delta_e is None else delta_e[near], weights[near])
+        if delta_e is not None:
+            if found.delta_e is None:
+                found.delta_e = large_arrays.empty(len(part.index), np.float64)
+            found.delta_e[block] = delta_e
         at = int(errors.argmax())
-        names = ("vertex",) if self.index.ndim == 1 else ("x", "y")
-        return {
-            "part": self.name,
-            **dict(zip(names, np.atleast_1d(self.index[at]).tolist(), strict=True)),
-            "error": float(errors[at]),
-            "delta_e": None if self.delta_e is None else float(self.delta_e[at]),
-            "reference": self.reference[at].tolist(),
-            "test": self.test[at].tolist(),
-        }
+        if errors[at] > largest:
+            largest = float(errors[at])
+            found.worst = {
+                "part": part.name, **_place(part, block.start + at), "error": largest,
+                "delta_e": None if delta_e is None else float(delta_e[at]),
+                "reference": reference[at].tolist(), "test": test[at].tolist(),
+            }  # fmt: skip
+    if part.size is not None:
+        found.ssim = structural_similarity(part.read_rows, part.covered())
+    return found
 
 
-def figures(parts: Sequence[ComparedColours]) -> dict[str, object]:
+def _place(part: ComparedColours, sample: int) -> dict[str, int]:
+    index = int(part.index[sample])
+    if part.size is None:
+        return {"vertex": index}
+    row, column = divmod(index, part.size[1])
+    return {"x": column, "y": row}
+
+
+def figures(measured: Sequence[Measured]) -> dict[str, object]:
     """Compute the figures of one or several parts taken together, in JSON types; None where there are none."""
-    # PSNR in dB: 10 log10(1 / mean squared error) over samples and channels.
-    weights = np.concatenate([part.weights for part in parts])
-    squares = np.concatenate([part.squares() for part in parts])
-    structured = [(part.ssim, float(part.weights.sum())) for part in parts if part.ssim is not None]
+    parts = [each.part for each in measured]
+    structured = [(each.ssim, each.every.weight) for each in measured if each.ssim is not None]
     total = sum(weight for _, weight in structured)
-    worst = [found for found in (part.worst() for part in parts) if found]
+    every, near = _Sums.joined(each.every for each in measured), _Sums.joined(each.near for each in measured)
+    worst = [each.worst for each in measured if each.worst]
     return {
-        "samples": len(weights),
-        "psnr": psnr(squares, weights),
+        "samples": every.samples,
+        "psnr": every.psnr,
         "ssim": sum(value * weight for value, weight in structured) / total if total else None,
-        "delta_e": _delta_e([(part.delta_e, part.weights) for part in parts if part.delta_e is not None]),
-        "worst": max(worst, key=lambda found: float(str(found["error"])), default=None),
-        "near_seams": _near_seams(parts),
+        "delta_e": _spread([each for each in measured if each.delta_e is not None], every.mean_delta_e),
+        "worst": max(worst, key=lambda found: float(found["error"]), default=None),
+        "near_seams": {"samples": near.samples, "psnr": near.psnr, "delta_e": near.mean_delta_e}
+        if near.samples
+        else None,
         "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
         "around_charts": _around([part.around for part in parts if part.around is not None]),
     }
 
 
-def _around(pairs: Sequence[tuple[Float32s, Float32s]]) -> dict[str, object] | None:
+def _spread(measured: Sequence[Measured], mean: float | None) -> dict[str, float] | None:
+    """Return mean, weighted 95th percentile, and maximum of the Delta E of all samples."""
+    if mean is None:
+        return None
+    every = [each.delta_e for each in measured if each.delta_e is not None]
+    values = every[0] if len(every) == 1 else np.concatenate(every)
+    if all(each.part.weights is None for each in measured):
+        at = math.ceil(0.95 * len(values)) - 1
+        p95 = np.partition(values, at)[at]
+    else:
+        parts = [each.part for each in measured]
+        weights = np.concatenate([np.ones(len(p.index)) if p.weights is None else p.weights for p in parts])
+        order = np.argsort(values)
+        share = np.cumsum(weights[order]) / weights.sum()
+        p95 = values[order[min(int(np.searchsorted(share, 0.95)), len(values) - 1)]]
+    return {"mean": mean, "p95": float(p95), "worst": float(values.max())}
+
+
+def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:
     """Return the error of texels that faces look up without covering them; None if there are no such texels."""
     errors = [np.abs(test.astype(np.float64) - reference) for reference, test in pairs if len(reference)]
     if not errors:
         return None
-    squares = np.concatenate([np.square(each).mean(axis=1) for each in errors])
-    worst = max(float(each.max()) for each in errors)
-    return {"samples": len(squares), "psnr": psnr(squares, np.ones(len(squares))), "worst": worst}
-
-
-def psnr(squares: Float64s, weights: Float64s) -> float | None:
-    """Return the peak signal-to-noise ratio in dB for a full scale of 1; None if nothing differs."""
-    total = float(weights.sum())
-    mean = float(weights @ squares) / total if total > 0 else 0.0
-    return -10 * math.log10(mean) if mean > 0 else None
-
-
-def _delta_e(looks: Sequence[tuple[Float64s, Float64s]]) -> dict[str, float] | None:
-    every, weights = (np.concatenate([np.zeros(0), *(pair[k] for pair in looks)]) for k in (0, 1))
-    if not weights.sum() > 0:
-        return None
-    order = np.argsort(every)
-    share = np.cumsum(weights[order]) / weights.sum()
-    at = min(int(np.searchsorted(share, 0.95)), len(every) - 1)
-    mean = float(weights @ every / weights.sum())
-    return {"mean": mean, "p95": float(every[order][at]), "worst": float(every.max())}
-
-
-def _near_seams(parts: Sequence[ComparedColours]) -> dict[str, object] | None:
-    chosen = [(part, part.near_seams) for part in parts if part.near_seams is not None]
-    count = sum(int(np.count_nonzero(near)) for _, near in chosen)
-    if not count:
-        return None
-    weights = np.concatenate([part.weights[near] for part, near in chosen])
-    squares = np.concatenate([part.squares()[near] for part, near in chosen])
-    looks = [(part.delta_e[near], part.weights[near]) for part, near in chosen if part.delta_e is not None]
-    total = sum(weight.sum() for _, weight in looks)
-    mean = float(sum(value @ weight for value, weight in looks) / total) if total > 0 else None
-    return {"samples": count, "psnr": psnr(squares, weights), "delta_e": mean}
+    sums = _Sums()
+    for each in errors:
+        sums.add(np.square(each).mean(axis=1), None, np.ones(len(each)))
+    return {"samples": sums.samples, "psnr": sums.psnr, "worst": max(float(each.max()) for each in errors)}
 
 
 def _jumps(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | None:
@@ -235,7 +316,7 @@ def delta_e_2000(one: Float64s, other: Float64s) -> Float64s:
     s_l = 1 + 0.015 * off / np.sqrt(20 + off)  # eqs. (18) to (20)
     s_c, s_h = 1 + 0.045 * chroma, 1 + 0.015 * chroma * t
     rotation = 60 * np.exp(-(((hue - 275) / 25) ** 2))  # twice eq. (16)
-    r_t = -np.sin(np.radians(rotation)) * 2 * np.sqrt(chroma**7 / (chroma**7 + _25_TO_7))  # eqs. (17), (21)
+    r_t = -np.sin(np.radians(rotation)) * 2 * _near_grey(chroma)  # eqs. (17), (21)
     parts = dl / s_l, dc / s_c, dh / s_h
     squares = parts[0] ** 2 + parts[1] ** 2 + parts[2] ** 2 + r_t * parts[1] * parts[2]
     return np.asarray(np.sqrt(np.maximum(squares, 0)), np.float64)  # eq. (22)
@@ -243,15 +324,26 @@ def delta_e_2000(one: Float64s, other: Float64s) -> Float64s:
 
 def _with_hue(*colours: Float64s) -> list[tuple[Float64s, ...]]:
     """Return lightness, chroma and hue in degrees of both colours, with a* stretched where chroma is small."""
-    mean = sum(np.hypot(lab[:, 1], lab[:, 2]) for lab in colours) / 2  # eqs. (2), (3)
-    stretch = 1 + 0.5 * (1 - np.sqrt(mean**7 / (mean**7 + _25_TO_7)))  # eqs. (4), (5)
+    mean = sum(_length(lab[:, 1], lab[:, 2]) for lab in colours) / 2  # eqs. (2), (3)
+    stretch = 1 + 0.5 * (1 - _near_grey(mean))  # eqs. (4), (5)
     found: list[tuple[Float64s, ...]] = []
     # Side by side: how NumPy 2.0 rounds arctan2 of other arrays depends on where in memory they lie.
     for lightness, a, b in (np.ascontiguousarray(lab.T) for lab in colours):
         stretched = stretch * a
-        hue = np.degrees(np.arctan2(b, stretched)) % 360  # eqs. (6), (7)
-        found.append((lightness, np.hypot(stretched, b), hue))
+        angle = np.degrees(np.arctan2(b, stretched))  # eqs. (6), (7)
+        found.append((lightness, _length(stretched, b), np.where(angle < 0, angle + 360, angle)))
     return found
+
+
+def _length(a: Float64s, b: Float64s) -> Float64s:
+    return np.asarray(np.sqrt(a * a + b * b))  # nothing overflows, and hypot takes five times as long
+
+
+def _near_grey(chroma: Float64s) -> Float64s:
+    """Return sqrt(C^7 / (C^7 + 25^7))."""
+    square = chroma * chroma
+    seventh = square * square * square * chroma
+    return np.asarray(np.sqrt(seventh / (seventh + _25_TO_7)))
 
 
 def _mean_hue(h1: Float64s, h2: Float64s) -> Float64s:
@@ -261,27 +353,57 @@ def _mean_hue(h1: Float64s, h2: Float64s) -> Float64s:
     return np.asarray(np.where(np.abs(h1 - h2) <= _OPPOSITE, total, around) / 2, np.float64)
 
 
-def structural_similarity(reference: Float32s, test: Float32s, counts: Bools) -> float | None:
-    """Compute the mean SSIM, eqs. (13) and (17) of [4], over all windows that hold only pixels that count."""
-    from scipy.ndimage import minimum_filter
-
-    whole = minimum_filter(counts, 2 * _RADIUS + 1, mode="constant", cval=False)
-    if not whole.any():
+def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s | None:
+    """Compute how different colours look, shape (S,); None if they are no colours."""
+    if space not in ("srgb", "linear") or reference.shape[1] not in (1, 3):
         return None
-    channels = zip(np.moveaxis(reference, 2, 0), np.moveaxis(test, 2, 0), strict=True)
-    return float(np.mean([_of_channel(one, other)[whole].mean() for one, other in channels]))
+    light = (srgb_to_linear(each) if space == "srgb" else each for each in (reference, test))
+    return delta_e_2000(*(cie_lab(np.broadcast_to(each, (len(each), 3))) for each in light))
 
 
-def _of_channel(one: Float32s, other: Float32s) -> Float64s:
-    x, y = one.astype(np.float64), other.astype(np.float64)
+def structural_similarity(read: Callable[[slice], Pair], counts: Bools) -> float | None:
+    """Compute the mean SSIM, eqs. (13) and (17) of [4], over all windows that hold only pixels that count.
+
+    `read` gives rows of both images, shape (R, W, N).
+    """
+    inside = slice(_RADIUS, -_RADIUS)
+    whole = ~within(~counts, _RADIUS)[inside, inside]
+    total, windows = 0.0, 0
+    for rows in large_arrays.blocks(len(whole), _SQUARE):
+        columns = [
+            block for block in large_arrays.blocks(whole.shape[1], _SQUARE) if whole[rows, block].any()
+        ]
+        if not columns:
+            continue
+        pair = [
+            np.moveaxis(image, 2, 0).astype(np.float64)
+            for image in read(slice(rows.start, rows.stop + 2 * _RADIUS))
+        ]
+        for block in columns:
+            around = slice(block.start, block.stop + 2 * _RADIUS)
+            similarity = _similarity(*(image[:, :, around] for image in pair))[:, whole[rows, block]]
+            total, windows = total + float(similarity.sum()), windows + similarity.size
+    return total / windows if windows else None
+
+
+def _similarity(x: Float64s, y: Float64s) -> Float64s:
     mean_x, mean_y = _windowed(x), _windowed(y)
-    variances = _windowed(x * x) - mean_x**2 + _windowed(y * y) - mean_y**2
-    covariance = _windowed(x * y) - mean_x * mean_y
-    similarity = (2 * mean_x * mean_y + _C1) * (2 * covariance + _C2)
-    return np.asarray(similarity / ((mean_x**2 + mean_y**2 + _C1) * (variances + _C2)), np.float64)
+    squares, product = mean_x * mean_x + mean_y * mean_y, 2 * mean_x * mean_y
+    variances, covariance = _windowed(x * x + y * y) - squares, 2 * _windowed(x * y) - product
+    return (product + _C1) * (covariance + _C2) / ((squares + _C1) * (variances + _C2))
 
 
 def _windowed(values: Float64s) -> Float64s:
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(values, _DEVIATION, radius=_RADIUS), np.float64)
+    """Return the weighted means over the windows that lie within images, shape (N, R, W)."""
+    for axis in (1, 2):
+        count = values.shape[axis] - 2 * _RADIUS
+        shifted = [
+            values[:, k : k + count] if axis == 1 else values[:, :, k : k + count]
+            for k in range(len(_WINDOW))
+        ]
+        values = _WINDOW[_RADIUS] * shifted[_RADIUS]
+        for k in range(_RADIUS):
+            pair = shifted[k] + shifted[-1 - k]
+            pair *= _WINDOW[k]
+            values += pair
+    return values

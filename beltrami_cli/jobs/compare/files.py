@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,15 @@ from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.jobs.compare.figures import ComparedColours, Verdict, check_limits, check_moves, figures
+from beltrami_cli.jobs.compare.figures import (
+    ComparedColours,
+    Measured,
+    Verdict,
+    check_limits,
+    check_moves,
+    figures,
+    measure,
+)
 from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
 from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
 from beltrami_cli.jobs.file_job import open_any, require_level_set
@@ -29,12 +37,14 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 
 _UNLIMITED = Limits()
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
 _LEAST = 1.0
 _GAP = 8  # pixels between images
+_ROWS = 256  # of an image, drawn at a time
 _SCALAR = b"\nproperty uchar blue\nproperty float "  # of the header, where the numbers follow the colours
 _SUFFIXES = (".ply", *IMAGE_SUFFIXES)
 
@@ -79,18 +89,18 @@ def compare_files(
     documents = open_both(names, settings, job)
     compared = compare_documents(documents, settings, weights, job)
     require_samples(compared.parts, documents[0].name)
-    described = [part.described() for part in tracked(compared.parts, "measuring", job.progress)]
+    described = [measured.described() for measured in compared.measured]
     verdicts, untested = check_limits(described, limits, documents[1].name)
     moves = compared.moves
     verdicts += [] if moves is None else check_moves(moves, limits)
     scale = None
     if output is not None:
-        written, scale = draw_map(compared.parts, documents[0], output.target)
+        written, scale = draw_map(compared.measured, documents[0], output.target)
         output.write(written)
     passed = all(verdict.kept for verdict in verdicts)
     notices = [*compared.all_notices(), *untested]
     return Comparison(
-        *names, weights, settings.space, described, figures(compared.measured()), moves, verdicts, passed, scale,
+        *names, weights, settings.space, described, compared.overall(), moves, verdicts, passed, scale,
         notices,
     )  # fmt: skip
 
@@ -106,16 +116,16 @@ def _opened_map(
     return output
 
 
-def require_samples(parts: list[ComparedColours], name: str) -> None:
+def require_samples(parts: Sequence[ComparedColours], name: str) -> None:
     """Raise InputError if nothing can be compared, or what counts by its area has none."""
-    if not sum(len(part.reference) for part in parts):
+    if not sum(len(part.index) for part in parts):
         raise InputError(
             name,
             "nothing of it can be compared: no texel that the surface covers, or no pixel, can be seen",
             "choose something else with --on, --slots or --mask",
         )
     for part in parts:
-        if len(part.weights) and not part.weights.sum() > 0:
+        if len(part.index) and part.weights is not None and not part.weights.sum() > 0:
             cause = f"{part.name}: the surface has no area that samples could stand for"
             raise InputError(name, cause, "use --weights uniform")
 
@@ -124,14 +134,21 @@ def require_samples(parts: list[ComparedColours], name: str) -> None:
 class Compared:
     """What two documents have in common, and how far it differs."""
 
-    parts: list[ComparedColours]  # the vertices first
+    measured: list[Measured]  # the vertices first
     moves: Moves | None = None  # of the vertices of a model
     slots: tuple[Slot, ...] = ()  # whose textures are among the parts
     notices: tuple[str, ...] = ()
 
-    def measured(self) -> list[ComparedColours]:
+    @property
+    def parts(self) -> list[ComparedColours]:
+        return [measured.part for measured in self.measured]
+
+    def differing(self) -> list[Measured]:
         """Return the parts that figures are of."""
-        return [part for part in self.parts if not part.is_identical]
+        return [measured for measured in self.measured if not measured.part.is_identical]
+
+    def overall(self) -> dict[str, Any]:
+        return figures(self.differing())
 
     def all_notices(self) -> list[str]:
         """Return notices for users, above all on colours that are not compared."""
@@ -143,7 +160,7 @@ class Compared:
                 f"they moved by up to {largest} of the model's size, {mean} on average"
             )
         for part in self.parts:
-            if not len(part.reference) and not part.is_identical:
+            if not len(part.index) and not part.is_identical:
                 cause = "no texel of it is both covered by the surface and visible"
                 found.append(f"{part.name} is not compared, because {cause}")
             if part.other_opacity:
@@ -166,9 +183,8 @@ def compare_documents(
     if images:  # they have no slots, so that all of them are none
         slots = settings.textures.slots or DEFAULTS.textures.slots
         textures = dataclasses.replace(settings.textures, slots=slots)
-        return Compared(
-            [compare_images(images, dataclasses.replace(settings, textures=textures), job.access)]
-        )
+        image = compare_images(images, dataclasses.replace(settings, textures=textures), job.access)
+        return Compared(_measured([image], job))
     selection, notices = choose_parts(documents, settings)
     parts = []
     # None: the vertices.
@@ -181,7 +197,19 @@ def compare_documents(
             require_memory_for_textures(document, selection.slots, settings.textures, job.access)
         is_extra = slot != selection.slots[0]
         parts += compare_textures(documents, slot, settings, weights, job.access, is_extra=is_extra)
-    return Compared(parts, moves_between(documents, selection), selection.slots, tuple(notices))
+    return Compared(
+        _measured(parts, job), moves_between(documents, selection), selection.slots, tuple(notices)
+    )
+
+
+def _measured(parts: Sequence[ComparedColours], job: Job) -> list[Measured]:
+    total, done, measured = sum(len(part.index) for part in parts), 0, []
+    progress = job.progress_of("measuring")
+    for part in parts:
+        tick = None if progress is None else lambda samples, first=done: progress(first + samples, total)
+        measured.append(measure(part, tick))
+        done += len(part.index)
+    return measured
 
 
 def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tuple[Document, Document]:
@@ -196,21 +224,22 @@ def is_map(head: bytes) -> bool:
     return head.startswith(b"ply\n") and _SCALAR in head.partition(b"end_header\n")[0]
 
 
-def draw_map(parts: Sequence[ComparedColours], model: Document, target: str) -> tuple[Written, float]:
+def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[Written, float]:
     """Draw images and textures, or else the vertices; return also the Delta E that the brightest colour stands for."""
-    images = [part for part in parts if part.size is not None]
-    if parts[0].kind == "vertices" and (not images or target.lower().endswith(".ply")):
+    images = [each for each in parts if each.part.size is not None]
+    if parts[0].part.kind == "vertices" and (not images or target.lower().endswith(".ply")):
         return _draw_vertices(parts[0], model, target)
     return _draw_images(images, target)
 
 
-def _draw_images(parts: Sequence[ComparedColours], target: str) -> tuple[Written, float]:
+def _draw_images(parts: Sequence[Measured], target: str) -> tuple[Written, float]:
     """Draw the differences of images or textures side by side, grey where nothing is compared."""
     suffix = Path(target).suffix.lower()
     if suffix == ".ply":
         raise UsageError(f"{target}: the map of images and textures is drawn as .png; end its name so")
-    scale = _scale(parts)
-    drawn = [_image_of(part, scale) for part in parts]
+    amounts = [_amounts(each) for each in parts]
+    scale = _scale(amounts)
+    drawn = [_image_of(each.part, values / scale) for each, values in zip(parts, amounts, strict=True)]
     height = max(len(panel) for panel in drawn)
     columns = []
     for panel in drawn:
@@ -220,37 +249,36 @@ def _draw_images(parts: Sequence[ComparedColours], target: str) -> tuple[Written
     return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
 
 
-def _draw_vertices(part: ComparedColours, document: Document, target: str) -> tuple[Written, float]:
+def _draw_vertices(measured: Measured, document: Document, target: str) -> tuple[Written, float]:
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
     if Path(target).suffix.lower() != ".ply":
         raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
-    painted, scale = document.painted(), _scale([part])
+    painted, amounts = document.painted(), _amounts(measured)
+    scale = _scale([amounts])
     values = np.full(len(painted.positions), np.nan, np.float32)
     errors = values.copy()
-    values[part.index] = _amount(part)
-    errors[part.index] = np.abs(part.test - part.reference).max(axis=1)
-    grey, held = np.ones((len(values), 3), np.float32), np.isfinite(values)
-    shades = as_bytes(colour_by_value(values / np.float32(scale), grey, held))
-    scalars = {"delta_e": values, "error": errors}
-    if part.delta_e is None:
-        del scalars["delta_e"]
+    values[measured.part.index] = amounts
+    errors[measured.part.index] = measured.part.errors()
+    grey = np.ones((len(values), 3), np.float32)
+    shades = as_bytes(colour_by_value(values / np.float32(scale), grey, np.isfinite(values)))
+    scalars = {"error": errors} if measured.delta_e is None else {"delta_e": values, "error": errors}
     return write_scalars_as_ply(np.nan_to_num(painted.positions), painted.faces, shades, scalars), scale
 
 
-def _amount(part: ComparedColours) -> Float64s:
-    if part.delta_e is not None:
-        return part.delta_e
-    return np.asarray(100 * np.abs(part.test - part.reference).max(axis=1), np.float64)
+def _amounts(measured: Measured) -> Float64s:
+    """Return what is drawn of each sample: its Delta E, or per cent of full scale where there is none."""
+    return 100 * measured.part.errors() if measured.delta_e is None else measured.delta_e
 
 
-def _scale(parts: Sequence[ComparedColours]) -> float:
-    return max(_LEAST, *(float(_amount(part).max(initial=0)) for part in parts))
+def _scale(amounts: Sequence[Float64s]) -> float:
+    return max(_LEAST, *(float(each.max(initial=0)) for each in amounts))
 
 
-def _image_of(part: ComparedColours, scale: float) -> Uint8s:
-    size = cast("tuple[int, int]", part.size)
-    values, held = np.zeros(size, np.float32), np.zeros(size, bool)
-    columns, rows = part.index.T
-    values[rows, columns] = _amount(part) / scale
-    held[rows, columns] = True
-    return as_bytes(colour_by_value(values, np.ones((*size, 3), np.float32), held))
+def _image_of(part: ComparedColours, values: Float64s) -> Uint8s:
+    covered, drawn = part.covered(), np.empty((*part.covered().shape, 3), np.uint8)
+    plane = np.zeros(covered.shape, np.float32)
+    plane.reshape(-1)[part.index] = values
+    for rows in large_arrays.blocks(len(drawn), _ROWS):
+        grey = np.ones(drawn[rows].shape, np.float32)
+        drawn[rows] = as_bytes(colour_by_value(plane[rows], grey, covered[rows]))
+    return drawn

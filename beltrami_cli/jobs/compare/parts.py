@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,35 +13,40 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.embedding import to_space
-from beltrami_cli.flow.parameters import Space, Weights
+from beltrami_cli.flow.parameters import Weights
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.jobs.compare.figures import (
-    ComparedColours,
-    cie_lab,
-    delta_e_2000,
-    structural_similarity,
-)
+from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
 from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.memory_check import COMPARED_PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texel_colours import all_texel_colours, choose_textures
+from beltrami_cli.layers.texel_colours import choose_textures, texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
-from beltrami_cli.surface.atlas import EMPTY, REACH, Atlas, at_seam, lines_over_seams, refresh_halo, within
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import (
+    EMPTY,
+    REACH,
+    Atlas,
+    Indices,
+    at_seam,
+    lines_over_seams,
+    texels_by_texture,
+    within,
+)
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, srgb_to_linear
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
 
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4
 _STEP = 0.75 / 255  # of opacity, which 8 bits store
-_BLOCK = 1 << 18  # colours compared at a time, which bounds the memory for them
+_ROWS = 256  # of a canvas, whose areas are measured at a time
 
 
 def near_seams(atlas: Atlas) -> Bools:
@@ -53,41 +58,57 @@ def near_seams(atlas: Atlas) -> Bools:
     return within(at_border, _NEAR - 1).reshape(-1)[atlas.owned_cells]
 
 
-def seam_steps(atlas: Atlas, colours: Float32s) -> tuple[Int64s, Float64s]:
-    """Return the owned cells at seams (rows of `colours`, shape (T, N)) and the jump there, mean over channels."""
+def seam_steps(atlas: Atlas, colours: Callable[[Indices], Float32s]) -> tuple[Int64s, Float64s]:
+    """Return the owned cells at seams and the jump there, mean over channels; `colours` reads cells by their rows."""
     # The colours of three texels on a line across the seam are extrapolated to it, from both sides.
-    planes = np.zeros((colours.shape[1], *atlas.kind.shape), np.float32)
-    planes.reshape(len(planes), -1)[:, atlas.owned_cells] = colours.T
-    refresh_halo(planes, atlas, interpolated=True)
-    flat = planes.reshape(len(planes), -1)
-    cells, steps = [np.zeros(0, np.int64)], [np.zeros(0)]
-    for line in lines_over_seams(atlas, REACH):
-        jump = at_seam([flat[:, o] - flat[:, i] for i, o in zip(line[:REACH], line[REACH:], strict=True)])
-        cells.append(line[0])
-        steps.append(np.abs(jump).mean(axis=0))
-    return np.searchsorted(atlas.owned_cells, np.concatenate(cells)), np.concatenate(steps)
+    lines = np.concatenate([np.stack(line) for line in lines_over_seams(atlas, REACH)], axis=1)
+    cells = np.searchsorted(atlas.owned_cells, lines[0])
+    steps = np.empty(len(cells))
+    for block in large_arrays.blocks(len(cells), large_arrays.SCATTERED):
+        values = [colours(np.searchsorted(atlas.owned_cells, inner)) for inner in lines[:REACH, block]]
+        for here, beyond in zip(values, lines[REACH:, block], strict=True):
+            halo = np.searchsorted(atlas.halo_cells, beyond)
+            # Cells that are owned no more have the weight 0.
+            taps = np.minimum(
+                np.searchsorted(atlas.owned_cells, atlas.halo_taps[halo]), len(atlas.owned_cells) - 1
+            )
+            tapped = colours(taps.reshape(-1)).reshape(*taps.shape, -1)
+            np.subtract(np.einsum("ht,htn->hn", atlas.halo_weights[halo], tapped), here, out=here)
+        steps[block] = np.abs(at_seam(values)).mean(axis=1)
+    return cells, steps
 
 
 def texel_areas(atlas: Atlas) -> Float64s:
     """Return the surface area of each owned cell, shape (T,), in the surface's own unit squared."""
-    across, down, diagonal = (plane.astype(np.float64) for plane in atlas.squared_lengths[:3])
-    known = (atlas.kind != EMPTY)[:-1, :-1] & (atlas.kind != EMPTY)[1:, 1:]
-    known &= (atlas.kind != EMPTY)[:-1, 1:] & (atlas.kind != EMPTY)[1:, :-1]
-    sides = across[:-1, :-1], down[:-1, :-1], diagonal[:-1, :-1]
-    known &= np.isfinite(sides[0]) & np.isfinite(sides[1]) & np.isfinite(sides[2])
-    a, b, c = (np.where(known, side, 0) for side in sides)
-    # Each square of four cells is the parallelogram of its sides; a cell has the mean of the squares around it.
-    # |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, where a . b follows from |a + b|^2.
+    areas = np.empty(len(atlas.owned_cells))
+    for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
+        bounds = np.searchsorted(atlas.owned_cells, np.array([rows.start, rows.stop]) * atlas.kind.shape[1])
+        own = slice(*bounds.tolist())
+        first = max(0, rows.start - 1)  # the squares above the first row belong to it, too
+        around = slice(first, rows.stop + 1)
+        total, count = _areas_of_squares(atlas.kind[around] != EMPTY, atlas.squared_lengths[:3, around])
+        here = atlas.owned_cells[own] - first * atlas.kind.shape[1]
+        owned_total, owned_count = total.reshape(-1)[here], count.reshape(-1)[here]
+        areas[own] = np.where(owned_count > 0, owned_total / np.maximum(owned_count, 1), np.nan)
+    measured = np.isfinite(areas)
+    return np.where(measured, areas, float(np.mean(areas[measured])) if measured.any() else 1.0)
+
+
+def _areas_of_squares(known: Bools, squared_lengths: Float32s) -> tuple[Float64s, Float64s]:
+    """Return for each cell the summed area of the squares of four cells around it, and how many these are."""
+    # Each is the parallelogram of its sides; |a x b|^2 = |a|^2 |b|^2 - (a . b)^2, where a . b follows from |a + b|^2.
+    sides = squared_lengths[:, :-1, :-1].astype(np.float64)
+    is_square = (
+        known[:-1, :-1] & known[1:, 1:] & known[:-1, 1:] & known[1:, :-1] & np.isfinite(sides).all(axis=0)
+    )
+    a, b, c = np.where(is_square, sides, 0)
     area = np.sqrt(np.maximum(a * b - ((c - a - b) / 2) ** 2, 0))
-    total, count = np.zeros(atlas.kind.shape), np.zeros(atlas.kind.shape)
+    total, count = np.zeros(known.shape), np.zeros(known.shape)
     for rows in (slice(None, -1), slice(1, None)):
         for columns in (slice(None, -1), slice(1, None)):
             total[rows, columns] += area
-            count[rows, columns] += known
-    owned_total, owned_count = (plane.reshape(-1)[atlas.owned_cells] for plane in (total, count))
-    measured = owned_count > 0
-    usual = float(np.mean(owned_total[measured] / owned_count[measured])) if measured.any() else 1.0
-    return np.where(measured, owned_total / np.maximum(owned_count, 1), usual)
+            count[rows, columns] += is_square
+    return total, count
 
 
 def compare_vertices(
@@ -99,19 +120,23 @@ def compare_vertices(
     held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
-    reference, test = (
-        to_space(each.colours[rows][:, channels], each.encoding, space) for each in (one, other)
-    )
+
+    def read(vertices: Indices) -> Pair:
+        first, second = (
+            to_space(each.colours[vertices][:, channels], each.encoding, space) for each in (one, other)
+        )
+        return first, second
+
+    reference, test = read(rows)
     if not np.isfinite(test).all():
         cause = "some of its colours are no finite numbers, which cannot be compared"
         raise InputError(documents[1].name, cause)
     place, _ = group_places(one.positions[rows], None if one.space_of is None else one.space_of[rows])
     split = np.bincount(place)[place] > 1 if len(place) else np.zeros(0, bool)
-    counted = _areas(one, rows, settings) if weights == "area" else np.ones(len(rows))
     opacities = (None if each.kind == "volume" else each.contents().alpha for each in documents)
     return ComparedColours(
-        "vertex colours", "vertices", reference, test, rows.astype(np.int64), counted,
-        colour_differences(reference, test, space),
+        name="vertex colours", kind="vertices", index=rows, read=read, space=space,
+        weights=_areas(one, rows, settings) if weights == "area" else None,
         near_seams=split if split.any() else None,
         jumps=_jumps([reference, test], place) if split.any() else None,
         is_identical=is_extra and np.array_equal(reference, test),
@@ -167,37 +192,22 @@ def compare_images(
 ) -> ComparedColours:
     """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
     names = [document.name for document in documents]
-    both = [(document.name, document.data) for document in documents]
-    require_memory(both, access, COMPARED_PIXEL_BYTES)
+    require_memory([(document.name, document.data) for document in documents], access, COMPARED_PIXEL_BYTES)
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
     samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
+    pictures = [each.picture for each in samples]
     if one.names != other.names:
         cause = f"it has the channels {', '.join(other.names)}, but {names[0]} {', '.join(one.names)}"
         raise InputError(names[1], cause, "compare images with the same channels, or choose with --channels")
-    if count := int(np.count_nonzero(~other.finite(samples[1].picture)[valid])):
+    if count := int(np.count_nonzero(~other.finite(pictures[1])[valid])):
         raise InputError(names[1], f"{count} of its pixels are no finite numbers, but are in {names[0]}")
-    pixels = np.flatnonzero(valid)
-    colours = one.working(samples[0].picture, pixels), other.working(samples[1].picture, pixels)
-    space = settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data"
-    part = _part_of_image("image", "image", colours, pixels, valid.shape, np.ones(len(pixels)), space)
-    opacity = [None if "alpha" in one.names else _opacity(each.picture) for each in samples]
-    return dataclasses.replace(part, other_opacity=_differ(*opacity))
-
-
-def _part_of_image(
-    name: str, kind: Literal["image", "texture"], colours: tuple[Float32s, Float32s], pixels: Int64s,
-    size: tuple[int, ...], weights: Float64s, space: Space,
-) -> ComparedColours:  # fmt: skip
-    """Return some pixels (row * width + column) of two images of `size` = (rows, columns) as a part."""
-    counts = np.zeros((size[0], size[1]), bool)
-    counts.reshape(-1)[pixels] = True
-    images = np.zeros((2, *counts.shape, colours[0].shape[1]), np.float32)
-    images.reshape(2, counts.size, -1)[:, pixels] = colours
-    rows, columns = np.divmod(pixels, size[1])
+    opacities = [None if "alpha" in one.names else _opacity(picture) for picture in pictures]
     return ComparedColours(
-        name, kind, *colours, np.stack([columns, rows], axis=1), weights, colour_differences(*colours, space),
-        structural_similarity(images[0], images[1], counts), size=counts.shape,
+        name="image", kind="image", index=large_arrays.flatnonzero(valid),
+        read=partial(_both_colours, (one, pictures[0]), (other, pictures[1])),
+        space=settings.space if set(one.names) <= {"red", "green", "blue", "grey"} else "data",
+        size=(valid.shape[0], valid.shape[1]), other_opacity=_differ(*opacities),
     )  # fmt: skip
 
 
@@ -210,12 +220,16 @@ def compare_textures(
     surface = reference.textured(slot)
     textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
     olds = choose_textures(surface, settings.textures).textures
+    names = _names(slot, olds)
     if is_extra and [texture.data for texture in olds] == [texture.data for texture in textures]:
-        nothing = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 2), np.int64)
+        nothing = np.zeros((0, 3), np.float32)
         return [
-            ComparedColours(name, "texture", *nothing, np.zeros(0), None, is_identical=True)
-            for name in _names(slot, olds)
-        ]
+            ComparedColours(
+                name=name, kind="texture", index=np.zeros(0, np.int64), read=lambda _: (nothing, nothing),
+                space="data", is_identical=True,
+            )
+            for name in names
+        ]  # fmt: skip
     require_memory(((texture.name, texture.data) for texture in textures), access)
     prepared = TextureLayer.read(surface, slot, settings)
     pictures = [read_texture(texture) for texture in textures]
@@ -225,35 +239,58 @@ def compare_textures(
     if colours.names != prepared.colours.names:
         cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(prepared.colours.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
-    atlas = prepared.atlas
-    both = (
-        all_texel_colours(prepared.colours, prepared.pictures, atlas),
-        all_texel_colours(colours, pictures, atlas),
-    )
-    counted = texel_areas(atlas) if weights == "area" else np.ones(len(atlas.owned_texels))
-    opacities = [[_opacity(picture) for picture in each] for each in (prepared.pictures, pictures)]
-    hides = [texture.alpha_hides for texture in prepared.surface.textures]
-    differ = [hidden and _differ(old, new) for hidden, old, new in zip(hides, *opacities, strict=True)]
-    parts = _parts(prepared, both, counted, slot, prepared.colours.space)
-    around = [_around(prepared, colours, pictures, index) for index in range(len(pictures))]
-    return [
-        dataclasses.replace(part, other_opacity=each, around=pair)
-        for part, each, pair in zip(parts, differ, around, strict=True)
-    ]
+    return _parts(prepared, colours, pictures, names, weights)
 
 
-def _around(
-    prepared: TextureLayer, colours: PictureColours, pictures: Sequence[Picture], index: int
-) -> tuple[Float32s, Float32s]:
-    """Return the colours, in both files, of a texture's texels that faces look up, but none covers."""
+def _parts(
+    prepared: TextureLayer,
+    colours: PictureColours,
+    pictures: Sequence[Picture],
+    names: Sequence[str],
+    weights: Weights,
+) -> list[ComparedColours]:
+    """Cut what belongs to all textures together in parts."""
     atlas = prepared.atlas
-    begin, end = atlas.texture_offsets[index : index + 2].tolist()
-    every = np.concatenate([atlas.border_texels, atlas.lone_texels]).astype(np.int64)
-    own = every[(every >= begin) & (every < end)] - begin
-    picture = prepared.pictures[index]
-    if prepared.surface.textures[index].alpha_hides:
-        own = own[~prepared.colours.hidden(picture, own)]
-    return prepared.colours.working(picture, own), colours.working(pictures[index], own)
+    both = (prepared.colours, prepared.pictures), (colours, pictures)
+    areas, near = texel_areas(atlas) if weights == "area" else None, near_seams(atlas)
+    (cells, before), (_, after) = (seam_steps(atlas, partial(texel_colours, *each, atlas)) for each in both)
+    texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
+    looked_up = np.concatenate([atlas.border_texels, atlas.lone_texels])
+    around = {index: texels for index, _, texels in texels_by_texture(atlas.texture_offsets, looked_up)}
+    nothing = np.zeros(0, np.int64)
+    owned = {index: (slice(0), nothing) for index in range(len(pictures))} | {
+        index: (inside, texels)
+        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels)
+    }
+    parts = []
+    for index, (inside, texels) in owned.items():
+        old, new, hides = (
+            prepared.pictures[index],
+            pictures[index],
+            prepared.surface.textures[index].alpha_hides,
+        )
+        read = partial(_both_colours, (prepared.colours, old), (colours, new))
+        beyond = around.get(index, nothing)
+        if hides:
+            beyond = beyond[~prepared.colours.hidden(old, beyond)]
+        here, near_here = texture_of == index, near[inside]
+        parts.append(
+            ComparedColours(
+                name=names[index], kind="texture", index=texels, read=read, space=prepared.colours.space,
+                weights=None if areas is None else areas[inside],
+                near_seams=near_here if near_here.any() else None,
+                jumps=(before[here], after[here]) if here.any() else None,
+                size=(old.pixels.shape[0], old.pixels.shape[1]),
+                around=read(beyond), other_opacity=hides and _differ(_opacity(old), _opacity(new)),
+            )
+        )  # fmt: skip
+    return parts
+
+
+def _both_colours(
+    one: tuple[PictureColours, Picture], other: tuple[PictureColours, Picture], pixels: Indices
+) -> Pair:
+    return one[0].working(one[1], pixels), other[0].working(other[1], pixels)
 
 
 def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
@@ -262,43 +299,8 @@ def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
     return [f"{slot} {texture.name if count[texture.name] == 1 else texture.key}" for texture in textures]
 
 
-def _parts(
-    prepared: TextureLayer, both: tuple[Float32s, Float32s], weights: Float64s, slot: Slot, space: Space
-) -> list[ComparedColours]:
-    """Cut what belongs to all textures together in parts."""
-    atlas = prepared.atlas
-    near = near_seams(atlas)
-    cells, before = seam_steps(atlas, both[0])
-    _, after = seam_steps(atlas, both[1])
-    texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
-    names = _names(slot, prepared.surface.textures)
-    parts = []
-    for index, picture in enumerate(prepared.pictures):
-        inside, here = texture_of == index, texture_of[cells] == index
-        texels = atlas.owned_texels[inside] - atlas.texture_offsets[index]
-        colours, size = (both[0][inside], both[1][inside]), picture.pixels.shape[:2]
-        part = _part_of_image(names[index], "texture", colours, texels, size, weights[inside], space)
-        near_here = near[inside] if near[inside].any() else None
-        jumps = (before[here], after[here]) if here.any() else None
-        parts.append(dataclasses.replace(part, near_seams=near_here, jumps=jumps))
-    return parts
-
-
 def _require_same_size(old: Picture, new: Picture, name: str) -> None:
     sizes = [f"{picture.pixels.shape[1]} x {picture.pixels.shape[0]}" for picture in (old, new)]
     if sizes[0] != sizes[1]:
         cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"
         raise InputError(name, cause, "compare images of one size")
-
-
-def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s | None:
-    """Compute how different colours look, shape (S,); None if they are no colours."""
-    if space not in ("srgb", "linear") or reference.shape[1] not in (1, 3):
-        return None
-    found = np.empty(len(reference))
-    for first in range(0, len(reference), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        pair = (colours[block] for colours in (reference, test))
-        light = (srgb_to_linear(colours) if space == "srgb" else colours for colours in pair)
-        found[block] = delta_e_2000(*(cie_lab(np.broadcast_to(each, (len(each), 3))) for each in light))
-    return found
