@@ -23,6 +23,7 @@ from beltrami_cli.formats.access import Access, is_there, open_regular, parse_js
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings, Progress, limited_memory
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
+from beltrami_cli.jobs.progress import Share
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.file_job import FileReport
@@ -160,12 +161,17 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))
 
 
+def _forwarded(progress: Progress, label: str, share: float) -> None:
+    progress(label, round(1000 * share), 1000)
+
+
 def _made(item: Item, access: Access, progress: Progress | None) -> FileReport:
     from beltrami_cli.jobs.noise import noise_file
     from beltrami_cli.jobs.smooth import smooth_file
 
     with FileSet() as files:
-        job = Job(access, progress, item.overwrite or item.again, files=files)
+        whole = None if progress is None else Share(forward=partial(_forwarded, progress))
+        job = Job(access, whole, item.overwrite or item.again, files=files)
         report: FileReport
         if item.noise is not None:
             report = noise_file(item.source, item.target, item.noise, item.settings, job)

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.run import Executor
 
     Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None, tuple[str, ...]]
-    from rich.progress import Progress, TaskID
-
     from beltrami_cli.batch.item import Attempt
 
 
@@ -316,20 +314,26 @@ def _counts(outcomes: Sequence[Outcome]) -> str:
     return ", ".join(f"{states.count(kind)} {kind}" for kind in kinds if kind in states)
 
 
+_FILES, _STEPS = "files", 1000  # what progress counts, and its steps for each
 _WIDTH = 140  # of the table, where it goes to a file
 _COLOURS = {"done": "green", "skipped": "dim", "failed": "bold red", "not started": "yellow"}
 
 
 class Display:
-    """Shows a line for each file in work and one for all, on a terminal only; prints failures at once."""
+    """Shows one bar for all files, on a terminal only; prints failures at once."""
 
     def __init__(self, jobs: Sequence[Item], messages: Messages) -> None:
+        from beltrami_cli.cli.progress_bar import ProgressBar
+        from beltrami_cli.jobs.progress import Work
+
         self._jobs, self._messages = jobs, messages
-        self._bar = _bar(is_shown=not messages.quiet and sys.stderr.isatty())
-        self._all = self._bar.add_task("all files", total=len(jobs))
-        self._lines: dict[int, TaskID] = {}
+        self._work, self._finished, self._skipped = Work(time.monotonic), 0, 0
+        self._shares: dict[int, float] = {}  # of the files in work that are done
+        self._bar = ProgressBar(self._work, is_shown=not messages.quiet and sys.stderr.isatty())
 
     def __enter__(self) -> Display:
+        self._work.expect([(_FILES, float(len(self._jobs)))], timed=False)
+        self._show()
         self._bar.start()
         return self
 
@@ -337,23 +341,29 @@ class Display:
         self._bar.stop()
 
     def started(self, key: int) -> None:
-        self._lines[key] = self._bar.add_task(self._name(key), total=None)
+        self.advanced(key, "", 0, 1)
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
-        if key not in self._lines:  # others had it waiting, and have begun
-            self.started(key)
-        description = f"{self._name(key)}: {printable(label)}"
-        self._bar.update(self._lines[key], description=description, completed=done, total=total)
+        self._shares[key] = done / total
+        self._show()
+
+    def _show(self) -> None:
+        # Files that are skipped take no time, and say nothing about that of others.
+        count, done = len(self._jobs), self._finished - self._skipped + sum(self._shares.values())
+        label = f"{self._finished} of {count} {_FILES}"
+        self._work(label, round(_STEPS * done), _STEPS * (count - self._skipped))
 
     def postponed(self, key: int) -> None:
-        self._end(key)
+        self._shares.pop(key, None)
         if self._messages.verbose:
             self._print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
-        self._end(key)
-        self._bar.advance(self._all)
+        self._shares.pop(key, None)
         outcome = attempt.outcome
+        self._finished += 1
+        self._skipped += outcome.status == "skipped"
+        self._show()
         if attempt.traceback and self._messages.verbose >= 2:
             self._print(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
@@ -365,13 +375,6 @@ class Display:
         """Print lines above the progress bars."""
         for line in map(printable, lines):
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-    def _end(self, key: int) -> None:
-        if key in self._lines:
-            self._bar.remove_task(self._lines.pop(key))
-
-    def _name(self, key: int) -> str:
-        return printable(self._jobs[key].source)
 
 
 def show_table(outcomes: Sequence[Outcome]) -> None:
@@ -405,12 +408,3 @@ def _cells(outcome: Outcome) -> list[str]:
     if is_left:  # it may be changed by levelling
         remarks.append(f"noise {NO_NOISE}, so it is {'not smoothed' if change else 'left as it is'}")
     return [seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255", "; ".join(remarks)]
-
-
-def _bar(*, is_shown: bool) -> Progress:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    name = TextColumn("{task.description}", markup=False)  # names of files may have brackets
-    columns = (name, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not is_shown)

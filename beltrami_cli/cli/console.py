@@ -27,7 +27,8 @@ from beltrami_cli.errors import OutputError, one_line, unhandled_endings
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
-    from rich.progress import TaskID
+
+    from beltrami_cli.jobs.progress import Work
 
 printable = one_line
 """Text that moves no cursor and fits any terminal."""
@@ -65,15 +66,15 @@ def choice_in_words(choice: dict[str, Any]) -> str:
     )
 
 
-def _progress_in_lines() -> Callable[[str, int, int], None]:
+def _progress_in_lines() -> Callable[[str, float], None]:
     """Return a function that prints a line for each label and percentage, which other programs can read."""
     printed: set[tuple[str, int]] = set()
 
-    def update(label: str, done: int, total: int) -> None:
-        share = label, 100 * done // max(1, total)
-        if share not in printed:
-            printed.add(share)
-            click.echo(f"progress: {printable(label)} {share[1]}%", err=True)
+    def update(label: str, share: float) -> None:
+        line = label, int(100 * share)
+        if line not in printed:
+            printed.add(line)
+            click.echo(f"progress: {printable(label)} {line[1]}%", err=True)
 
     return update
 
@@ -132,27 +133,24 @@ class Messages:
             log.setLevel(before)
 
     @contextmanager
-    def progress(self) -> Iterator[Callable[[str, int, int], None] | None]:
-        """Give a function that draws a bar with a label and the time left; on a terminal, or as lines for programs."""
+    def progress(self) -> Iterator[Work | None]:
+        """Give what draws one bar with a label and the time left; on a terminal, or as lines for programs."""
         if os.environ.get("BELTRAMI_PROGRESS") == "lines":
-            yield _progress_in_lines()
+            from beltrami_cli.jobs.progress import Share
+
+            lines = _progress_in_lines()
+            yield Share(forward=lines)
+            lines("done", 1.0)
             return
         if self.quiet or not sys.stderr.isatty():
             yield None
             return
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+        from beltrami_cli.cli.progress_bar import ProgressBar
+        from beltrami_cli.jobs.progress import Work
 
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            tasks: dict[str, TaskID] = {}
-
-            def update(label: str, done: int, total: int) -> None:
-                if label not in tasks:
-                    tasks[label] = bar.add_task(label, total=total)
-                bar.update(tasks[label], completed=done, total=total)
-
-            yield update
+        work = Work()
+        with ProgressBar(work, is_shown=True):
+            yield work
 
 
 _SAME_WISH = 1.0  # seconds in which another signal would only disturb the tidying

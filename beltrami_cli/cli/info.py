@@ -22,7 +22,6 @@ from beltrami_cli.cli.console import (
     printable,
 )
 from beltrami_cli.errors import BeltramiError, InputError
-from beltrami_cli.jobs.job import tracked
 from beltrami_cli.layers.settings import SmoothSettings
 
 _SUMMARY = 20  # lines
@@ -58,8 +57,9 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
         return
     from beltrami_cli.jobs.inspect import inspect_file
 
-    with options.reading_from(smoothing, sources[0]) as access:
-        facts = inspect_file(sources[0], settings, access)
+    shown = Messages(quiet=False, verbose=0).progress()
+    with options.reading_from(smoothing, sources[0]) as access, shown as progress:
+        facts = inspect_file(sources[0], settings, access, progress)
     if as_json:
         click.echo(json.dumps(facts, indent=2))
         return
@@ -76,15 +76,16 @@ def _show_many(
     """Print a table, or lines of JSON, on many files; what cannot be read is said, and the others go on."""
     from beltrami_cli.batch.plan import find_sources
     from beltrami_cli.jobs.inspect import inspect_file
+    from beltrami_cli.jobs.progress import one_of
 
     rows: list[list[str]] = []
     failures: list[BeltramiError] = []
     sources = find_sources(inputs)
     with Messages(quiet=False, verbose=0).progress() as progress:
-        for source in tracked(sources, "reading", progress):
+        for source, own in one_of(sources, "files", progress):
             try:
                 with options.reading_from(smoothing, source) as access:
-                    facts = inspect_file(source, settings, access)
+                    facts = inspect_file(source, settings, access, own)
             except BeltramiError as error:
                 failures.append(error)
                 continue

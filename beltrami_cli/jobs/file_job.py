@@ -110,6 +110,7 @@ def begin(
 ) -> FileJob:
     """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
     watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
+    job.begin("reading")
     with watch.stage("read"):
         document = open_input(source, settings, access)
         if models_only and document.kind == "image":

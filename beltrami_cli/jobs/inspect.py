@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import chain
 from typing import TypeVar, cast
 
 import numpy as np
@@ -24,6 +25,8 @@ from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.file_job import open_input
+from beltrami_cli.jobs.job import Job, Progress
+from beltrami_cli.jobs.progress import count_samples, phases_of
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.levelled_charts import describe_exposure, photograph_attribute, photographs_of
 from beltrami_cli.layers.memory_check import checked_memory, memory_beside, require_memory, too_many_together
@@ -40,7 +43,10 @@ from beltrami_cli.surface.records import Slot, Texture
 
 
 def inspect_file(
-    source: str | os.PathLike[str], settings: SmoothSettings = DEFAULTS, access: Access = EVERYTHING_INSIDE
+    source: str | os.PathLike[str],
+    settings: SmoothSettings = DEFAULTS,
+    access: Access = EVERYTHING_INSIDE,
+    progress: Progress | None = None,
 ) -> dict[str, object]:
     """Describe a mesh file or an image, and what `smooth_file` would do with it.
 
@@ -52,6 +58,8 @@ def inspect_file(
         As for `smooth_file`.
     access : Access
         What may be read.
+    progress : callable, optional
+        Called with a label of the current part, the work done so far and the total work; may raise to stop.
 
     Returns
     -------
@@ -70,10 +78,14 @@ def inspect_file(
     UsageError
         If the parameters contradict the file.
     """
+    job = Job(access, progress)
+    job.begin("reading")
     document = open_input(os.fspath(source), settings, access)
     selection = select(document, settings)
     require_scale(document, selection)
     facts = dict[str, object]()
+    counts = count_samples(document, selection, settings.textures)
+    job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
     if selection.slots and not selection.vertices:
         facts |= _describe_under_textures(document, selection.slots[0], settings, access)
     notices, textures = [*document.notices, *selection.notices], list[dict[str, object]]()
@@ -91,7 +103,9 @@ def inspect_file(
             which = "estimated on some textures, as memory is small for all"
             notices.append(f"{slot}: noise and parameters are {which}.")
         chosen = dataclasses.replace(selection, slots=tuple(rest))
+        job.begin("laying out")
         for samples in layers_of(document, chosen, settings, access, in_groups=in_groups):
+            job.begin(f"{samples.label}: choosing parameters")
             if isinstance(samples, TextureLayer):
                 textures.append(samples.describe())
                 if samples.is_whole:

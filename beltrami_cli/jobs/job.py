@@ -96,6 +96,17 @@ class Job:
         output.files.guard(guarded)
         return output, output.files.watching(self.access)
 
+    def expect(self, phases: Iterable[tuple[str, float]]) -> None:
+        """Announce the phases ahead, and how many seconds each takes, see `jobs/progress.py`."""
+        expect = getattr(self.progress, "expect", None)
+        if expect is not None:
+            expect(phases)
+
+    def begin(self, label: str) -> None:
+        """Report that a phase begins."""
+        if self.progress is not None:
+            self.progress(label, 0, 1)
+
     def progress_of(self, label: str) -> Callable[[int, int], None] | None:
         return None if self.progress is None else partial(self.progress, label)
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import ClassVar, Generic, NoReturn, Protocol, Self, TypeVar
 
 import numpy as np
@@ -25,6 +26,7 @@ from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.progress import count_samples, phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
 from beltrami_cli.layers.memory_check import checked_memory
 from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, layers_of, select
@@ -65,6 +67,8 @@ class Painter(ABC, Generic[AnyPainted]):
     works_on_disk: ClassVar[bool] = (
         False  # whether textures too large for memory can be painted, together in files
     )
+
+    phases: ClassVar[Sequence[str]] = ("painting",)  # of `paint`, see `jobs/progress.py`
 
     @property
     def changes(self) -> bool:
@@ -162,10 +166,15 @@ def paint(
 ) -> list[AnyPainted]:
     """Paint the selected parts, layer by layer; `suffix`: of another image format that is written."""
     painted = []
+    counts = count_samples(document, selection, settings.textures)
+    phases = [phases_of(["laying out", *painter.phases], count) for count in counts]
+    job.expect([*chain(*phases), *phases_of(["writing"], sum(counts))])
+    job.begin("laying out")
     options = {"colours_only": painter.colours_only, "in_groups": in_groups}
     for layer in layers_of(document, selection, settings, job.access, suffix, **options):
         layer.require_writable()
         painted.append(painter.paint(layer, job))
+        job.begin("laying out" if len(painted) < len(counts) else "writing")
         del layer
     return painted
 

@@ -110,7 +110,9 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
         assert choosing is not None
         choosing(number := next(steps), number + _USUAL_TICKS)
 
-    return smooth_layer(layer, job.progress_of(label), None if choosing is None else tick)
+    if choosing is not None:
+        tick()
+    return smooth_layer(layer, job.progress_of(f"{label}: smoothing"), None if choosing is None else tick)
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ class Smoothing(Painter[Smoothed]):
 
     colours_only: ClassVar[bool] = False
     works_on_disk: ClassVar[bool] = True
+    phases: ClassVar[Sequence[str]] = ("choosing parameters", "smoothing")
 
     settings: SmoothSettings
     levelling: Levelling | None = None

@@ -70,7 +70,9 @@ def report_file(
     job = dataclasses.replace(job, access=access)
     used = None if parameters is None else _parameters(parameters, access)
     documents = open_both((before, after), settings, job)
-    compared = compare_documents(documents, settings, "uniform", job)
+    compared = compare_documents(
+        documents, settings, "uniform", job, ["counting changes", "drawing seams", "packing models"]
+    )
     page, notices = _page(names, compared, documents, used, full_size=full_size, progress=job.progress)
     output.write(Written(main=[page]))
     return {**compared.overall(), "notices": notices}

@@ -20,8 +20,9 @@ from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
+from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.progress import one_of
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
@@ -68,7 +69,7 @@ def sweep_file(
     job = Job(output.files.watching(job.access), job.progress)
     opened = _opened(source, reference, trials[0][1], job)
     document, truth = opened["before"], opened.get("reference")
-    drawing = None if kind else _Drawing(looks, job.progress)
+    drawing = None if kind else _Drawing(looks)
     if drawing is not None:
         require_memory_to_draw([*opened.values()], looks, job.access)
     done: list[Trial] = []
@@ -79,11 +80,11 @@ def sweep_file(
         if drawing is not None:
             for label, shown in opened.items():
                 drawing.add(label, shown)
-        for parameters, settings in tracked(trials, "trials", job.progress):
-            trial, result = _tried(document, truth, parameters, settings, job)
+        for (parameters, settings), progress in one_of(trials, "trials", job.progress):
+            trial, result = _tried(document, truth, parameters, settings, Job(job.access, progress))
             done.append(trial)
             if drawing is not None:
-                drawing.add(trial.label, result)
+                drawing.add(trial.label, result, progress)
             if page is not None and drawing is not None:
                 page.show(done, drawing.panels)
     if drawing is None:
@@ -96,17 +97,17 @@ def sweep_file(
 class _Drawing:
     """Draws documents that differ in colours one after the other, as they come, with one tracer."""
 
-    def __init__(self, looks: RenderSettings, progress: Progress | None) -> None:
+    def __init__(self, looks: RenderSettings) -> None:
         self.panels: list[Panel] = []
-        self._looks, self._progress = looks, progress
+        self._looks = looks
         self._view: Drawable | None = None
 
-    def add(self, label: str, document: Document) -> None:
+    def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
         """Draw a document; details lie where there is most to see in the first."""
         self._view = view_of(document, self._looks, self._view)
         if not self.panels:
             self._looks = with_fixed_crops(self._view, self._looks)
-        self.panels += draw_panels([self._view], [label], self._looks, self._progress)
+        self.panels += draw_panels([self._view], [label], self._looks, progress)
 
 
 def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:

@@ -2,54 +2,110 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from contextlib import contextmanager
 
 import pytest
 
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.progress import Share, Work
 from beltrami_cli.jobs.smooth import smooth_file
-from cli.commands import SAMPLES, beltrami
+from cli.commands import COMMAND, SAMPLES, beltrami
 
 NOISY, CLEAN = SAMPLES / "head-tex-noisy.glb", SAMPLES / "head-tex-clean.glb"
 SMALL = SAMPLES / "nonmanifold-noisy.ply"
 COMMANDS = {
+    "info": (["info", NOISY], {"reading", "laying out", "choosing parameters"}),
+    "infos": (["info", SMALL, NOISY], {"files"}),
+    "smooth": (["smooth", NOISY, "x.glb"], {"reading", "laying out", "choosing parameters", "smoothing", "writing"}),
+    "noise": (["noise", SMALL, "x.ply", "--sigma", "5"], {"reading", "laying out", "writing"}),
     "compare": (["compare", NOISY, CLEAN], {"reading", "comparing", "measuring"}),
-    "report": (["report", NOISY, CLEAN, "page.html"], {"reading", "comparing", "drawing seams", "packing models"}),
+    "report": (["report", NOISY, CLEAN, "page.html"], {"comparing", "counting changes", "drawing seams"}),
     "render": (["render", SMALL, SMALL, "x.png", "--size", "40", "--turntable", "2"], {"reading", "drawing"}),
-    "sweep": (["sweep", SMALL, "x.png", "--size", "40", "-n", "1,2", "--fast"], {"trials", "drawing"}),
+    "sweep": (["sweep", SMALL, "x.png", "--size", "40", "-n", "1,2", "--fast"], {"trials"}),
 }  # fmt: skip
 
 
 @pytest.fixture
 def shown(monkeypatch):
-    """What bars would show, as (label, done, total)."""
-    calls = []
+    """What the bar would show, as (label, share), after each report."""
+    states = []
 
     @contextmanager
     def progress(messages):
-        yield lambda *call: calls.append(call)
+        yield Share(forward=lambda label, share: states.append((label, share)))
 
     monkeypatch.setattr(Messages, "progress", progress)
-    return calls
+    return states
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-def test_bars_go_from_nothing_to_all(name, shown, tmp_path):
+def test_the_bar_goes_from_nothing_to_all_and_never_back(name, shown, tmp_path):
     arguments, labels = COMMANDS[name]
     if name in ("render", "sweep"):
         pytest.importorskip("embreex")
     beltrami(*arguments, cwd=tmp_path)
-    assert labels <= {label for label, _, _ in shown}
-    for label in labels:
-        done = [share for each, share, _ in shown if each == label]
-        total = max(whole for each, _, whole in shown if each == label)
-        assert done[0] == 0
-        assert done[-1] == total
-        runs = done if name != "sweep" else done[: done.index(total) + 1]
-        assert runs == sorted(runs)
+    assert labels <= {re.sub(r"\d+ of \d+ ", "", label).rpartition(": ")[2] for label, _ in shown}
+    shares = [share for _, share in shown]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.1
+    assert shares[-1] <= 1
+
+
+class Simulated:
+    """A job whose phases take given times by a clock that only it moves."""
+
+    def __init__(self, factor=1.0):
+        self.now, self.factor = 0.0, factor
+        self.work = Work(lambda: self.now)
+        self.shares, self.left = [], []
+
+    def run(self, phases, reports):
+        """Work for the times of phases, with so many reports each; note what is shown ten times a second."""
+        self.work("reading", 0, 1)
+        self._pass(0.5)
+        self.work.expect(phases)
+        for name, seconds in phases:
+            for number in range(reports):
+                self.work(name, number, reports)
+                self._pass(self.factor * seconds / reports)
+        self.work(phases[-1][0], 1, 1)
+        self._pass(0.1)
+
+    def _pass(self, seconds):
+        for _ in range(round(10 * seconds)):
+            self.now += 0.1
+            state = self.work.state()
+            self.shares.append(state.share)
+            self.left.append((self.now, state.seconds_left))
+
+
+@pytest.mark.parametrize("factor", [0.5, 1, 2, 4])
+@pytest.mark.parametrize("reports", [1, 7, 100])
+def test_the_bar_moves_steadily_whatever_phases_say_and_take(factor, reports):
+    phases = [("laying out", 6.0), ("choosing parameters", 20.0), ("smoothing", 40.0), ("writing", 8.0)]
+    job = Simulated(factor)
+    job.run(phases, reports)
+    assert job.shares == sorted(job.shares)
+    assert job.shares[9] > 0  # a second after the start
+    # It never stands for 3 seconds, in tenths of per cent where the job takes four times as long as expected.
+    assert all(later > before + 1e-4 for before, later in zip(job.shares, job.shares[30:], strict=False))
+    assert job.shares[-1] == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1, 1.8])
+def test_the_first_estimate_of_the_time_left_is_within_a_factor_of_two(factor, monkeypatch):
+    job = Simulated(factor)
+    monkeypatch.setattr("time.monotonic", lambda: 3 * job.now)  # other programs take two thirds of the time
+    job.work = Work(lambda: job.now)
+    job.run([("laying out", 1.0), ("choosing parameters", 5.0), ("smoothing", 10.0)], 5)
+    first, left = next((at, left) for at, left in job.left if left is not None and at > 0.5)
+    assert 0.5 <= left / (3 * (job.now - first)) <= 2
 
 
 def test_without_a_terminal_nothing_is_shown(tmp_path):
@@ -75,7 +131,8 @@ def test_the_choice_of_parameters_says_how_far_it_is_and_can_be_stopped(name, tm
         pass
 
     def stop(label, done, total):
-        assert label.endswith(": choosing parameters")
+        if not label.endswith(": choosing parameters"):
+            return
         shares.append(done / total)
         if len(shares) == 5:
             raise StopError
@@ -86,3 +143,21 @@ def test_the_choice_of_parameters_says_how_far_it_is_and_can_be_stopped(name, tm
     assert shares == sorted(set(shares))
     assert shares[-1] < 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo terminals")
+def test_on_a_terminal_one_bar_shows_per_cent_and_is_gone_in_the_end(tmp_path):
+    import pty
+
+    ours, theirs = pty.openpty()
+    run = subprocess.run(
+        [*COMMAND, "info", str(SMALL)], stdout=subprocess.PIPE, stderr=theirs, check=True, cwd=tmp_path
+    )
+    os.close(theirs)
+    shown = os.read(ours, 1 << 16).decode()
+    os.close(ours)
+    assert re.search(r"reading|choosing parameters", shown)
+    assert "%" in shown
+    assert "\x1b" not in run.stdout.decode()
+    assert shown.rstrip().endswith("\x1b[2K")  # the line is cleared

@@ -35,7 +35,9 @@ from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, co
 from beltrami_cli.jobs.file_job import open_any, require_level_set
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
+from beltrami_cli.jobs.progress import count_samples, phases_of
 from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
@@ -169,9 +171,13 @@ class Compared:
 
 
 def compare_documents(
-    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, job: Job = PLAIN_JOB
+    documents: tuple[Document, Document],
+    settings: SmoothSettings,
+    weights: Weights,
+    job: Job = PLAIN_JOB,
+    further: Sequence[str] = (),
 ) -> Compared:
-    """Bring the colours of two models, or of two images, together."""
+    """Compare the colours of two models, or of two images; `further` phases of progress follow."""
     images = [document for document in documents if document.kind == "image"]
     if len(images) == 1:
         kinds = ["an image" if document in images else "a model" for document in documents]
@@ -183,9 +189,13 @@ def compare_documents(
     if images:  # they have no slots, so that all of them are none
         slots = settings.textures.slots or DEFAULTS.textures.slots
         textures = dataclasses.replace(settings.textures, slots=slots)
+        samples = sum(count_samples(documents[0], Selection(image=True), settings.textures))
+        job.expect(phases_of(["comparing", "measuring", *further], samples))
         image = compare_images(images, dataclasses.replace(settings, textures=textures), job.access)
         return Compared(_measured([image], job))
     selection, notices = choose_parts(documents, settings)
+    samples = sum(count_samples(documents[0], selection, settings.textures))
+    job.expect(phases_of(["comparing", "measuring", *further], samples))
     parts = []
     # None: the vertices.
     chosen = [*([None] if selection.vertices else []), *selection.slots]
