@@ -26,6 +26,7 @@ from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
 from beltrami_cli.jobs.file_job import FileReport, open_input
 from beltrami_cli.jobs.job import Job, at_intervals
+from beltrami_cli.jobs.progress import Share
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing, SmoothReport, smooth_file, smooth_report
 from beltrami_cli.layers.selection import select
@@ -54,6 +55,7 @@ _WANTED = 0.1  # seconds of smoothing in a preview
 _FIRST_RATE = 4e5  # samples times iterations a second, before any preview was timed
 _LEAST, _MOST = 2_000, 400_000  # samples of a preview
 _PAUSE = 0.1  # seconds between two messages on progress
+_STEPS = 1000  # that progress counts
 _PATIENCE = 1.0  # seconds in which work ends
 _REACH = 32  # 255ths that are shown brightest first
 
@@ -281,20 +283,20 @@ class Live:
         event = {"kind": "progress", "number": request.number}
 
         def tell(label: str, done: int, total: int) -> None:
-            page.events.put({**event, "label": label, "share": done / max(1, total)})
+            page.events.put({**event, "label": label, "share": done / total})
 
         at_times = at_intervals(_PAUSE, tell)
 
-        def progress(label: str, done: int, total: int) -> None:
+        def show(label: str, share: float) -> None:
             with self._changed:
                 while self._previews and not self._is_over:  # these shall not share the processors
                     self._changed.wait()
             self._check(page, request)
-            at_times(label, done, total)
+            at_times(label, round(_STEPS * share), _STEPS)
 
         painter = Smoothing.of(settings)
         tell("choosing parameters", 0, 1)
-        job = dataclasses.replace(self._job, progress=progress)
+        job = dataclasses.replace(self._job, progress=Share(forward=show))
         result, painted = recolour_in_memory(self._document, settings, painter, job)
         self._check(page, request)
         made = FileReport(input=self._source, output="", format="")
