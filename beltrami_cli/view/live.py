@@ -31,7 +31,6 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing, SmoothReport, smooth_file, smooth_report
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.layers import Layers, Shown
 from beltrami_cli.view.pages import LIBRARY, VIEWER_SCRIPTS, asset, rendered
 from beltrami_cli.view.parameters import (
     controls,
@@ -40,7 +39,7 @@ from beltrami_cli.view.parameters import (
     settings_from,
     used_parameters,
 )
-from beltrami_cli.view.preview import Focus, NoPreviewError, Previewer
+from beltrami_cli.view.preview import Focus, Layers, NoPreviewError, Previewer, Shown
 from beltrami_cli.view.server import Events, MalformedError, RefusedError
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw

@@ -27,9 +27,8 @@ from beltrami_cli.formats.image.picture import is_image, new_picture
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import FileSet, Output, Overwrite
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.drawing import draw_turns, draw_views
+from beltrami_cli.view.drawing import distinct_labels, draw_turns, draw_views
 from beltrami_cli.view.settings import DEFAULT_RENDER, MOST_PIXELS, Crop, RenderSettings
-from beltrami_cli.view.sheet import distinct_labels
 from beltrami_cli.view.tracing import imported, require_embree
 from beltrami_cli.view.views import open_views, require_memory_to_draw
 

@@ -23,9 +23,9 @@ from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 from beltrami_cli.view import pages
+from beltrami_cli.view.drawing import distinct_labels
 from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.parameters import used_parameters
-from beltrami_cli.view.sheet import distinct_labels
 
 _NEARLY_ALL = 99.5  # per cent of changes that are not shown brightest
 _COLUMNS = [

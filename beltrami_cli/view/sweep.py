@@ -26,11 +26,17 @@ from beltrami_cli.jobs.progress import one_of
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
-from beltrami_cli.view.drawing import background_of, draw_panels, with_fixed_crops
+from beltrami_cli.view.drawing import (
+    Background,
+    Panel,
+    arranged,
+    background_of,
+    draw_panels,
+    with_fixed_crops,
+)
 from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
-from beltrami_cli.view.sheet import Background, Panel, arranged
 from beltrami_cli.view.views import Drawable, image_files, require_memory_to_draw, view_of
 
 Tried = tuple[dict[str, float], SmoothSettings]

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli.surface.records import srgb_to_linear
 from beltrami_cli.view.camera import fitted, orientation
-from beltrami_cli.view.paint import VertexPaint
-from beltrami_cli.view.sheet import Background, displayed
-from beltrami_cli.view.tracing import SurfaceView
+from beltrami_cli.view.drawing import Background, displayed
+from beltrami_cli.view.tracing import SurfaceView, VertexPaint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

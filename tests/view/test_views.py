@@ -11,11 +11,18 @@ import pytest
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface, linear_to_srgb
 from beltrami_cli.view.camera import fitted, orientation
-from beltrami_cli.view.drawing import draw_views, richest_window
-from beltrami_cli.view.paint import TexturePaint, VertexPaint
+from beltrami_cli.view.drawing import (
+    Background,
+    Panel,
+    arranged,
+    displayed,
+    distinct_labels,
+    draw_views,
+    is_lost_on_white,
+    richest_window,
+)
 from beltrami_cli.view.settings import Crop, RenderSettings
-from beltrami_cli.view.sheet import Background, Panel, arranged, displayed, distinct_labels, is_lost_on_white
-from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView
+from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView, TexturePaint, VertexPaint
 from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
 from oracles import surfaces
 
