@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,8 +27,8 @@ from beltrami_cli.layers.texel_colours import choose_textures
 
 Item = TypeVar("Item")
 
-# Seconds of processor time that a phase takes in any case, and microseconds per sample, as `make bench` measures them
-# (benchmarks/bench_progress.py) with a small and a large texture.
+# Seconds of processor time that a phase takes in any case, and microseconds per texel, as
+# `python benchmarks/bench_progress.py` measures them on a small and a large texture.
 _SECONDS = {
     "laying out": (0.02, 0.1),
     "choosing parameters": (1.0, 0.45),
@@ -184,9 +185,12 @@ def one_of(
                 _STEPS * count,
             )
 
+    def forward(number: int, _: str, share: float) -> None:
+        show(number, share)
+
     for number, item in enumerate(items):
         show(number, 0.0)
-        yield item, None if progress is None else Share(forward=lambda _, share, at=number: show(at, share))
+        yield item, None if progress is None else Share(forward=partial(forward, number))
     show(count, 0.0)
 
 

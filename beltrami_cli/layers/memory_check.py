@@ -23,8 +23,8 @@ _FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single
 # (41 + 13, 40 + 15).
 PIXEL_BYTES = 40, 13
 
-# The same of comparing two images (131 + 19).
-COMPARED_PIXEL_BYTES = 130, 17
+# The same of comparing two images (30 + 1).
+COMPARED_PIXEL_BYTES = 30, 1
 
 # The same of an image with heights or positions: coordinates in double precision, as read and for each pixel.
 MAPPED_PIXEL_BYTES = 3 * 8, 8

@@ -326,7 +326,7 @@ def delta_e_2000(one: Float64s, other: Float64s) -> Float64s:
 
 def _with_hue(*colours: Float64s) -> list[tuple[Float64s, ...]]:
     """Return lightness, chroma and hue in degrees of both colours, with a* stretched where chroma is small."""
-    mean = sum(_length(lab[:, 1], lab[:, 2]) for lab in colours) / 2  # eqs. (2), (3)
+    mean = np.mean([_length(lab[:, 1], lab[:, 2]) for lab in colours], axis=0)  # eqs. (2), (3)
     stretch = 1 + 0.5 * (1 - _near_grey(mean))  # eqs. (4), (5)
     found: list[tuple[Float64s, ...]] = []
     # Side by side: how NumPy 2.0 rounds arctan2 of other arrays depends on where in memory they lie.
