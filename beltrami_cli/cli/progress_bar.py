@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-from beltrami_cli.cli.console import printable
+from beltrami_cli.errors import one_line
 from beltrami_cli.jobs.progress import Work
 
 
@@ -27,7 +27,7 @@ class ProgressBar(Progress):
     def get_renderables(self) -> Iterable[RenderableType]:
         if self.task_ids:
             state = self._work.state()
-            label, left = printable(state.label) or "starting", _left(state.seconds_left)
+            label, left = one_line(state.label) or "starting", _left(state.seconds_left)
             self.update(self._task, description=label, completed=state.share, left=left)
         yield from super().get_renderables()
 
