@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.layers.settings import SLOTS
+from beltrami_cli.surface.records import Slot
 from cli.commands import SAMPLES, beltrami, refused
 from formats.image_files import encode
 from small_models import textured_squares
@@ -23,6 +27,12 @@ TEXTURED = [
     "tiled-noisy.glb",
 ]
 SIDE = 64
+
+
+def test_every_slot_that_a_file_may_have_can_be_named():
+    assert get_args(Slot) == SLOTS
+
+
 CHART = slice(SIDE // 4, 3 * SIDE // 4)
 
 

@@ -295,7 +295,10 @@ def _material(material: Material, painting: Tree, stem: str) -> Tree:
         wraps = {"wrapS": WRAPS[shown.wrap[0]], "wrapT": WRAPS[shown.wrap[1]]}
         sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **wraps}, painting["samplers"])
         texture = _index({"sampler": sampler, "source": shown.image}, painting["textures"])
-        (base if parents else tree)[last] = {"index": texture}
+        holder = tree
+        for key in parents:
+            holder = holder.setdefault(key, {})
+        holder[last] = {"index": texture}
     factor = [*_linear(material.colour), material.opacity]
     if factor != [1.0] * 4:
         base["baseColorFactor"] = factor
