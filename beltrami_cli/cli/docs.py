@@ -49,15 +49,13 @@ def docs(topic: str | None) -> None:
     if topic is None:
         for name, path in pages().items():
             click.echo(f"{name:<16}{page_text(path).partition('# ')[2].splitlines()[0]}")
-        return
-    text = page_text(pages()[topic])
-    if sys.stdout.isatty():
+    elif not sys.stdout.isatty():
+        click.echo(page_text(pages()[topic]), nl=False)
+    else:
         from rich.console import Console
         from rich.markdown import Markdown
 
         console = Console()
         with console.capture() as formatted:
-            console.print(Markdown(text, hyperlinks=False))
+            console.print(Markdown(page_text(pages()[topic]), hyperlinks=False))
         click.echo_via_pager(formatted.get())
-    else:
-        click.echo(text, nl=False)
