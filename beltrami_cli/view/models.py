@@ -334,7 +334,7 @@ def _resized(picture: Picture, share: float) -> Float32s:
     columns = narrow.reshape(-1, width, 4).transpose(1, 0, 2).reshape(width, -1)
     small = np.ascontiguousarray((across @ columns).reshape(-1, len(narrow), 4).transpose(1, 0, 2))
     np.divide(small[..., :3], small[..., 3:], out=small[..., :3], where=small[..., 3:] > 0)
-    return np.clip(small, 0, 1)
+    return np.asarray(np.clip(small, 0, 1), np.float32)
 
 
 def _averages(count: int, fewer: int) -> csr_array:

@@ -127,7 +127,9 @@ class Changes:
             change = 255 * (test.astype(np.float64) - reference)
             total += float(np.abs(change).sum())
             bins = np.clip(np.rint(_FINE * change), -_MOST, _MOST).astype(np.int64) + _MOST
-            counts = counts + [np.bincount(channel, minlength=2 * _MOST + 1) for channel in bins.T]
+            counts = counts + np.array(
+                [np.bincount(channel, minlength=counts.shape[1]) for channel in bins.T]
+            )
         return cls(counts, total)
 
 
