@@ -215,8 +215,12 @@ def compare_documents(
 def _measured(parts: Sequence[ComparedColours], job: Job) -> list[Measured]:
     total, done, measured = sum(len(part.index) for part in parts), 0, []
     progress = job.progress_of("measuring")
+
+    def tick(share: float) -> None:
+        if progress is not None:
+            progress(done + round(share * len(part.index)), total)
+
     for part in parts:
-        tick = None if progress is None else lambda samples, first=done: progress(first + samples, total)
         measured.append(measure(part, tick))
         done += len(part.index)
     return measured
