@@ -30,16 +30,16 @@ Item = TypeVar("Item")
 # Seconds of processor time that a phase takes in any case, and microseconds per texel, as
 # `python benchmarks/bench_progress.py` measures them on a small and a large texture.
 _SECONDS = {
-    "laying out": (0.02, 0.1),
+    "laying out": (0.02, 0.15),
     "choosing parameters": (1.0, 0.45),
     "smoothing": (0.05, 2.0),
     "painting": (0.02, 0.3),
     "writing": (0.02, 0.05),
-    "comparing": (0.02, 0.1),
+    "comparing": (0.02, 0.2),
     "measuring": (0.02, 0.45),
     "counting changes": (0.01, 0.05),
     "drawing seams": (0.01, 0.01),
-    "packing models": (0.1, 0.4),
+    "packing models": (0.1, 0.5),
 }
 _TEXELS_OF_A_VERTEX = 6  # texels that take as long as a vertex
 _COUNT = re.compile(r"\d+ of \d+ ")  # before a label: shown, but no part of its name
