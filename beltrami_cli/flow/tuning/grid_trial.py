@@ -12,12 +12,13 @@ from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Indices, refresh_halo
 
 # Cells on which parameters are tried, as a share of all, so that trying takes no longer than smoothing: some sixty
-# iterations are tried, each twice. Fewer cells than the least are too uncertain; these take about a second.
-_SHARE_TRIED = 1 / 25
-_LEAST_TRIED = 40_000
+# iterations are tried, each twice. With twice as many, the default results on thirteen textures with noise of 20 of 255
+# differ by 0.00 dB on average, and by 0.09 dB at most.
+_SHARE_TRIED = 1 / 50
+_LEAST_TRIED = 20_000
 
-# With this many cells the risk is known to a tenth of a dB or better.
-_MOST_TRIED = 100_000
+# With twice as many cells the risk is known to a tenth of a dB or better.
+_MOST_TRIED = 50_000
 
 # Cells a side of the core of a block, whose result counts.
 _CORE = 64
