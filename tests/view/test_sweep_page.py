@@ -66,9 +66,10 @@ def sweep_watched(target, watch, count=4):
     """Sweep in this process; `watch` is called with the number of results before each trial and after the last."""
     pytest.importorskip("embreex")
 
-    def progress(label, done, _):
-        if label == "trials":
-            watch(done)
+    def progress(label, done, total):
+        trials = done * count / total
+        if label.startswith(f"{trials + 1:g} of") or trials == count:
+            watch(int(trials))
 
     kernel = replace(DEFAULTS.kernel, iterations=1, t=1.0, free=())
     trials = [
