@@ -16,8 +16,6 @@ from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.fields import Parameter, parameters
-from beltrami_cli.formats.document import Written
-from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings
 
 EPILOG = """\b
@@ -53,6 +51,10 @@ _SINCE = (1980, 1, 1, 0, 0, 0)  # the date of every file, so that equal programs
 
 def write_blender_extension(target: str, *, overwrite: bool) -> int:
     """Write the extension as a .zip file; return the number of its parameters."""
+    # Later, since these need NumPy, and manual pages are written where only what builds the package is installed.
+    from beltrami_cli.formats.document import Written
+    from beltrami_cli.jobs.output import Output
+
     output = Output(target, overwrite=overwrite, what="extension")
     declared = list(declared_parameters())
     about = {"command": [sys.executable, "-P", "-m", "beltrami_cli"], "parameters": declared}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 
 import click
 import pytest
@@ -29,6 +30,15 @@ def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
     page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
     assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []
     assert re.findall(r"\.B (.*)\n\n", page) == []  # each is explained
+
+
+def test_pages_are_written_where_only_what_builds_the_package_is_installed(tmp_path):
+    code = (
+        "import sys; sys.modules |= dict.fromkeys(['numpy', 'OpenImageIO', 'rich', 'trimesh', 'xatlas']); "
+        "from beltrami_cli.cli.manual import main; main(sys.argv[1], '1.2.3')"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, timeout=60)
+    assert {page.name for page in tmp_path.iterdir()} == set(PAGES)
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="there is no groff")
