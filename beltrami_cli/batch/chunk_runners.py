@@ -21,11 +21,12 @@ from typing import Any, cast
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.cluster import LOST, Cancelled
-from beltrami_cli.batch.item import Attempt, Item, do_item
+from beltrami_cli.batch.item import Attempt, Item, do_item, failed
 from beltrami_cli.batch.run import Executor, answer_until_closed, start_worker
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
 from beltrami_cli.jobs.job import at_intervals
+from beltrami_cli.jobs.replacing import GATE, endings_held
 
 _TRIES = 5  # of a chunk, after workers died with it
 _POLL = 0.1  # seconds between two checks that there still are workers
@@ -42,6 +43,7 @@ class WorkerRunner(ABC):
     def __init__(self) -> None:
         self._chunks: Sequence[Chunk] = ()
         self._is_closed = False
+        self._cause = ""  # of the last failure of a worker, where it is known
 
     def close(self) -> None:
         """End the work, now; `run` raises Cancelled."""
@@ -49,14 +51,18 @@ class WorkerRunner(ABC):
 
     def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]:
         if chunks is not self._chunks:
+            self.forget()
             self._chunks = chunks
-            self._forget()
         waiting, deaths, pending = list(range(len(chunks))), Counter[int](), set[int]()
         try:
             while waiting or pending:
                 if self._is_closed:
                     raise Cancelled
-                while waiting and (number := self._next(waiting, len(pending))) is not None:
+                while (
+                    not self._is_closed
+                    and waiting
+                    and (number := self._next(waiting, len(pending))) is not None
+                ):
                     waiting.remove(number)
                     pending.add(number)
                     self._send(number, work, stacks_of(chunks[number]))
@@ -69,17 +75,16 @@ class WorkerRunner(ABC):
                         continue
                     deaths[number] += 1
                     if deaths[number] == _TRIES:
-                        cause = f"workers died {_TRIES} times with one piece of the surface"
-                        raise ProcessingError(
-                            f"{cause}; there may be too little memory for it: raise --pieces"
-                        )
+                        cause = f"workers died or failed {_TRIES} times with one piece of the surface{self._cause}"
+                        remedy = "if there is too little memory for it, raise --pieces"
+                        raise ProcessingError(f"{cause}; {remedy}")
                     waiting.append(number)
         finally:
             self._give_up()
 
-    @abstractmethod
-    def _forget(self) -> None:
-        """Other chunks follow than before."""
+    def forget(self) -> None:
+        """Let go of the chunks; others follow, or none."""
+        self._chunks = ()
 
     @abstractmethod
     def _next(self, waiting: Sequence[int], pending: int) -> int | None:
@@ -97,6 +102,26 @@ class WorkerRunner(ABC):
         """Stop the workers that still have a chunk: their answers are not wanted any more."""
 
 
+class _Gate:
+    """Lets a thread write files until it is closed, which waits until the thread has written those that it began."""
+
+    def __init__(self) -> None:
+        self._lock, self._is_closed = threading.Lock(), False
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        if self._is_closed:
+            self._lock.release()
+            raise Cancelled
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    def close(self) -> None:
+        with endings_held(), self._lock:
+            self._is_closed = True
+
+
 class ChunkExecutor(Executor):
     """Does one file at a time here, and has up to `count` chunks of each surface done by a runner."""
 
@@ -104,13 +129,15 @@ class ChunkExecutor(Executor):
         self._runner, self._count, self._memory = runner, count, memory
         self._events: queue.SimpleQueue[tuple[int, Attempt | tuple[str, int, int]]] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._ended = threading.Event()
+        self._ended, self._gate = threading.Event(), _Gate()
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._runner.close()
         if self._thread is not None:
             self._thread.join(_GRACE)
+            self._gate.close()
+            self._thread.join(_GRACE)  # for what it still removes
 
     @property
     def is_full(self) -> bool:
@@ -135,11 +162,16 @@ class ChunkExecutor(Executor):
                 raise Cancelled
             report(label, done, total)
 
+        GATE.set(self._gate)
+        attempt = Attempt(failed(item, f"{item.source}: given up", 1))
         try:
             with in_chunks(self._count, self._runner):
-                self._events.put((key, do_item(item, self._memory, progress, is_alone=False)))
+                attempt = do_item(item, self._memory, progress, is_alone=False)
         except Cancelled:
-            pass
+            return
+        finally:
+            self._runner.forget()
+            self._events.put((key, attempt))
 
 
 # ---- processes
@@ -161,10 +193,11 @@ class ProcessRunner(WorkerRunner):
 
     def close(self) -> None:
         super().close()
-        for worker in self._workers:
+        for worker in self._workers[:]:  # the thread that works with them may add and remove some
             worker.process.kill()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        super().forget()
         self._generation += 1
         for worker in self._workers:
             worker.held.clear()
@@ -241,31 +274,39 @@ def _result(chunk: Chunk, work: Work, stacks: list[Float32s]) -> tuple[Float32s,
 class DaskRunner(WorkerRunner):
     """Works on chunks on the workers of a scheduler."""
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: Any, at_once: int | None = None) -> None:
         super().__init__()
-        self._client = client
+        self._client, self._at_once = client, at_once
         self._sent: dict[int, Any] = {}  # parts on workers, by the numbers of their chunks
         self._futures: dict[int, Any] = {}  # of the chunks in work; None: the worker is gone
         self._ended = queue.SimpleQueue[tuple[int, Any]]()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        super().forget()
         self._sent.clear()
 
     def _workers(self) -> list[str]:
         """Return the addresses of workers, once there is one."""
-        while not (workers := sorted(self._client.nthreads())):
+        while not (workers := self._known_workers()):
             self._require_scheduler()
             if self._is_closed:
                 raise Cancelled
             time.sleep(_POLL)
         return workers
 
+    def _known_workers(self) -> list[str]:
+        try:
+            return sorted(self._client.nthreads())
+        except (OSError, TimeoutError) as error:
+            raise ProcessingError(LOST) from error
+
     def _require_scheduler(self) -> None:
         if self._client.status not in ("running", "connecting"):
             raise ProcessingError(LOST)
 
     def _next(self, waiting: Sequence[int], pending: int) -> int | None:
-        return waiting[0] if pending < 2 * len(self._workers()) else None  # one in work and one on its way
+        most = 2 * len(self._workers())  # one in work and one on its way
+        return waiting[0] if pending < min(most, self._at_once or most) else None
 
     def _send(self, number: int, work: Work, stacks: list[Float32s]) -> None:
         workers = self._workers()
@@ -302,14 +343,18 @@ class DaskRunner(WorkerRunner):
         del self._futures[number]
         try:
             answer: Answer = None if future is None else future.result()
-        except (Exception, CancelledError):  # what the work itself raises is its answer
-            answer = None
+        except (Exception, CancelledError) as error:  # what the work itself raises is its answer
+            # Dask raises exceptions of many kinds where a worker dies, so the chunk is tried again after all of them.
+            answer, self._cause = None, f": {type(error).__name__}: {error}"
         if answer is None:
             self._sent.pop(number, None)  # it may be what was lost
         yield number, answer
 
     def _give_up(self) -> None:
-        self._client.cancel([future for future in self._futures.values() if future is not None], force=True)
+        with contextlib.suppress(Exception):  # where the scheduler is gone, nothing is left to be cancelled
+            self._client.cancel(
+                [future for future in self._futures.values() if future is not None], force=True
+            )
         self._futures.clear()
 
 

@@ -116,9 +116,9 @@ _CLUSTER = "Many machines"
 )  # fmt: skip
 @click.option(
     "--pieces", type=click.IntRange(1, 100_000), metavar="COUNT", cls=GroupedOption, group=_CLUSTER,
-    help="Cut every mesh, texture, point cloud and image into up to this many pieces, and do those of one file "
-    "after the other: on the workers of --scheduler, or else in as many processes as --jobs says. For surfaces that "
-    "take one machine too long.",
+    help="Cut every mesh, texture, point cloud and image into up to this many pieces; small ones stay whole. Files are "
+    "done one at a time, and the pieces of a file at the same time: on the workers of --scheduler, or else in as many "
+    "processes as --jobs says. For surfaces that take one machine too long.",
 )  # fmt: skip
 @options.smoothing
 @options.unwrapping
@@ -294,10 +294,11 @@ def _executor(
     from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
     from beltrami_cli.batch.cluster import ClusterExecutor, connected
     from beltrami_cli.flow.parameters import KernelParameters
+    from beltrami_cli.jobs.job import default_memory
 
     if scheduler is None:
         processes = at_once or KernelParameters().thread_count
-        yield ChunkExecutor(ProcessRunner(processes), pieces or 1, memory)
+        yield ChunkExecutor(ProcessRunner(processes), pieces or 1, memory or default_memory())
         return
     with connected(scheduler) as client:
         if not client.nthreads():
@@ -305,7 +306,7 @@ def _executor(
         if pieces is None:
             yield ClusterExecutor(client, at_once, memory)
         else:
-            yield ChunkExecutor(DaskRunner(client), pieces, memory)
+            yield ChunkExecutor(DaskRunner(client, at_once), pieces, memory or default_memory())
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -256,7 +257,7 @@ def average_rows(
     samples, truncated = wanted.apply(chunks, work, [rows], after, progress, **how)
     # The core counts the samples around chunks, too.
     share = mesh.size / max(1, sum(len(chunk.around) for chunk in chunks))
-    return after, samples * share, round(truncated * share)
+    return after, samples * share, math.ceil(truncated * share)
 
 
 def _average_chunk(

@@ -261,7 +261,7 @@ class FileSet:
         main = min(
             (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
         )
-        with replacing.endings_held() as deliver:
+        with replacing.writing(), replacing.endings_held() as deliver:
             for path, pieces in files.items():
                 may_replace = output.overwrite and path in own
                 try:
@@ -295,7 +295,7 @@ class FileSet:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
         for write in self.streams:
             write()
-        with replacing.endings_held() as deliver:
+        with replacing.writing(), replacing.endings_held() as deliver:
             staged = sorted(self._staged.values(), key=lambda each: (each.rank, str(each.path)))
             try:
                 with replacing.folders_locked((path.parent for path in self._staged), deliver):

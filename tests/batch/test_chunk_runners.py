@@ -5,20 +5,23 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from batch.batches import QUICK, batch, files_in
 from beltrami_cli.batch import chunk_runners
-from beltrami_cli.batch.chunk_runners import ProcessRunner
+from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
 from beltrami_cli.batch.cluster import Cancelled
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
+from beltrami_cli.jobs.replacing import writing
 from cli.commands import COMMAND, SAMPLES
 from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
 from formats.image_files import encode
@@ -77,7 +80,7 @@ def test_a_chunk_whose_process_dies_is_done_by_another(runner, tmp_path):
 @pytest.mark.slow
 def test_a_chunk_that_every_process_dies_with_fails(runner, monkeypatch):
     monkeypatch.setattr(chunk_runners, "_TRIES", 2)
-    with pytest.raises(ProcessingError, match="workers died 2 times with one piece of the surface"):
+    with pytest.raises(ProcessingError, match="workers died or failed 2 times with one piece of the surface"):
         done(runner, Work(die, ()))
 
 
@@ -156,3 +159,93 @@ def is_running(pid):
 def children(pid):
     tasks = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(each) for task in tasks for each in task.read_text().split()]
+
+
+def given_up_while(do, monkeypatch):
+    """Leave an executor while its thread does a file by `do`, which gets an event to say that it has begun."""
+    begun, seen = threading.Event(), []
+    monkeypatch.setattr(chunk_runners, "_GRACE", 0.05)
+    monkeypatch.setattr(chunk_runners, "do_item", lambda *_, **__: do(begun, seen))
+    monkeypatch.setattr(chunk_runners, "failed", lambda *_: None)
+    with ChunkExecutor(ProcessRunner(1), 1, None) as executor:
+        executor.start(0, SimpleNamespace(source="a.ply"))
+        begun.wait()
+    return seen
+
+
+def test_files_that_are_being_written_are_finished(monkeypatch):
+    def write(begun, seen):
+        with writing():
+            begun.set()
+            time.sleep(0.5)
+            seen.append("written")
+
+    assert given_up_while(write, monkeypatch) == ["written"]
+
+
+def test_no_file_is_begun_after_the_end(monkeypatch):
+    ended = threading.Event()
+
+    def compute(begun, seen):
+        begun.set()
+        try:
+            ended.wait()
+            with writing():
+                seen.append("written")
+        except Cancelled:
+            seen.append("cancelled")
+
+    seen = given_up_while(compute, monkeypatch)
+    ended.set()
+    while not seen:
+        time.sleep(0.01)
+    assert seen == ["cancelled"]
+
+
+class Future:
+    """A future that is done at once."""
+
+    def __init__(self, result):
+        self.result = result
+
+    def add_done_callback(self, call):
+        call(self)
+
+
+class Client:
+    """Stands for a Dask client whose scheduler or workers fail."""
+
+    status = "running"
+
+    def __init__(self, nthreads, result):
+        self.nthreads, self.result = nthreads, result
+
+    def scatter(self, value, **_):
+        return value
+
+    def submit(self, *_, **__):
+        return Future(self.result)
+
+    def cancel(self, *_, **__):
+        raise OSError("no scheduler")
+
+
+def fail_with(error):
+    def fail():
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("nthreads", "result", "said"),
+    [
+        (fail_with(OSError("timed out")), None, "scheduler"),
+        (lambda: {"tcp://one": 1}, fail_with(ModuleNotFoundError("beltrami_cli")), "ModuleNotFoundError"),
+        (lambda: {"tcp://one": 1}, fail_with(TimeoutError("lost")), "failed 5 times"),
+    ],
+)  # fmt: skip
+def test_the_message_names_what_failed_on_dask(nthreads, result, said):
+    pytest.importorskip("distributed")
+    with pytest.raises(ProcessingError, match=said):
+        done(DaskRunner(Client(nthreads, result)), Work(add, ()))
