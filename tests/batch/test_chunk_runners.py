@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from batch.batches import QUICK, batch, files_in
+from batch.chunk_work import add, die, die_once, refuse, sleep
 from beltrami_cli.batch import chunk_runners
 from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
 from beltrami_cli.batch.cluster import Cancelled
@@ -27,30 +28,6 @@ from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
 from formats.image_files import encode
 
 CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
-
-
-def add(part, stacks, threads):
-    return stacks[0] + part, (1.0, threads)
-
-
-def die_once(part, stacks, threads, trace):
-    """Die with one of the chunks, the first time."""
-    if part == 2 and not trace.exists():
-        trace.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return add(part, stacks, threads)
-
-
-def die(part, stacks, threads):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def refuse(part, stacks, threads):
-    raise ProcessingError("no such chunk")
-
-
-def sleep(part, stacks, threads):
-    time.sleep(60)
 
 
 def done(runner, work):

@@ -57,6 +57,7 @@ ARGUMENTS = {
     "check": ("mesh.ply", "mesh.ply"),
     "compare": ("mesh.ply", "mesh.ply"),
     "config": (),
+    "docs": ("tuning",),
     "info": ("mesh.ply", "--fast"),
     "kernel": ("mesh.ply", "kernel.ply", "--at", "1"),
     "level": (TEXTURED, "out.glb"),

@@ -93,10 +93,15 @@ SIDE = 4  # tiles
 
 
 def tiles_of(model, folder, memory, settings):
-    """Smooth tiles; return their pixels in order, the labels of progress, and the report."""
+    """Smooth tiles; return their pixels in order, the names of the groups in progress, and the report."""
     folder.mkdir()
     labels = {}
-    job = Job(access=Access(memory=memory), progress=lambda label, *_: labels.setdefault(label))
+
+    def progress(label, *_):
+        if "group" in label:
+            labels.setdefault(label.partition(":")[0])
+
+    job = Job(access=Access(memory=memory), progress=progress)
     report = smooth_file(model, folder / "new.obj", settings, job)
     files = sorted(folder.glob("*.png"))
     assert [path.name for path in files] == [

@@ -222,10 +222,10 @@ def grid(across, pattern, seed, gains=None, step=0.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.5 / 255, 10 / 255])
 def test_steps_that_charts_do_not_explain_pass_no_more_often_than_the_test_says(step):
-    """Of 30 models, at most 3 pass with a probability of 0.99 if 1 - CONFIDENCE of them do. Takes 3 s."""
-    passed = [judge(grid(4, 0.1, seed, step=step)).confidence >= CONFIDENCE for seed in range(30)]
-    assert 1 - CONFIDENCE <= 0.05
-    assert sum(passed) <= 3
+    """Of 16 models, at most 2 pass with a probability of 0.99 if 1 - CONFIDENCE of them do. Takes 5 s."""
+    passed = [judge(grid(4, 0.1, seed, step=step)).confidence >= CONFIDENCE for seed in range(16)]
+    assert CONFIDENCE >= 0.975
+    assert sum(passed) <= 2
 
 
 @pytest.mark.parametrize("brightness", [0.5, 1.0, 1.5])
