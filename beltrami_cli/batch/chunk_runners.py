@@ -28,10 +28,12 @@ from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
 from beltrami_cli.jobs.job import at_intervals
 from beltrami_cli.jobs.replacing import GATE, endings_held
 
-_TRIES = 5  # of a chunk, after workers died with it
+# Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
+# for the memory kills every worker. A choice, as are the times below.
+_TRIES = 5
 _POLL = 0.1  # seconds between two checks that there still are workers
 _PAUSE = 0.1  # seconds between two messages on progress
-_GRACE = 0.5  # seconds that a file has to end when it is given up
+_GRACE = 0.5  # seconds that a file has to stop, so that Ctrl-C ends within a second
 
 StacksOf = Callable[[Chunk], list[Float32s]]
 Answer = tuple[Float32s, Figures] | Exception | None
@@ -103,7 +105,7 @@ class WorkerRunner(ABC):
 
 
 class _Gate:
-    """Lets a thread write files until it is closed, which waits until the thread has written those that it began."""
+    """Lets a thread write files; closing it waits for a write in progress, and forbids new ones."""
 
     def __init__(self) -> None:
         self._lock, self._is_closed = threading.Lock(), False

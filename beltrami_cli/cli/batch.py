@@ -145,7 +145,8 @@ def batch(
     A killed run leaves no file half written. The same command with --resume continues it.
 
     --max-memory is divided equally among the jobs; a file that needs more than its share is processed alone at the end,
-    with all of it. The program itself takes some 0.2G more for each job. With --scheduler the limit is for each file.
+    with all of it. The program itself takes some 0.2G more for each job. With --scheduler the limit is for each file;
+    with --pieces, for the process that leads the others.
 
     With --scheduler the workers of a Dask cluster process the files (extra cluster). INPUTS and --out-dir may be URLs
     that fsspec opens, also without a scheduler.

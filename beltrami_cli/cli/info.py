@@ -343,8 +343,8 @@ _OF_WRITING = (
 def kernel(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
     """Write the geodesic distances and the weights of one kernel of FILE as a mesh, an image or a table.
 
-    Distances are measured on the image manifold, in space and colour together. Parameters are those of
-    `beltrami smooth` with the same options.
+    Distances are measured on the image manifold, in space and colour together. The parameters are
+    chosen as by `beltrami smooth` with the same options.
     """
     settings = options.settings_from(smoothing)
     from beltrami_cli.jobs.kernel import kernel_file

@@ -87,8 +87,8 @@ Examples:
   beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
 
 \b
-Every combination of values is tried, and the default. Other parameters are those of `beltrami smooth`. Results are
-drawn and discarded: run `beltrami smooth` with the parameters that you like best.
+Every combination of values is tried, and the default. All other parameters are chosen as by `beltrami smooth`. Results
+are drawn and discarded: run `beltrami smooth` with the parameters that you like best.
 """
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")

@@ -3,7 +3,8 @@
 A chunk is a part of a surface with the samples around it that one operation reads: an iteration of the kernel, or an
 estimate by patches. Of its result only the samples of the chunk itself are kept. What depends on more than a
 neighbourhood is found on the whole between two operations: noise, parameters, limits that cut noise off, how channels
-are mixed, and the weights of the blend. So the result does not depend on how a surface is cut, nor on who works on it.
+are mixed, and the weights of the blend. So the result does not depend on who works on a chunk, and on the cuts only in
+patches of meshes, where the border of a chunk meets a corner of the surface.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ _FIRST_SHARE = 0.05  # of the whole, that a first phase takes while nothing is a
 # A phase without news follows the clock up to this share of the time that it has left, and then comes ever closer to
 # its end, so that it still moves after four times as long.
 _ON_TIME = 0.8
-_TRUSTED = 0.1  # share of a phase from which on its own speed tells the time that it has left
+_TRUSTED = 0.1  # share of a phase after which its time left is extrapolated from its own speed
 _STEPS = 1000  # of the work on one of several items
 _PRIOR = 1.0  # seconds by which expectations count against the times that phases took
 _LEAST_TIME = 0.3  # seconds of processor time after which the load of the machine is known well enough

@@ -105,7 +105,7 @@ class ComparedColours:
 
 @dataclass
 class _Sums:
-    """Sums over samples; those with a Delta E are summed apart, since not all colours have one."""
+    """Sums over samples. Delta E has a weight of its own, since it is undefined for some colours."""
 
     samples: int = 0
     weight: float = 0.0

@@ -280,7 +280,7 @@ def _draw_vertices(measured: Measured, document: Document, target: str) -> tuple
 
 
 def _amounts(measured: Measured) -> Float64s:
-    """Return what is drawn of each sample: its Delta E, or per cent of full scale where there is none."""
+    """Return the error of each sample on a map: Delta E, or the error in per cent where Delta E is undefined."""
     return 100 * measured.part.errors() if measured.delta_e is None else measured.delta_e
 
 

@@ -20,7 +20,7 @@ namespace beltrami::patches {
 constexpr int lattice_reach = 2;
 constexpr std::size_t nodes = (2 * lattice_reach + 1) * (2 * lattice_reach + 1);
 
-// Vertices of a block, of which some two hundred start groups; their sums are added to the whole together.
+// Vertices of a block. About two hundred of them start groups, and the sums of a block are added to the total at once.
 constexpr std::size_t block_size = 4096;
 
 using Position = std::array<double, 3>;
