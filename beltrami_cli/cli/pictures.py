@@ -280,7 +280,7 @@ def view(source: str, no_open: bool, messages: Messages, **smoothing: Any) -> No
     with options.reading_from(smoothing, source) as access:
         live = Live(source, settings, Job(access), typed)
         try:
-            server = PageServer(live)
+            server = PageServer(live.files, live.answer)
             messages.say(f"{source}: shown at {server.address} until the page is closed, or Ctrl-C")
             if not no_open:
                 import webbrowser

@@ -6,6 +6,7 @@ import dataclasses
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -86,18 +87,17 @@ def _page(
     short = distinct_labels(names)
     changes = [Changes.of(each.part) for each in tracked(compared.differing(), "counting changes", progress)]
     values: dict[str, Any] = {
-        "library": pages.LIBRARY, "licence": pages.asset("three.LICENSE"),
         "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared, changes),
         "change": histogram(changes), "used": used,
         "seams": [drawn for part in tracked(compared.parts, "drawing seams", progress) if (drawn := seam_map(part))],
     }  # fmt: skip
     writer, notices = _writer(compared, documents, progress), compared.all_notices()
-    scripts, data = [*pages.VIEWER_SCRIPTS, "report.js"], {"three": pages.packed_text(pages.LIBRARY)}
-    without_models = pages.page_from("report.html", scripts, data, **values, notices=[*notices, _SCALED])
+    page_with = partial(pages.page_with_models, "report.html", "report.js", **values)
+    without_models = page_with({}, notices=[*notices, _SCALED])
     limit = np.inf if full_size else _LARGEST - len(without_models)
     models, share = writer.packed(_percentile(changes), limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
-    page = pages.page_from("report.html", scripts, {**data, "models": models}, **values, notices=notices)
+    page = page_with({"models": models}, notices=notices)
     return page, notices
 
 

@@ -1,4 +1,8 @@
-"""Serves one page to the browsers of this machine: on loopback only, to those who know a random token."""
+"""Serves one page to the browsers of this machine: on loopback only, to those who know a random token.
+
+A page asks by POST, and is answered by one line of JSON for each event, until all is said or the page breaks the answer
+off. An open page keeps one answer open; the server ends soon after the last of them.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +12,18 @@ import secrets
 import select
 import socket
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from queue import Empty, Queue
-from typing import Any, Protocol
+from typing import Any
 
+from beltrami_cli.errors import BeltramiError
 from beltrami_cli.formats.access import parse_json
 
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' blob:; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
+# The page itself says what it may load.
 _HEADERS = {
-    "Content-Security-Policy": POLICY,
+    "Content-Security-Policy": "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
@@ -34,41 +36,32 @@ _BODY_SECONDS = 5.0  # in which the rest of a request comes, which a page on thi
 _BEAT = 0.25  # seconds between looks at whether a page is still there
 _GRACE = 2.0  # seconds in which a page may be loaded again
 
-Events = Queue[dict[str, Any]]
-
 
 class MalformedError(Exception):
     """A request that no page sends."""
 
 
-class RefusedError(Exception):
-    """A request that cannot be fulfilled, with a sentence for the user."""
-
-
-class Application(Protocol):
-    """The application behind the pages."""
-
-    files: Mapping[str, tuple[str, bytes]]  # types and contents by name; "" is the page
-
-    def events_of(self, page: str) -> Events: ...  # what a page is sent from now on
-    def leave(self, page: str) -> None: ...
-    def answer(self, name: str, request: dict[str, Any]) -> dict[str, Any]:
-        """Do what a page asks for; MalformedError, or RefusedError if it cannot be done."""
+class GoneError(Exception):
+    """The page does not wait for the answer any more, or the program ends."""
 
 
 class PageServer(ThreadingHTTPServer):
-    """A server on a free port of the loopback interface."""
+    """A server on a free port of the loopback interface.
+
+    `files` are types and contents by name; "" is the page. `answer` is called with the name of a request, its JSON
+    object and the `PageRequest` that sends events; it raises MalformedError, or BeltramiError if it cannot be done.
+    """
 
     daemon_threads = True
 
-    def __init__(self, application: Application) -> None:
-        super().__init__(("127.0.0.1", 0), _Handler)
-        self.application = application
+    def __init__(self, files: Mapping[str, tuple[str, bytes]], answer: Callable[..., None]) -> None:
+        super().__init__(("127.0.0.1", 0), PageRequest)
+        self.files, self.answer = files, answer
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         self._pages, self._lock = 0, threading.Lock()
         self.closing = threading.Event()  # when all connections are to end
-        self._left: threading.Timer | None = None
+        self._left = threading.Timer(_GRACE, self.closing.set)
 
     @property
     def address(self) -> str:
@@ -98,16 +91,11 @@ class PageServer(ThreadingHTTPServer):
             self.shutdown()
             self.server_close()
 
-    def page_came(self) -> None:
+    def count_pages(self, more: int) -> None:
+        """Count open pages; end some time after the last is closed, unless it is loaded again."""
         with self._lock:
-            self._pages += 1
-            if self._left is not None:
-                self._left.cancel()
-
-    def page_went(self) -> None:
-        """End some time after the last page is closed, unless it is loaded again."""
-        with self._lock:
-            self._pages -= 1
+            self._pages += more
+            self._left.cancel()
             if not self._pages:
                 self._left = threading.Timer(_GRACE, self.closing.set)
                 self._left.daemon = True
@@ -117,10 +105,13 @@ class PageServer(ThreadingHTTPServer):
         """Drop what a browser that went away causes."""
 
 
-class _Handler(BaseHTTPRequestHandler):
+class PageRequest(BaseHTTPRequestHandler):
+    """Requests on one connection, and their answers."""
+
     server: PageServer
     protocol_version = "HTTP/1.1"
     timeout = 60
+    _is_answered = False
 
     def log_message(self, *_: Any) -> None:
         """Print nothing."""
@@ -131,28 +122,66 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         name = self._name()
-        if name is not None and name.startswith("events/"):
-            self._stream(name.removeprefix("events/"))
-        elif name is not None and name in self.server.application.files:
-            self._send(HTTPStatus.OK, *self.server.application.files[name])
+        if name is None or name not in self.server.files:
+            self._send(HTTPStatus.NOT_FOUND, "text/plain")
         else:
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
+            self._send(HTTPStatus.OK, *self.server.files[name])
 
     def do_POST(self) -> None:
         name = self._name()
         if name is None or not self.headers.get("Origin"):
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"")
+            self._send(HTTPStatus.NOT_FOUND, "text/plain")
             return
+        self.close_connection = True
         try:
-            status, answer = HTTPStatus.OK, self.server.application.answer(name, self._request())
+            self.server.answer(name, self._request(), self)
+        except GoneError:
+            pass
         except MalformedError:
-            status, answer = HTTPStatus.BAD_REQUEST, {"message": "the request is malformed"}
-        except RefusedError as error:
-            status, answer = HTTPStatus.CONFLICT, {"message": str(error)}
+            self._refuse(HTTPStatus.BAD_REQUEST, "the request is malformed")
+        except BeltramiError as error:
+            self._refuse(HTTPStatus.CONFLICT, str(error))
         except Exception as error:
             message = f"unexpected error: {type(error).__name__}: {error}"
-            status, answer = HTTPStatus.INTERNAL_SERVER_ERROR, {"message": message}
-        self._send(status, "application/json", json.dumps(answer).encode())
+            self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, message)
+        finally:
+            if self._is_answered:
+                self.server.count_pages(-1)
+
+    def send(self, **event: Any) -> None:
+        """Send an event; GoneError if the page has broken the answer off."""
+        self.check()
+        if not self._is_answered:
+            self._is_answered = True
+            self.server.count_pages(1)
+            self._send(HTTPStatus.OK, "application/json", None)
+        try:
+            self.wfile.write(json.dumps(event).encode() + b"\n")
+        except OSError as error:
+            raise GoneError from error
+
+    def check(self) -> None:
+        """Raise GoneError if the page has broken the answer off."""
+        self.check_open()
+        ready, _, _ = select.select([self.connection], [], [], 0)
+        if ready and not self.connection.recv(1, socket.MSG_PEEK):
+            raise GoneError
+
+    def check_open(self) -> None:
+        """Raise GoneError if the program ends."""
+        if self.server.closing.is_set():
+            raise GoneError
+
+    def wait(self, seconds: float = float("inf")) -> None:
+        """Wait until the page has broken the answer off, or some time has passed."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self.check()
+            self.server.closing.wait(min(left, _BEAT))
+
+    def _refuse(self, status: HTTPStatus, message: str) -> None:
+        if not self._is_answered:
+            self._send(status, "application/json", json.dumps({"message": message}).encode())
 
     def _request(self) -> dict[str, Any]:
         """Return the body of a request; MalformedError if it is truncated, or no JSON object."""
@@ -177,43 +206,21 @@ class _Handler(BaseHTTPRequestHandler):
             return None
         token, slash, name = self.path.removeprefix("/").partition("/")
         if not slash and self.server.takes_ticket(token):
-            self._send(HTTPStatus.SEE_OTHER, "text/plain", b"", Location=f"/{self.server.token}/")
+            self._send(HTTPStatus.SEE_OTHER, "text/plain", Location=f"/{self.server.token}/")
             raise ConnectionAbortedError
         if not slash or not hmac.compare_digest(token.encode(), self.server.token.encode()):
             return None
         return name if not name or site in ("same-origin", "none") else None
 
-    def _send(self, status: HTTPStatus, kind: str, body: bytes, **more: str) -> None:
-        self.send_response(status)
-        headers = {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), **more}
-        if status != HTTPStatus.OK:
+    def _send(self, status: HTTPStatus, kind: str, body: bytes | None = b"", **more: str) -> None:
+        """Send the head of an answer, and its body unless that follows as events."""
+        headers = {**_HEADERS, "Content-Type": kind, **more}
+        if body is not None:
+            headers["Content-Length"] = str(len(body))
+        if body is None or status != HTTPStatus.OK:
             headers["Connection"] = "close"
+        self.send_response(status)
         for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
-
-    def _stream(self, page: str) -> None:
-        self.close_connection = True
-        events = self.server.application.events_of(page)
-        self.server.page_came()
-        self.send_response(HTTPStatus.OK)
-        for name, value in {**_HEADERS, "Content-Type": "text/event-stream", "Connection": "close"}.items():
-            self.send_header(name, value)
-        try:
-            self.end_headers()
-            while not self.server.closing.is_set() and not self._is_gone():
-                try:
-                    event = events.get(timeout=_BEAT)
-                except Empty:
-                    continue
-                self.wfile.write(f"data: {json.dumps(event)}\n\n".encode())
-        except OSError:
-            pass
-        finally:
-            self.server.application.leave(page)
-            self.server.page_went()
-
-    def _is_gone(self) -> bool:
-        ready, _, _ = select.select([self.connection], [], [], 0)
-        return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
+        self.wfile.write(body or b"")

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -265,7 +264,7 @@ def test_the_page_fits_names_stay_text_and_nothing_bars_anybody(browser, served,
 
 
 def test_the_address_that_a_browser_is_started_with_is_good_once():
-    server = PageServer(SimpleNamespace(files={}))
+    server = PageServer({}, lambda *_: None)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:

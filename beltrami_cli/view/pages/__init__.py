@@ -20,9 +20,8 @@ from beltrami_cli.formats.image.picture import new_picture
 PAGES = (".html", ".htm")
 """Extensions of pages."""
 
-LIBRARY = "three.js"
-VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "painting.js", "operating.js", "viewer.js")
-"""The library that viewers draw with, and their scripts."""
+_LIBRARY = "three.js"  # that viewers draw with
+_VIEWER_SCRIPTS = ("unpacking.js", "shapes.js", "painting.js", "operating.js", "viewer.js")
 
 
 def rendered(template: str, **values: object) -> Markup:
@@ -40,14 +39,15 @@ def _templates() -> Environment:
 
 
 def page_from(
-    template: str, scripts: Sequence[str], data: Mapping[str, object], library: str = "", **values: Any
-) -> bytes:
-    """Render a page with its scripts, `data` as JSON for them, and permission to run the packed `library`."""
+    template: str, scripts: Sequence[str], data: Mapping[str, object], *, library: str = "", connect: str = "",
+    **values: Any,
+) -> bytes:  # fmt: skip
+    """Render a page with its scripts, `data` as JSON for them, and permission to run `library` and to `connect`."""
     texts = [asset(script) for script in scripts]
-    allowing = [*texts, asset(library)] if library else texts
+    allowing = [*texts, library] if library else texts
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in allowing]
     allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
-    sources = "img-src data: blob:; connect-src blob:; style-src 'unsafe-inline'"
+    sources = f"img-src data: blob:; connect-src blob: {connect}; style-src 'unsafe-inline'"
     policy = f"default-src 'none'; {sources}; script-src {allowed}"
     page = rendered(
         template, style=Markup(asset("style.css")), policy=policy, data=data, scripts=map(Markup, texts), **values
@@ -56,9 +56,14 @@ def page_from(
     return page.encode(errors="replace")
 
 
-def packed_text(name: str) -> str:
-    """Return a file of this folder, compressed."""
-    return base64.b64encode(zlib.compress(asset(name).encode(), 9)).decode()
+def page_with_models(
+    template: str, script: str, data: Mapping[str, object], *, connect: str = "", **values: Any
+) -> bytes:
+    """Render a page with the viewer, whose library is packed, since it is most of a small page."""
+    library = asset(_LIBRARY)
+    packed = base64.b64encode(zlib.compress(library.encode(), 9)).decode()
+    values |= {"library": library, "connect": connect, "licence": asset("three.LICENSE")}
+    return page_from(template, [*_VIEWER_SCRIPTS, script], {"three": packed, **data}, **values)
 
 
 def asset(name: str) -> str:

@@ -3,17 +3,15 @@
 (async () => {
   const part = (name) => document.getElementById(name);
   const page = crypto.randomUUID(), form = part("controls");
-  const fetched = async (name) => (await fetch(name)).json();
-  const asked = async (name, request) => {
-    const answer = await fetch(name, { method: "POST", body: JSON.stringify(request) });
-    const said = await answer.json();
-    if (!answer.ok) throw new Error(said.message);
-    return said;
+  const asked = async (name, request, more = {}) => {
+    const answer = await fetch(name, { method: "POST", body: JSON.stringify(request), ...more });
+    if (!answer.ok) throw new Error((await answer.json()).message);
+    return answer;
   };
 
-  const [model, start] = await Promise.all([fetch("model.glb").then((answer) => answer.arrayBuffer()), fetched("start.json")]);
-  const viewer = await new Viewer(part("viewer"), model).start();
-  let number = 0, refused = "", none = "", isSending = false, isStale = false;
+  const viewer = await Viewer.opened(async () => (await fetch("model.glb")).arrayBuffer());
+  const start = Viewer.data("start");
+  let refused = "", none = "", isSending = false, isStale = false, current = new AbortController();
 
   function fill(values) {
     for (const [name, value] of Object.entries(values)) {
@@ -44,7 +42,7 @@
     return found;
   }
 
-  // One request is on its way at a time; only the last of the waiting ones is sent.
+  // One request is on its way at a time; only the last of the waiting ones is sent. An accepted one ends the one before.
   async function send() {
     isStale = true;
     if (isSending) return;
@@ -55,15 +53,41 @@
         const request = { page, values: values(), layer: viewer.number, focus: viewer.focus(), target: part("target").value };
         part("viewer").dataset.asked = performance.now();
         none = "";
-        const { command } = await asked("change", request);
-        part("command").textContent = command;
-        number += 1;
+        const next = new AbortController(), { body } = await asked("change", request, { signal: next.signal });
+        current.abort();
+        current = next;
         refused = "";
+        follow(body.pipeThrough(new TextDecoderStream()).getReader(), next.signal);
       } catch (error) {
-        say(refused = error.message);
+        if (error instanceof TypeError) end();
+        else say(refused = error.message);
       }
     }
     isSending = false;
+  }
+
+  // An event is a line.
+  async function follow(reader, signal) {
+    let line = [];
+    try {
+      for (let { value, done } = await reader.read(); !done; { value, done } = await reader.read()) {
+        const [last, ...others] = value.split("\n");
+        line.push(last);
+        for (const next of others) {
+          const event = JSON.parse(line.join(""));
+          line = [next];
+          await shown[event.kind](event);
+        }
+      }
+    } catch (error) {
+      if (signal.aborted) return;
+    }
+    end();
+  }
+
+  function end() {
+    part("state").textContent = "The program has ended; what was saved is kept.";
+    for (const control of document.querySelectorAll("#controls *, #save *")) control.disabled = true;
   }
 
   form.addEventListener("submit", (event) => event.preventDefault());
@@ -91,7 +115,7 @@
     part("saved").textContent = "Smoothing the whole, as the command does.";
     try {
       const request = { values: values(), target: part("target").value, overwrite: part("overwrite").checked };
-      const { written, warnings } = await asked("save", request);
+      const { written, warnings } = await (await asked("save", request)).json();
       part("saved").textContent = [`Written: ${written.join(", ")}.`, ...warnings].join(" ");
     } catch (error) {
       part("saved").textContent = error.message;
@@ -100,6 +124,7 @@
   });
 
   const shown = {
+    accepted: ({ command }) => { part("command").textContent = command; },
     progress: ({ label: what, share }) => {
       say(`Smoothing the whole: ${what}.`);
       part("progress").value = share;
@@ -131,16 +156,6 @@
     },
     failed: ({ message }) => say(message),
   };
-  const events = new EventSource(`events/${page}`);
-  let last = Promise.resolve();
-  events.addEventListener("message", ({ data }) => {
-    const event = JSON.parse(data);
-    last = last.then(() => shown[event.kind](event));
-  });
-  events.addEventListener("error", () => {
-    events.close();
-    part("state").textContent = "The program has ended; what was saved is kept.";
-    for (const control of document.querySelectorAll("#controls *, #save *")) control.disabled = true;
-  });
-  events.addEventListener("open", () => { fill(start.values); send(); });
+  fill(start.values);
+  send();
 })();

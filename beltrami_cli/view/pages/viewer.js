@@ -192,5 +192,15 @@ const Viewer = (() => {
     }
   }
 
-  return Object.assign(Viewer, { found, loaded });
+  const data = (name) => JSON.parse(document.getElementById(name).textContent);
+
+  // The viewer of a page, whose library is packed, and drawn is what `file` gives.
+  async function opened(file) {
+    const library = document.createElement("script");
+    library.textContent = new TextDecoder().decode(await Unpacking.inflated(data("three")));
+    document.head.append(library); // the policy of the page allows this text
+    return new Viewer(document.getElementById("viewer"), await file()).start();
+  }
+
+  return Object.assign(Viewer, { data, found, loaded, opened });
 })();
