@@ -37,7 +37,6 @@ class VertexPaint:
     """Linear light at vertices, (V, 3), interpolated between them."""
 
     is_opaque = True  # whether nothing behind the surface can be seen through it
-    is_linear = True  # whether colours change steadily across each triangle
 
     def __init__(self, faces: Int32s, colours: Float64s) -> None:
         self._corners = colours.astype(np.float32)[faces]
@@ -52,8 +51,6 @@ class VertexPaint:
 class TexturePaint:
     """Textures, looked up bilinearly; in smaller copies of themselves where a point stands for several texels."""
 
-    is_linear = False
-
     def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: Float64s) -> None:
         self._surface = surface
         self._pyramids = [Pyramid(sheet) for sheet in sheets]
@@ -66,31 +63,24 @@ class TexturePaint:
         # As many bits as are needed to resolve parts of a texel.
         largest = np.abs(surface.uv).max(initial=0) * max((max(sheet.shape) for sheet in sheets), default=1)
         self._uv = surface.uv.astype(np.float32) if largest < _EXACT else surface.uv
-        self._is_one = len(sheets) == 1 and bool((surface.texture_of == 0).all())
         self.is_opaque = all(
             pyramid.is_opaque or not texture.alpha_hides
             for pyramid, texture in zip(self._pyramids, surface.textures, strict=True)
         )
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        if self._is_one:
-            return self._looked_up(0, faces, weights, footprints)
         colours = np.full((len(faces), 4), _UNPAINTED, np.float32)
         colours[:, 3] = 1
-        of = self._surface.texture_of[faces]
-        for number in range(len(self._pyramids)):
+        of, uv = self._surface.texture_of[faces], _interpolated(self._uv, faces, weights)
+        texels = footprints * self._density[faces]
+        for number, texture in enumerate(self._surface.textures):
             mine = np.flatnonzero(of == number)
-            if len(mine):
-                colours[mine] = self._looked_up(number, faces[mine], weights[mine], footprints[mine])
+            if not len(mine):
+                continue
+            colours[mine] = self._pyramids[number].look_up(uv[mine], texture.wrap, texels[mine])
+            if not texture.alpha_hides:
+                colours[mine, 3] = 1
         return colours
-
-    def _looked_up(self, number: int, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        texture = self._surface.textures[number]
-        uv = _interpolated(self._uv, faces, weights)
-        found = self._pyramids[number].look_up(uv, texture.wrap, footprints * self._density[faces])
-        if not texture.alpha_hides:
-            found[:, 3] = 1
-        return found
 
 
 Paint = VertexPaint | TexturePaint
@@ -113,19 +103,13 @@ class Pyramid:
 
     def look_up(self, uv: Float64s, wrap: tuple[Wrap, Wrap], texels: Float64s) -> Float32s:
         """Interpolate at places, (K, 2), v down, that stand for areas of `texels`, (K,), of the first level; (K, 4)."""
-        if not texels.size or texels.max() <= 1:
-            return look_up(self.level(0), uv, wrap, None if self.is_opaque else 3, np.float32)
         at = np.clip(np.log2(np.maximum(texels, 1)) / 2, 0, self._last)
         lower = at.astype(np.int64)
         part = (at - lower).astype(np.float32)
-        first, last = int(lower.min()), int(lower.max())
-        if first == last:
-            return self._between(first, uv, wrap, part)
         colours = np.empty((len(uv), 4), np.float32)
-        for number in range(first, last + 1):
+        for number in range(int(lower.min(initial=0)), int(lower.max(initial=-1)) + 1):
             mine = np.flatnonzero(lower == number)
-            if len(mine):
-                colours[mine] = self._between(number, uv[mine], wrap, part[mine])
+            colours[mine] = self._between(number, uv[mine], wrap, part[mine])
         return colours
 
     def _between(self, number: int, uv: Float64s, wrap: tuple[Wrap, Wrap], part: Float32s) -> Float32s:
@@ -160,21 +144,15 @@ def _halved(sheet: Sheet, *, is_opaque: bool) -> Sheet:
     return np.concatenate([colours, opacity], axis=2)
 
 
-Rays = tuple[Array, Array]  # origins and unit directions, (K, 3) each
-
 SAMPLES = 3  # rays along a side of each pixel
 AMBIENT = 0.35  # share of the light that comes from everywhere
 # Towards the lamp, in view coordinates: at the upper left, behind the eye.
 LAMP = np.array([-0.4, 0.5, 0.77]) / np.linalg.norm([-0.4, 0.5, 0.77])
 
-# Of the rays through a pixel, by rows: those in the corners, and the one in the middle.
-_CORNERS, _MIDDLE = (0, 2, 6, 8), 4
-
 _CREASE = np.cos(np.radians(40))  # smoothed normals further than this from the triangle's are not used
 _BLOCK = 1 << 14  # rays at a time, which bounds the memory; larger blocks leave the processor's cache
 _ALL = 0.999  # of the light: surfaces behind are invisible
 _LAYERS = 16  # transparent surfaces behind each other
-_SLACK = 1e-3  # of the view around the model: more than single precision loses
 _FACE_BYTES = 100  # that Embree takes, besides its threads
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
 
@@ -262,61 +240,21 @@ class SurfaceView:
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         width, height = size
         image = np.zeros((height, width, 4), np.float32)
-        rows, columns = self._covered(camera, size, window)
         x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
-        x = x[columns.start * SAMPLES : columns.stop * SAMPLES]
         pixel = (window[2] - window[0]) / (width * SAMPLES)
-        rows_at_once = max(1, _BLOCK // max(1, columns.stop - columns.start))
-        for first in range(rows.start, rows.stop, rows_at_once):
-            last = min(first + rows_at_once, rows.stop)
+        rows_at_once = max(1, _BLOCK // width)
+        for first in range(0, height, rows_at_once):
+            last = min(first + rows_at_once, height)
             if progress is not None:
-                progress(first - rows.start, rows.stop - rows.start)
-            light = image[first:last, columns].reshape(-1, 4)
+                progress(first, height)
+            light = image[first:last].reshape(-1, 4)
             # One ray through each pixel at a time, so that sums go over whole blocks.
             down = y[first * SAMPLES : last * SAMPLES, None]
-            rays = [
-                camera.rays(x[column::SAMPLES], down[row::SAMPLES], np.float32)
-                for row, column in np.ndindex(SAMPLES, SAMPLES)
-            ]
-            if self._paint.is_opaque and self._paint.is_linear and not lit:
-                self._look_at_triangles(light, camera, rays, pixel)
-            else:
-                for starts, directions in rays:
-                    self._follow(light, camera, starts, directions, pixel, lit=lit)
+            for row, column in np.ndindex(SAMPLES, SAMPLES):
+                starts, directions = camera.rays(x[column::SAMPLES], down[row::SAMPLES], np.float32)
+                self._follow(light, camera, starts, directions, pixel, lit=lit)
             light /= SAMPLES**2
-            image[first:last, columns] = light.reshape(last - first, -1, 4)
         return image
-
-    def _covered(self, camera: Camera, size: tuple[int, int], window: Window) -> tuple[slice, slice]:
-        """Return the rows and columns of pixels that the model may cover."""
-        with np.errstate(over="ignore"):
-            places, depths = camera.project(self.positions)
-        if depths.min() <= 0:  # the eye is within the model
-            return slice(0, size[1]), slice(0, size[0])
-        share = np.array([window[2] - window[0], window[3] - window[1]])
-        low, high = places.min(axis=0) - _SLACK, places.max(axis=0) + _SLACK
-        first = np.clip(np.floor((low - window[:2]) / share * size), 0, size).astype(int)
-        last = np.clip(np.ceil((high - window[:2]) / share * size), 0, size).astype(int)
-        return slice(first[1], last[1]), slice(first[0], last[0])
-
-    def _look_at_triangles(self, light: Float32s, camera: Camera, rays: Sequence[Rays], pixel: float) -> None:
-        """Add what all rays through each pixel see of an opaque surface whose triangles have no patterns."""
-        found = {number: self._tracer.cast(*rays[number]) for number in (*_CORNERS, _MIDDLE)}
-        face_of = np.full((len(found), len(light)), -1, np.int32)
-        for row, hits in zip(face_of, found.values(), strict=True):
-            row[hits.rays] = hits.faces
-        # Where these hit one triangle, the rays between two corners see the mean of what the corners see.
-        is_one = (face_of[0] >= 0) & (face_of[1:] == face_of[0]).all(axis=0)
-        for number, hits in found.items():
-            colours = self._colours(camera, hits, rays[number][1], pixel, lit=False)
-            if number != _MIDDLE:
-                colours[is_one[hits.rays]] *= 2
-            light[hits.rays] += colours
-        others = np.flatnonzero(~is_one)
-        for number in range(1, SAMPLES**2, 2):
-            starts, directions = (each[others] for each in rays[number])
-            hits = self._tracer.cast(starts, directions)
-            light[others[hits.rays]] += self._colours(camera, hits, directions, pixel, lit=False)
 
     def _follow(
         self, light: Float32s, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
