@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.parameters import KernelParameters
@@ -115,17 +115,11 @@ class Previewer:
             self._centres = corners[faces].mean(axis=1) if len(faces) else corners
         else:
             self._own = document.textured(slot)
-            textured = np.flatnonzero(self._own.texture_of >= 0)
-            surface = _used(self._own, textured)
-            pictures = [read_texture(texture) for texture in surface.textures]
-            self._texels = np.array([picture.pixels[..., 0].size for picture in pictures], np.float64)
-            most = max(_PIECE, float(self._texels.sum()) / _MOST_PIECES)
-            self._surface, pieces_of = _split(surface, self._texels, most)
-            self._faces = textured[pieces_of]
-            surface = self._surface
-            self._held = _areas(surface, self._texels)
-            self._centres = surface.positions[surface.faces].mean(axis=1)
-            self._flat = np.column_stack([surface.uv.mean(axis=1), 1e3 * surface.texture_of])
+            pictures = [read_texture(texture) for texture in self._own.textures]
+            texels = np.array([picture.pixels[..., 0].size for picture in pictures], np.float64)
+            self._surface, self._faces, self._held = _pieces(self._own, texels)
+            self._centres = self._surface.positions.reshape(-1, 3, 3).mean(axis=1)
+            self._flat = np.column_stack([self._surface.uv.mean(axis=1), 1e3 * self._surface.texture_of])
 
     def smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
@@ -204,7 +198,7 @@ class Previewer:
         assert self._slot is not None
         order = self._around(focus)
         order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
-        part = _used(surface, order)
+        part = _chosen(surface, order)
         read = _Part(self._document, self._own, part, self._faces[order])
         layer = TextureLayer.read(part, self._slot, settings, guided=(read, self._access))
         new, painter = _smooth(layer, progress), painter_of(layer, gutter=None)
@@ -287,44 +281,43 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
     return np.asarray(np.argsort(np.einsum("ij,ij->i", centres - middle, centres - middle)), np.int64)
 
 
-def _areas(surface: TexturedSurface, texels: Float64s) -> Float64s:
-    one, two = (surface.uv[:, k] - surface.uv[:, 0] for k in (1, 2))
-    return np.asarray(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 * texels[surface.texture_of])
+def _pieces(surface: TexturedSurface, texels: Float64s) -> tuple[TexturedSurface, Int64s, Float64s]:
+    """Cut textured triangles at the middles of their sides until each has few texels, and corners of its own.
 
-
-def _used(surface: TexturedSurface, chosen: Int64s) -> TexturedSurface:
-    rows, corners = np.unique(surface.faces[chosen], return_inverse=True)
-    return dataclasses.replace(
-        surface, positions=surface.positions[rows], faces=corners.reshape(-1, 3).astype(np.int32),
-        uv=surface.uv[chosen], texture_of=surface.texture_of[chosen],
-        space_of=None if surface.space_of is None else surface.space_of[rows],
-    )  # fmt: skip
-
-
-def _split(surface: TexturedSurface, texels: Float64s, most: float) -> tuple[TexturedSurface, Int64s]:
-    """Cut triangles with many texels at the middles of their sides; return also the original triangle of each."""
-    faces = np.arange(len(surface.faces))
-    for _ in range(_MOST_SPLITS):
-        large = _areas(surface, texels) > most
-        if not large.any():
-            break
-        corners, uv = surface.positions[surface.faces[large]], surface.uv[large]
-        spaces = surface.space_of
-        if spaces is not None:
-            added = np.repeat(spaces[surface.faces[large]], 4, axis=0)
-            spaces = np.concatenate([spaces, added.ravel()])
-        first, small = len(surface.positions), np.flatnonzero(~large)
-        faces = np.concatenate([faces[small], np.repeat(faces[large], 4)])
-        new = np.arange(first, first + 12 * len(uv), dtype=np.int32).reshape(-1, 3)
-        surface = dataclasses.replace(
-            surface,
-            positions=np.concatenate([surface.positions, _quarters(corners).reshape(-1, 3)]),
-            faces=np.concatenate([surface.faces[small], new]),
-            uv=np.concatenate([surface.uv[small], _quarters(uv)]),
-            texture_of=np.concatenate([surface.texture_of[small], np.repeat(surface.texture_of[large], 4)]),
-            space_of=spaces,
+    `texels`: of each texture. Return also the original triangle of each piece, and how many texels it covers.
+    """
+    most = max(_PIECE, float(texels.sum()) / _MOST_PIECES)
+    faces = np.flatnonzero(surface.texture_of >= 0)
+    corners = np.concatenate([surface.positions[surface.faces[faces]], surface.uv[faces]], axis=2)
+    for splits in range(_MOST_SPLITS + 1):
+        one, two = (corners[:, k, 3:] - corners[:, 0, 3:] for k in (1, 2))
+        covered = (
+            np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 * texels[surface.texture_of[faces]]
         )
-    return surface, faces
+        large = covered > most
+        if splits == _MOST_SPLITS or not large.any():
+            break
+        corners = np.concatenate([corners[~large], _quarters(corners[large])])
+        faces = np.concatenate([faces[~large], np.repeat(faces[large], 4)])
+    spaces = None if surface.space_of is None else surface.space_of[surface.faces[faces]].reshape(-1)
+    pieces = dataclasses.replace(
+        surface, positions=np.ascontiguousarray(corners[..., :3]).reshape(-1, 3), faces=_corners_of(len(faces)),
+        uv=np.ascontiguousarray(corners[..., 3:]), texture_of=surface.texture_of[faces], space_of=spaces,
+    )  # fmt: skip
+    return pieces, faces, covered
+
+
+def _corners_of(pieces: int) -> Int32s:
+    return np.arange(3 * pieces, dtype=np.int32).reshape(-1, 3)
+
+
+def _chosen(pieces: TexturedSurface, chosen: Int64s) -> TexturedSurface:
+    rows = pieces.faces[chosen].reshape(-1)
+    return dataclasses.replace(
+        pieces, positions=pieces.positions[rows], faces=_corners_of(len(chosen)),
+        uv=pieces.uv[chosen], texture_of=pieces.texture_of[chosen],
+        space_of=None if pieces.space_of is None else pieces.space_of[rows],
+    )  # fmt: skip
 
 
 def _quarters(corners: Float64s) -> Float64s:
