@@ -57,12 +57,12 @@ def cover(
     y = corners[faces][:, :, 1]
     low, high = _between(y.min(axis=1), y.max(axis=1), reach, size[1])
     counts = np.maximum(high - low + 1, 0)
-    for block in _blocks(counts):
-        rows, owner = _expanded(low[block], counts[block])
+    for block in runs_of(counts):
+        rows, owner = expanded(low[block], counts[block])
         first, last = _columns(corners[faces[block]][owner], rows, reach, size[0])
         lengths = np.maximum(last - first + 1, 0)
-        for part in _blocks(lengths):
-            column, span = _expanded(first[part], lengths[part])
+        for part in runs_of(lengths):
+            column, span = expanded(first[part], lengths[part])
             row, face = rows[part][span], faces[block][owner[part][span]]
             offset = np.stack([column, row], axis=1) - corners[face, 0]
             weights = np.stack([_cross(offset, two[face]), _cross(one[face], offset)], axis=1)
@@ -178,7 +178,7 @@ def _columns(corners: Float64s, rows: Int64s, reach: float, width: int) -> tuple
     return _between(low, high, reach, width)
 
 
-def _blocks(counts: Int64s) -> Iterator[slice]:
+def runs_of(counts: Int64s) -> Iterator[slice]:
     """Split rows into runs whose counts add up to about a block."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
@@ -188,7 +188,7 @@ def _blocks(counts: Int64s) -> Iterator[slice]:
         first = last
 
 
-def _expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
+def expanded(starts: Int64s, counts: Int64s) -> tuple[Int64s, Int64s]:
     """Return start, start + 1, ... for every row, and which row each number belongs to."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return starts[owner] + np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner], owner

@@ -15,7 +15,6 @@ References
 from __future__ import annotations
 
 import base64
-import dataclasses
 import json
 import zlib
 from collections.abc import Callable
@@ -24,7 +23,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from PIL import Image
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
@@ -36,7 +36,6 @@ from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import (
     VIRIDIS,
@@ -51,7 +50,7 @@ from beltrami_cli.view.pages import png_of
 from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of, texture_sheet
 
 Pair = tuple[Document, Document]
-Image = tuple[str, bytes]  # MIME type and content
+ImageBytes = tuple[str, bytes]  # MIME type and content
 
 VERTICES = "vertex colours"
 _MIME = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
@@ -64,7 +63,6 @@ _FILLED_AT_FIRST = 0.99  # share of the room for pictures; PNG adds at most 1 % 
 # The same of pictures that are larger than the measured ones: their texels have more noise, and 10 % more bytes.
 _FILLED_AT_LAST = 0.85
 _LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
-_ROWS = 256  # of a picture, scaled down at a time
 
 
 class ModelWriter:
@@ -76,7 +74,7 @@ class ModelWriter:
         self._tables: list[tuple[int, int, int]] = []  # offset, length, bytes of an element
         self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes", "materials")}
         self._textures: dict[Any, int] = {}
-        self._images: list[Callable[[], Image]] = []
+        self._images: list[Callable[[], ImageBytes]] = []
         self.row_of: Int64s | None = None  # rows of vertices in the file; -1: a vertex that is left out
         self.boxes: list[Box] = []  # of the layers of models
 
@@ -138,7 +136,7 @@ class ModelWriter:
         tables = [(first + start, length, stride) for start, length, stride in self._tables]
         return {"tables": tables, "data": packed_array(file, 9)}, share
 
-    def _written(self, images: list[Image], reach: float) -> bytes:
+    def _written(self, images: list[ImageBytes], reach: float) -> bytes:
         arrays = self._arrays
         shown = [{"bufferView": arrays.add_bytes(data), "mimeType": mime} for mime, data in images]
         arrays.binary += bytes(-len(arrays.binary) % 4)
@@ -162,7 +160,7 @@ class ModelWriter:
         chunks = [Chunk(JSON_CHUNK, json.dumps(whole).encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))]
         return b"".join(glb_pieces(chunks))
 
-    def _texture(self, texture: Texture, image: Callable[[], Image]) -> int:
+    def _texture(self, texture: Texture, image: Callable[[], ImageBytes]) -> int:
         key = texture.data, texture.wrap, texture.alpha_hides
         if key not in self._textures:
             self._textures[key] = len(self._textures)
@@ -285,25 +283,24 @@ def _sorted(faces: NDArray[np.integer[Any]], count: int) -> tuple[Int64s, Int64s
     return order, index[np.lexsort((index[:, 1], index[:, 0]))]
 
 
-def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None = None) -> Image:
+def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None = None) -> ImageBytes:
     """Return the MIME type and bytes of a texture: its own if browsers show its format, or else a PNG file."""
     mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
     if mime is not None:
         return mime, texture.data
     sheet = texture_sheet(texture, slot) if picture is None else sheet_of(picture())
-    return "image/png", _png(sheet)
+    return "image/png", _png(_as_bytes(sheet))
 
 
-def _png(sheet: Float32s) -> bytes:
-    pixels = _as_bytes(sheet)
+def _png(pixels: Uint8s) -> bytes:
     return png_of(pixels[..., :3] if (pixels[..., 3] == 255).all() else pixels)
 
 
-def _size(images: list[Image]) -> int:
+def _size(images: list[ImageBytes]) -> int:
     return sum(len(content) for _, content in images)
 
 
-def _scaled(images: list[Image], room: float) -> tuple[list[Image], float]:
+def _scaled(images: list[ImageBytes], room: float) -> tuple[list[ImageBytes], float]:
     """Scale images down until they fit; return also the share of their width that is left."""
     pictures = [read_image(content, "a picture") for _, content in images]
     most = float(sum((3 + (each.alpha is not None)) * each.pixels[..., 0].size for each in pictures))
@@ -313,38 +310,18 @@ def _scaled(images: list[Image], room: float) -> tuple[list[Image], float]:
         wanted = min(1.0, float(np.sqrt(limit / most)))
         if wanted <= share:
             break
-        made = [("image/png", _png(_resized(each, wanted))) for each in pictures]
+        made = [("image/png", _resized(each, wanted)) for each in pictures]
         if share and _size(made) > room:
             break
         fitting, share, most = made, wanted, _size(made) / wanted**2
     return fitting, share
 
 
-def _resized(picture: Picture, share: float) -> Float32s:
-    """Return a smaller sheet, whose sides are a share of the picture's, with averaged texels."""
-    height, width = picture.pixels.shape[:2]
-    down, across = (_averages(side, max(1, int(share * side))) for side in (height, width))
-    narrow = np.zeros((down.shape[0], width * 4), np.float32)
-    for rows in large_arrays.blocks(height, _ROWS):
-        sheet = sheet_of(dataclasses.replace(picture, pixels=picture.pixels[rows]))
-        sheet[..., :3] *= sheet[..., 3:]
-        part = down[:, rows.start : rows.stop]
-        touched = slice(rows.start * len(narrow) // height, -(-rows.stop * len(narrow) // height))
-        narrow[touched] += part[touched] @ sheet.reshape(len(sheet), -1)
-    columns = narrow.reshape(-1, width, 4).transpose(1, 0, 2).reshape(width, -1)
-    small = np.ascontiguousarray((across @ columns).reshape(-1, len(narrow), 4).transpose(1, 0, 2))
-    np.divide(small[..., :3], small[..., 3:], out=small[..., :3], where=small[..., 3:] > 0)
-    return np.asarray(np.clip(small, 0, 1), np.float32)
-
-
-def _averages(count: int, fewer: int) -> csr_array:
-    """Return the matrix (fewer, count) that averages values over intervals of equal length."""
-    bounds = np.linspace(0, count, fewer + 1)
-    cells = np.unique(np.concatenate([bounds, np.arange(count + 1)]))
-    middles = (cells[:-1] + cells[1:]) / 2
-    rows, columns = np.searchsorted(bounds, middles) - 1, middles.astype(np.int64)
-    weights = (np.diff(cells) * fewer / count).astype(np.float32)
-    return csr_array(coo_array((weights, (rows, columns)), (fewer, count)))
+def _resized(picture: Picture, share: float) -> bytes:
+    """Return a smaller PNG file, whose sides are a share of the picture's, with averages of display values."""
+    shown = Image.fromarray(displayed_pixels(picture))
+    width, height = (max(1, int(share * side)) for side in shown.size)
+    return _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
 
 
 def displayed_pixels(picture: Picture) -> Uint8s:

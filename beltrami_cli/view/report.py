@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +42,7 @@ _STEPS = 64
 _FEW = 4.0  # 255ths; larger changes are counted in bins of whole numbers
 _FINE = 64  # parts of 1/255 that changes are counted in: half the width of the narrowest bin, 2 / _STEPS
 _MOST = 2 * 255 * _FINE  # of these, twice full scale; larger changes, of light, count as such
+_CHANGES = np.arange(-_MOST, _MOST + 1)
 _WHITE = 1.0
 
 
@@ -85,7 +85,7 @@ def _page(
 ) -> tuple[bytes, list[str]]:  # fmt: skip
     """Return the page and its notices."""
     short = distinct_labels(names)
-    changes = [Changes.of(each.part) for each in tracked(compared.differing(), "counting changes", progress)]
+    changes = [changes_of(each.part) for each in tracked(compared.differing(), "counting changes", progress)]
     values: dict[str, Any] = {
         "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared, changes),
         "change": histogram(changes), "used": used,
@@ -113,31 +113,27 @@ def _writer(
     return writer
 
 
-@dataclass(frozen=True)
-class Changes:
-    """How often the channels of samples changed by how much, counted in 64ths of 1/255."""
-
-    counts: Int64s  # (N, 2 * _MOST + 1): of each channel
-    total: float  # of all absolute changes, in 255ths
-
-    @classmethod
-    def of(cls, part: ComparedColours) -> Changes:
-        counts, total = np.zeros((1, 2 * _MOST + 1), np.int64), 0.0
-        for _, reference, test in part.blocks():
-            change = 255 * (test.astype(np.float64) - reference)
-            total += float(np.abs(change).sum())
-            bins = np.clip(np.rint(_FINE * change), -_MOST, _MOST).astype(np.int64) + _MOST
-            counts = counts + np.array(
-                [np.bincount(channel, minlength=counts.shape[1]) for channel in bins.T]
-            )
-        return cls(counts, total)
+def changes_of(part: ComparedColours) -> Int64s:
+    """Count how often the channels of samples changed by how much, in 64ths of 1/255, shape (N, 2 * _MOST + 1)."""
+    counts = np.zeros((1, len(_CHANGES)), np.int64)
+    for _, reference, test in part.blocks():
+        change = np.rint(255 * _FINE * (test.astype(np.float64) - reference))
+        bins = np.clip(change, -_MOST, _MOST).astype(np.int64) + _MOST
+        counts = counts + [np.bincount(channel, minlength=len(_CHANGES)) for channel in bins.T]
+    return counts
 
 
-def _percentile(changes: Sequence[Changes]) -> float:
+def _percentile(changes: Sequence[Int64s]) -> float:
     """Return the change in 255ths that nearly all channels of all samples stay within."""
-    counts = np.sum([each.counts.sum(axis=0) for each in changes], axis=0)
-    sizes = np.cumsum(counts[_MOST:] + np.append(0, counts[:_MOST][::-1]))
+    counts = np.sum([each.sum(axis=0) for each in changes], axis=0)
+    sizes = np.cumsum(np.bincount(np.abs(_CHANGES), counts))
     return float(np.searchsorted(sizes, _NEARLY_ALL / 100 * sizes[-1])) / _FINE
+
+
+def _mean(changes: Sequence[Int64s]) -> float | None:
+    """Return the mean absolute change in 255ths; None without any samples."""
+    counts = np.sum([each.sum(axis=0) for each in changes], axis=0)
+    return float(counts @ np.abs(_CHANGES)) / counts.sum() / _FINE if counts.any() else None
 
 
 def _parameters(path: str, access: Access) -> dict[str, Any]:
@@ -149,19 +145,18 @@ def _parameters(path: str, access: Access) -> dict[str, Any]:
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
 
 
-def _rows(compared: Compared, changes: Sequence[Changes]) -> list[list[str]]:
+def _rows(compared: Compared, changes: Sequence[Int64s]) -> list[list[str]]:
     rows, measured = [_COLUMNS], list(zip(compared.differing(), changes, strict=True))
     parts = [(pair[0].part.name, [pair]) for pair in measured]
     for name, chosen in [*parts, *([("all", measured)] if len(measured) > 1 else [])]:
         found: dict[str, Any] = figures([each for each, _ in chosen])
         delta_e, jump = found["delta_e"] or {}, found["seam_jump"] or {}
-        totals, counts = zip(*((each.total, int(each.counts.sum())) for _, each in chosen), strict=True)
         psnr = "equal" if found["samples"] and found["psnr"] is None else _number(found["psnr"], 2)
         rows.append(
             [
                 name, str(found["samples"]), psnr, _number(found["ssim"], 3),
                 _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
-                _number(sum(totals) / sum(counts) if sum(counts) else None, 2),
+                _number(_mean([each for _, each in chosen]), 2),
                 f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
             ]
         )  # fmt: skip
@@ -173,13 +168,13 @@ def _number(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def histogram(changes: Sequence[Changes]) -> dict[str, Any]:
+def histogram(changes: Sequence[Int64s]) -> dict[str, Any]:
     """Return the lines of a drawing of how often channels changed by how much, in steps of 1/255, and its axis."""
-    widest = max(len(each.counts) for each in changes)
-    fine = np.sum([each.counts for each in changes if len(each.counts) == widest], axis=0)
-    bins, step = _bins(_percentile([each for each in changes if len(each.counts) == widest]))
+    widest = max(map(len, changes))
+    fine = np.sum([each for each in changes if len(each) == widest], axis=0)
+    bins, step = _bins(_percentile([fine]))
     # What changed by more is counted in the bins at both ends.
-    places = np.clip(np.arange(-_MOST, _MOST + 1) / (step * _FINE) + bins / 2, 0, bins - 1).astype(np.int64)
+    places = np.clip(_CHANGES / (step * _FINE) + bins / 2, 0, bins - 1).astype(np.int64)
     counts = [np.bincount(places, channel, bins) for channel in fine]
     most = max(1, max(int(count.max()) for count in counts))
     names = _NAMES.get(widest, ("",) * widest)

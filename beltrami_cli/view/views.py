@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
@@ -17,6 +16,7 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
+from beltrami_cli.surface.baking import expanded, runs_of
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, srgb_to_linear
@@ -40,7 +40,6 @@ _NEIGHBOURS = 4  # on a square grid, all at one distance
 _SHARE = 0.75  # of the distance to the last of them: a little more than half the diagonal of the grid
 _LARGEST = 3.0  # times the median radius
 _LONE = 0.02  # radius in widths of the view of a place without neighbours
-_STAMPED = 12.0  # radius in samples, up to which discs are drawn all at once
 _SMALLEST = 0.75  # radius in samples, below which points would fall between them
 _SHEET_BYTES = 22  # of a texel: four floats, and a third more in smaller copies
 
@@ -276,41 +275,25 @@ def disc_radii(positions: Float64s) -> Float64s:
 def _discs(at: Float64s, radii: Float64s, colours: Float32s, size: tuple[int, int]) -> Float32s:
     """Return discs drawn over each other, (height, width, 4); later ones are nearer and hide earlier ones."""
     width, height = size
-    front = np.full((height, width), -1, np.int64)  # the number of the disc that is seen
-    is_small = radii <= _STAMPED
-    _stamp_small(front, np.flatnonzero(is_small), at, radii)
-    for number in np.flatnonzero(~is_small):
-        _stamp_large(front, number, at[number], radii[number])
-    image = np.zeros((height, width, 4), np.float32)
+    front = np.full(height * width, -1, np.int64)  # the number of the disc that is seen
+    first, heights = _cells(at[:, 1], radii, height)
+    for block in runs_of(heights):
+        row, disc = expanded(first[block], heights[block])
+        disc += block.start
+        half = np.sqrt(np.maximum(radii[disc] ** 2 - (row + 0.5 - at[disc, 1]) ** 2, 0))
+        left, widths = _cells(at[disc, 0], half, width)
+        for run in runs_of(widths):
+            column, span = expanded(left[run], widths[run])
+            front[row[run][span] * width + column] = disc[run][span]  # the last one stays
+    image = np.zeros((height * width, 4), np.float32)
     filled = front >= 0
     image[filled, :3] = colours[front[filled]]
     image[filled, 3] = 1
-    return image
+    return image.reshape(height, width, 4)
 
 
-def _stamp_small(front: Int64s, discs: NDArray[np.intp], at: Float64s, radii: Float64s) -> None:
-    """Draw many small discs, all at once for each place around their centres."""
-    height, width = front.shape
-    seen = front.reshape(-1)
-    reach = int(np.ceil(radii[discs].max(initial=0)))
-    at, radii = at[discs], radii[discs]
-    corner = np.floor(at).astype(np.int64)
-    for down in range(-reach, reach + 1):
-        for right in range(-reach, reach + 1):
-            cell = corner + np.array([right, down])
-            off = cell + 0.5 - at
-            inside = np.einsum("kx,kx->k", off, off) <= radii**2
-            inside &= ((cell >= 0) & (cell < (width, height))).all(axis=1)
-            stamped = np.flatnonzero(inside)
-            np.maximum.at(seen, cell[stamped, 1] * width + cell[stamped, 0], discs[stamped])
-
-
-def _stamp_large(front: Int64s, disc: np.intp, at: Float64s, radius: float) -> None:
-    """Draw one disc, on the rows and columns that it covers."""
-    shape = front.shape[::-1]
-    first = np.clip(np.floor(at - radius), 0, shape).astype(np.int64)
-    last = np.clip(np.ceil(at + radius), 0, shape).astype(np.int64)
-    x, y = (np.arange(first[k], last[k]) + 0.5 - at[k] for k in (0, 1))
-    inside = np.square(x)[None, :] + np.square(y)[:, None] <= radius**2
-    part = front[first[1] : last[1], first[0] : last[0]]
-    np.maximum(part, disc, out=part, where=inside)
+def _cells(middles: Float64s, reach: Float64s, count: int) -> tuple[Int64s, Int64s]:
+    """Return the first of `count` cells whose centres are within reach of each place, and how many are."""
+    first = np.clip(np.ceil(middles - reach - 0.5), 0, count).astype(np.int64)
+    end = np.clip(np.floor(middles + reach + 0.5), 0, count).astype(np.int64)
+    return first, np.maximum(end - first, 0)
