@@ -74,46 +74,29 @@ def sweep_file(
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)
     opened = _opened(source, reference, trials[0][1], job)
-    document, truth = opened["before"], opened.get("reference")
-    drawing = None if kind else _Drawing(looks)
-    if drawing is not None:
+    labels = [Trial(parameters, {}).label for parameters, _ in trials]
+    sheet = (
+        None if kind else _Sheet(f"Sweep of {Path(source).name}", labels, looks, output if is_page else None)
+    )
+    if sheet is not None:
         require_memory_to_draw([*opened.values()], looks, job.access)
     done: list[Trial] = []
-    labels = [Trial(parameters, {}).label for parameters, _ in trials]
-    page = SweepPage(source, output, labels, looks) if is_page and drawing is not None else None
     kept = [file for each in opened.values() for file in image_files(each)]
-    with page or contextlib.nullcontext(), pictures_kept(kept):
-        if drawing is not None:
+    with sheet or contextlib.nullcontext(), pictures_kept(kept):
+        if sheet is not None:
             for label, shown in opened.items():
-                drawing.add(label, shown)
+                sheet.add(label, shown)
         for (parameters, settings), progress in one_of(trials, "trials", job.progress):
-            trial, result = _tried(document, truth, parameters, settings, Job(job.access, progress))
+            own = Job(job.access, progress)
+            trial, result = _tried(opened["before"], opened.get("reference"), parameters, settings, own)
             done.append(trial)
-            if drawing is not None:
-                drawing.add(trial.label, result, progress)
-            if page is not None and drawing is not None:
-                page.show(done, drawing.panels)
-    if drawing is None:
+            if sheet is not None:
+                sheet.add_trial(trial, result, progress)
+    if sheet is None:
         output.write(Written(main=[_table(done, kind).encode()]))
     elif not is_page:
-        output.write(encoded(_sheet(drawing.panels, len(done), columns, looks), target, suffix))
+        output.write(encoded(sheet.picture(columns), target, suffix))
     return done
-
-
-class _Drawing:
-    """Draws documents that differ in colours one after the other, as they come, with one tracer."""
-
-    def __init__(self, looks: RenderSettings) -> None:
-        self.panels: list[Panel] = []
-        self._looks = looks
-        self._view: Drawable | None = None
-
-    def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
-        """Draw a document; details lie where there is most to see in the first."""
-        self._view = view_of(document, self._looks, self._view)
-        if not self.panels:
-            self._looks = with_fixed_crops(self._view, self._looks)
-        self.panels += draw_panels([self._view], [label], self._looks, progress)
 
 
 def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:
@@ -122,13 +105,6 @@ def _opened(source: str, reference: str | None, settings: SmoothSettings, job: J
         return {"before": open_input(source, settings, job.access)}
     truth, document = open_both((reference, source), settings, job)
     return {"reference": truth, "before": document}
-
-
-def _sheet(panels: Sequence[Panel], trials: int, columns: int, looks: RenderSettings) -> Uint8s:
-    """Arrange panels in a picture, in which the trials after the default begin in a row of their own."""
-    first = len(panels) - trials + 1
-    placed = [*panels[:first], *[None] * (-first % columns), *panels[first:]]
-    return arranged(placed, columns, background_of(looks, panels))
 
 
 def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
@@ -206,18 +182,21 @@ def columns_of(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
     return parameters, [key for key in FIGURES if any(key in trial.figures for trial in trials)]
 
 
-class SweepPage:
-    """The page of a sweep, as a context: at its end all is on it, or what there is if it ends early."""
+class _Sheet:
+    """Views of the inputs and the results, drawn as they come, by one tracer: for a picture, or for a page.
 
-    def __init__(self, name: str, output: Output, labels: Sequence[str], looks: RenderSettings) -> None:
-        self._title = f"Sweep of {Path(name).name}"
-        self._output, self._labels, self._looks = output, labels, looks
+    As a context it sees that all is on the page at its end, or what there is if it ends early.
+    """
+
+    def __init__(self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None) -> None:
+        self._title, self._labels, self._looks, self._page = title, labels, looks, page
+        self._view: Drawable | None = None
         self._trials: list[Trial] = []
-        self._panels: list[Panel] = []
+        self._panels: list[Panel] = []  # of trials the last ones
         self._pictures: dict[tuple[int, Background], tuple[int, int, str]] = {}
-        self._next = 0.0  # when it is written again, so that writing takes little of the time
+        self._next = 0.0  # when the page is written again, so that writing takes little of the time
 
-    def __enter__(self) -> SweepPage:
+    def __enter__(self) -> _Sheet:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -227,48 +206,52 @@ class SweepPage:
             with contextlib.suppress(OutputError):  # what ended it is said
                 self._write("not tried")
 
-    def show(self, trials: Sequence[Trial], panels: Sequence[Panel]) -> None:
-        """Show the results so far; the panels of trials are the last."""
-        self._trials, self._panels = list(trials), list(panels)
-        if len(trials) < len(self._labels) and time.monotonic() >= self._next and not self._output.is_device:
+    def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
+        """Draw a document; details lie where there is most to see in the first."""
+        self._view = view_of(document, self._looks, self._view)
+        if not self._panels:
+            self._looks = with_fixed_crops(self._view, self._looks)
+        self._panels += draw_panels([self._view], [label], self._looks, progress)
+
+    def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
+        self.add(trial.label, result, progress)
+        self._trials.append(trial)
+        is_due = len(self._trials) < len(self._labels) and time.monotonic() >= self._next
+        if is_due and self._page is not None and not self._page.is_device:
             began = time.monotonic()
             self._write("pending")
             self._next = time.monotonic() + _REST * (time.monotonic() - began)
 
+    def picture(self, columns: int) -> Uint8s:
+        """Arrange the views in a picture, in which the trials after the default begin in a row of their own."""
+        first = len(self._panels) - len(self._trials) + 1
+        placed = [*self._panels[:first], *[None] * (-first % columns), *self._panels[first:]]
+        return arranged(placed, columns, background_of(self._looks, self._panels))
+
     def _write(self, others: str) -> None:
         """Write the page; `others` is the state of trials without a result."""
-        trials, best = self._trials, best_of(self._trials)
-        first, background = len(self._panels) - len(trials), background_of(self._looks, self._panels)
-        views = []
-        for number, panel in enumerate(self._panels):
-            figures = trials[number - first].figures if number >= first else {}
-            width, height, source = self._picture(number, background)
-            views.append(
-                {
-                    "label": panel.label, "kept": panel.label if number < first else "", "size": (width, height),
-                    "source": source, "is_best": number >= first and number - first == best,
-                    "figures": {FIGURES[key]: figures[key] for key in FIGURES if key in figures},
-                }
-            )  # fmt: skip
+        if self._page is None:
+            return
+        trials, background = self._trials, background_of(self._looks, self._panels)
+        first, best = len(self._panels) - len(trials), best_of(trials)
+        pictures = [self._picture(number, background) for number in range(len(self._panels))]
+        labels = [panel.label for panel in self._panels[:first]]
         page = page_from(
             "sweep.html",
             ["sweep.js"],
             {"trials": [dataclasses.asdict(trial) for trial in trials]},
             title=self._title,
             state=others,
-            summary=self._summary(others),
-            sorts={key: FIGURES[key] for key in columns_of(trials)[1]},
-            views=views,
+            count=len(self._labels),
+            names=FIGURES,
+            sorts=columns_of(trials)[1],
+            best=None if best is None else trials[best],
+            inputs=zip(labels, pictures, strict=False),
+            results=[*zip(trials, pictures[first:], strict=True)],
             missing=self._labels[len(trials) :],
             rows=_rows(trials),
         )
-        self._output.write(Written(main=[page]))
-
-    def _summary(self, others: str) -> str:
-        count, best = len(self._labels), best_of(self._trials)
-        done = {"pending": "so far", "not tried": "before the sweep ended early"}.get(others, "")
-        said = f"{len(self._trials)} of {count} trials {done}." if done else f"{count} trials."
-        return said if best is None else f"{said} Best: {self._trials[best].label}."
+        self._page.write(Written(main=[page]))
 
     def _picture(self, number: int, background: Background) -> tuple[int, int, str]:
         """Return the width, height and address of a view, which is encoded once."""
