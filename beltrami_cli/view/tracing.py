@@ -238,36 +238,22 @@ class SurfaceView:
         lit: bool, progress: Callable[[int, int], None] | None = None,
     ) -> Float32s:  # fmt: skip
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
-        width, height = size
-        image = np.zeros((height, width, 4), np.float32)
-        x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
-        pixel = (window[2] - window[0]) / (width * SAMPLES)
-        rows_at_once = max(1, _BLOCK // width)
-        for first in range(0, height, rows_at_once):
-            last = min(first + rows_at_once, height)
-            if progress is not None:
-                progress(first, height)
-            light = image[first:last].reshape(-1, 4)
-            # One ray through each pixel at a time, so that sums go over whole blocks.
-            down = y[first * SAMPLES : last * SAMPLES, None]
-            for row, column in np.ndindex(SAMPLES, SAMPLES):
-                starts, directions = camera.rays(x[column::SAMPLES], down[row::SAMPLES], np.float32)
-                self._follow(light, camera, starts, directions, pixel, lit=lit)
-            light /= SAMPLES**2
-        return image
+        pixel = (window[2] - window[0]) / (size[0] * SAMPLES)
 
-    def _follow(
-        self, light: Float32s, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
-    ) -> None:  # fmt: skip
-        """Add what rays see, (K, 4), through everything transparent."""
-        if self._paint.is_opaque:
-            hits = self._tracer.cast(starts, directions)
-            light[hits.rays] += self._colours(camera, hits, directions, pixel, lit=lit)
-            return
+        def light(columns: Float64s, rows: Float64s) -> Float32s:
+            starts, directions = camera.rays(columns, rows, np.float32)
+            return self._seen(camera, starts, directions, pixel, lit=lit)
+
+        return sampled(size, window, light, progress)
+
+    def _seen(
+        self, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
+    ) -> Float32s:  # fmt: skip
+        """Return what rays see, (K, 4), through everything transparent."""
         seen = np.zeros((len(starts), 4), np.float32)
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
-        for _ in range(_LAYERS):
+        for _ in range(1 if self._paint.is_opaque else _LAYERS):
             hits = self._tracer.cast(starts, directions)
             active = active[hits.rays]
             travelled = travelled[hits.rays] + hits.distances
@@ -285,7 +271,7 @@ class SurfaceView:
             directions = directions[rays]
             starts = starts[rays] + (hits.distances[on] + step)[:, None] * directions
             active, travelled = active[on], travelled[on] + step
-        light += seen
+        return seen
 
     def _colours(
         self, camera: Camera, hits: Hits, directions: Float64s, pixel: float, *, lit: bool
@@ -325,6 +311,30 @@ def surface_view(positions: Float64s, faces: Int32s, paint: Paint, like: object)
     """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
     again = like.painted(positions, faces, paint) if isinstance(like, SurfaceView) else None
     return again or SurfaceView(positions, faces, paint)
+
+
+def sampled(
+    size: tuple[int, int], window: Window, light: Callable[[Float64s, Float64s], Float32s],
+    progress: Callable[[int, int], None] | None = None,
+) -> Float32s:  # fmt: skip
+    """Average what is seen at places all over each pixel of a window of a view, shape (height, width, 4).
+
+    `light` is called with columns (C,) and rows (R, 1), in fractions of the view, and returns (R * C, 4).
+    """
+    width, height = size
+    image = np.zeros((height, width, 4), np.float32)
+    x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
+    rows_at_once = max(1, _BLOCK // width)
+    for first in range(0, height, rows_at_once):
+        last = min(first + rows_at_once, height)
+        if progress is not None:
+            progress(first, height)
+        # One place in each pixel at a time, so that sums go over whole blocks.
+        down, sums = y[first * SAMPLES : last * SAMPLES, None], image[first:last].reshape(-1, 4)
+        for row, column in np.ndindex(SAMPLES, SAMPLES):
+            sums += light(x[column::SAMPLES], down[row::SAMPLES])
+        sums /= SAMPLES**2
+    return image
 
 
 def _places(first: float, last: float, pixels: int) -> Float64s:

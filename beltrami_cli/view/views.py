@@ -29,6 +29,7 @@ from beltrami_cli.view.tracing import (
     SurfaceView,
     TexturePaint,
     VertexPaint,
+    sampled,
     surface_view,
 )
 
@@ -83,26 +84,24 @@ class ImageView:
         self, size: tuple[int, int], window: Window, progress: Callable[[int, int], None] | None = None
     ) -> Float32s:
         """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
-        height, width = self._pyramid.shape[:2]
+        shape = np.array(self._pyramid.shape[1::-1])
         view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
-        scale = min(view[0] / width, view[1] / height)
-        shown = np.array([width, height]) * scale
-        corner = np.round((view - shown) / 2)
-        samples = SAMPLES if scale != 1 else 1
-        axes = [(np.arange(side * samples) + 0.5) / samples for side in size]
-        across, down = ((axes[k] + window[k] * view[k] - corner[k]) / shown[k] for k in (0, 1))
-        x, y = (axis.ravel() for axis in np.meshgrid(across, down))
-        inside = (x >= 0) & (x < 1) & (y >= 0) & (y < 1)
-        uv = np.column_stack([x, y])[inside]
-        if scale >= 1:  # squares, so that single pixels can be judged
-            uv = (np.floor(uv * (width, height)) + 0.5) / (width, height)
-        seen = np.zeros((len(x), 4), np.float32)
-        texels = np.full(len(uv), 1 / (scale * samples) ** 2)
-        colours = self._pyramid.look_up(uv, ("clamp", "clamp"), texels)
-        colours[:, :3] *= colours[:, 3:]
-        seen[inside] = colours
-        blocks = seen.reshape(size[1], samples, size[0], samples, 4)
-        return np.asarray(blocks.mean(axis=(1, 3)), np.float32)
+        scale = (view / shape).min()
+        corner = np.round((view - shape * scale) / 2)
+
+        def light(columns: Float64s, rows: Float64s) -> Float32s:
+            x, y = np.broadcast_arrays(columns * view[0] - corner[0], rows * view[1] - corner[1])
+            at = np.column_stack([x.ravel(), y.ravel()]) / scale  # in pixels of the image
+            inside = ((at >= 0) & (at < shape)).all(axis=1)
+            if scale >= 1:  # squares, so that single pixels can be judged
+                at = np.floor(at) + 0.5
+            texels = np.full(np.count_nonzero(inside), 1 / (scale * SAMPLES) ** 2)
+            seen = np.zeros((len(at), 4), np.float32)
+            seen[inside] = self._pyramid.look_up((at / shape)[inside], ("clamp", "clamp"), texels)
+            seen[:, :3] *= seen[:, 3:]
+            return seen
+
+        return sampled(size, window, light, progress)
 
 
 Drawable = SurfaceView | CloudView | ImageView
