@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hmac
 import json
+import math
 import secrets
 import select
 import socket
@@ -60,8 +61,8 @@ class PageServer(ThreadingHTTPServer):
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         self._pages, self._lock = 0, threading.Lock()
+        self._end = math.inf  # when to end unless a page is loaded again
         self.closing = threading.Event()  # when all connections are to end
-        self._left = threading.Timer(_GRACE, self.closing.set)
 
     @property
     def address(self) -> str:
@@ -84,22 +85,18 @@ class PageServer(ThreadingHTTPServer):
         """Serve until the last page is closed."""
         threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True).start()
         try:
-            while not self.closing.wait(_BEAT):
-                pass
+            while time.monotonic() < self._end:
+                self.closing.wait(_BEAT)
         finally:
             self.closing.set()
             self.shutdown()
             self.server_close()
 
     def count_pages(self, more: int) -> None:
-        """Count open pages; end some time after the last is closed, unless it is loaded again."""
+        """Count open pages."""
         with self._lock:
             self._pages += more
-            self._left.cancel()
-            if not self._pages:
-                self._left = threading.Timer(_GRACE, self.closing.set)
-                self._left.daemon = True
-                self._left.start()
+            self._end = math.inf if self._pages else time.monotonic() + _GRACE
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Drop what a browser that went away causes."""
@@ -172,7 +169,7 @@ class PageRequest(BaseHTTPRequestHandler):
         if self.server.closing.is_set():
             raise GoneError
 
-    def wait(self, seconds: float = float("inf")) -> None:
+    def wait(self, seconds: float = math.inf) -> None:
         """Wait until the page has broken the answer off, or some time has passed."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
