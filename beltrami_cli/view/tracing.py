@@ -42,7 +42,7 @@ class VertexPaint:
         self._corners = colours.astype(np.float32)[faces]
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
-        """Return linear red, green, blue and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""
+        """Return light times opacity, and opacity, (K, 4), at points of faces with barycentric weights, (K, 3)."""
         mixed = np.ones((len(faces), 4), np.float32)
         mixed[:, :3] = _interpolated(self._corners, faces, weights)
         return mixed
@@ -53,6 +53,9 @@ class TexturePaint:
 
     def __init__(self, surface: TexturedSurface, sheets: Sequence[Sheet], areas: Float64s) -> None:
         self._surface = surface
+        for sheet, texture in zip(sheets, surface.textures, strict=True):
+            if not texture.alpha_hides:
+                sheet[..., 3] = 1
         self._pyramids = [Pyramid(sheet) for sheet in sheets]
         first, second = (surface.uv[:, k] - surface.uv[:, 0] for k in (1, 2))
         covered = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
@@ -63,10 +66,7 @@ class TexturePaint:
         # As many bits as are needed to resolve parts of a texel.
         largest = np.abs(surface.uv).max(initial=0) * max((max(sheet.shape) for sheet in sheets), default=1)
         self._uv = surface.uv.astype(np.float32) if largest < _EXACT else surface.uv
-        self.is_opaque = all(
-            pyramid.is_opaque or not texture.alpha_hides
-            for pyramid, texture in zip(self._pyramids, surface.textures, strict=True)
-        )
+        self.is_opaque = all(pyramid.is_opaque for pyramid in self._pyramids)
 
     def __call__(self, faces: Int32s, weights: Float32s, footprints: Float64s) -> Float32s:
         colours = np.full((len(faces), 4), _UNPAINTED, np.float32)
@@ -75,11 +75,7 @@ class TexturePaint:
         texels = footprints * self._density[faces]
         for number, texture in enumerate(self._surface.textures):
             mine = np.flatnonzero(of == number)
-            if not len(mine):
-                continue
             colours[mine] = self._pyramids[number].look_up(uv[mine], texture.wrap, texels[mine])
-            if not texture.alpha_hides:
-                colours[mine, 3] = 1
         return colours
 
 
@@ -87,61 +83,48 @@ Paint = VertexPaint | TexturePaint
 
 
 class Pyramid:
-    """An image, and its copies of half the size down to a single texel, which are made when they are needed."""
+    """An image, and its copies of half the size down to a single texel, which are made when they are needed.
+
+    Colours are multiplied by the opacity, in place, so that transparent texels do not count in averages.
+    """
 
     def __init__(self, sheet: Sheet) -> None:
+        self.is_opaque = bool((sheet[..., 3] == 1).all())
+        if not self.is_opaque:
+            sheet[..., :3] *= sheet[..., 3:]
         self._levels = [np.ascontiguousarray(sheet)]
         self._last = int(np.ceil(np.log2(max(sheet.shape[:2]))))
         self.shape = sheet.shape
-        self.is_opaque = bool((sheet[..., 3] == 1).all())
-
-    def level(self, number: int) -> Sheet:
-        """Return a copy; the first is the image itself."""
-        while len(self._levels) <= number:
-            self._levels.append(_halved(self._levels[-1], is_opaque=self.is_opaque))
-        return self._levels[number]
 
     def look_up(self, uv: Float64s, wrap: tuple[Wrap, Wrap], texels: Float64s) -> Float32s:
         """Interpolate at places, (K, 2), v down, that stand for areas of `texels`, (K,), of the first level; (K, 4)."""
         at = np.clip(np.log2(np.maximum(texels, 1)) / 2, 0, self._last)
         lower = at.astype(np.int64)
-        part = (at - lower).astype(np.float32)
+        part = (at - lower).astype(np.float32)[:, None]
         colours = np.empty((len(uv), 4), np.float32)
-        for number in range(int(lower.min(initial=0)), int(lower.max(initial=-1)) + 1):
+        for number in range(int(lower.min(initial=self._last)), int(lower.max(initial=-1)) + 1):
             mine = np.flatnonzero(lower == number)
-            colours[mine] = self._between(number, uv[mine], wrap, part[mine])
+            colours[mine] = look_up(self._level(number), uv[mine], wrap, precision=np.float32)
+            between = mine[part[mine, 0] > 0]
+            if len(between):  # and, to a part, in the next smaller copy
+                smaller = look_up(self._level(number + 1), uv[between], wrap, precision=np.float32)
+                colours[between] += part[between] * (smaller - colours[between])
         return colours
 
-    def _between(self, number: int, uv: Float64s, wrap: tuple[Wrap, Wrap], part: Float32s) -> Float32s:
-        """Interpolate in a copy and, to a part, in the next smaller one."""
-        alpha = None if self.is_opaque else 3
-        colours = look_up(self.level(number), uv, wrap, alpha, np.float32)
-        if part.any():
-            smaller = look_up(self.level(number + 1), uv, wrap, alpha, np.float32)
-            smaller -= colours
-            smaller *= part[:, None]
-            colours += smaller
-        return colours
+    def _level(self, number: int) -> Sheet:
+        while len(self._levels) <= number:
+            last = self._levels[-1]
+            # The last of an odd number of texels is counted twice.
+            even = np.pad(last, [(0, side % 2) for side in last.shape[:2]] + [(0, 0)], mode="edge")
+            four = [even[row::2, column::2] for row in (0, 1) for column in (0, 1)]
+            self._levels.append((four[0] + four[1] + four[2] + four[3]) / 4)
+        return self._levels[number]
 
 
 def _interpolated(corners: Array, faces: Int32s, weights: Float32s) -> Array:
     """Interpolate numbers at the corners of all faces, (F, 3, X), at points of some of them; (K, X)."""
     three = corners.take(faces, axis=0)
     return three[:, 0] * weights[:, :1] + three[:, 1] * weights[:, 1:2] + three[:, 2] * weights[:, 2:]
-
-
-def _halved(sheet: Sheet, *, is_opaque: bool) -> Sheet:
-    """Average two by two texels, by their opacity; the last of an odd number is counted twice."""
-    odd = sheet.shape[0] % 2, sheet.shape[1] % 2
-    padded = np.pad(sheet, [(0, odd[0]), (0, odd[1]), (0, 0)], mode="edge") if any(odd) else sheet
-    four = [padded[row::2, column::2] for row in (0, 1) for column in (0, 1)]
-    if is_opaque:
-        return np.asarray((four[0] + four[1] + four[2] + four[3]) / 4, np.float32)
-    stack = np.stack(four)
-    opacity = stack[..., 3:].mean(axis=0)
-    weighted = (stack[..., :3] * stack[..., 3:]).mean(axis=0)
-    colours = np.divide(weighted, opacity, out=stack[..., :3].mean(axis=0), where=opacity > 0)
-    return np.concatenate([colours, opacity], axis=2)
 
 
 SAMPLES = 3  # rays along a side of each pixel
@@ -260,9 +243,7 @@ class SurfaceView:
             seen_from = hits._replace(distances=travelled)
             colours = self._colours(camera, seen_from, directions, pixel, lit=lit)
             total = seen[active]
-            share = (1 - total[:, 3]) * colours[:, 3]
-            total[:, :3] += share[:, None] * colours[:, :3]
-            total[:, 3] += share
+            total += (1 - total[:, 3:]) * colours
             seen[active] = total
             on = np.flatnonzero(total[:, 3] < _ALL)
             if not len(on):

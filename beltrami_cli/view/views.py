@@ -98,7 +98,6 @@ class ImageView:
             texels = np.full(np.count_nonzero(inside), 1 / (scale * SAMPLES) ** 2)
             seen = np.zeros((len(at), 4), np.float32)
             seen[inside] = self._pyramid.look_up((at / shape)[inside], ("clamp", "clamp"), texels)
-            seen[:, :3] *= seen[:, 3:]
             return seen
 
         return sampled(size, window, light, progress)
