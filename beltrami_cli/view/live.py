@@ -20,6 +20,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
@@ -27,7 +28,7 @@ from beltrami_cli.jobs.file_job import FileReport, open_input
 from beltrami_cli.jobs.job import Job, at_intervals
 from beltrami_cli.jobs.progress import Share
 from beltrami_cli.jobs.recolour import recolour_in_memory
-from beltrami_cli.jobs.smooth import Smoothing, smooth_file, smooth_report
+from beltrami_cli.jobs.smooth import Smoothed, Smoothing, smooth_file, smooth_report
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.pages import page_with_models, rendered
@@ -222,8 +223,35 @@ class Live:
         return dataclasses.replace(change.settings, kernel=kernel)
 
     def _smooth(self, change: _Change) -> None:
-        """Smooth the whole as `smooth` does."""
-        request, settings = change.request, change.settings
+        """Smooth the whole as `smooth` does, and show it."""
+        request, settings, page = change.request, change.settings, change.page
+        try:
+            result, painted = self._whole(change)
+            made = smooth_report(FileReport(input=self._source, output="", format=""), painted, settings)
+            used = used_parameters(json.loads(json.dumps(dataclasses.asdict(made))))
+        except GoneError:
+            raise
+        except Exception as error:
+            is_known = isinstance(error, BeltramiError)
+            message = str(error) if is_known else f"unexpected error: {type(error).__name__}: {error}"
+            request.send(kind="failed", message=message)
+            return
+        choices = [done.report.choice for done in painted if done.report.choice is not None]
+        said = [each for done in painted for each in (*done.warnings, *done.repainted.notices)]
+        levels = [level for each in painted for level in each.report.noise.values()]
+        with self._previewing:
+            request.check()
+            page.chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
+            page.chosen_by = settings.kernel.strength, settings.kernel.noise
+            request.send(
+                kind="whole", number=change.number, patches=self._layers.whole(page.shown, result),
+                used=rendered("parameters.html", used=used), chosen=page.chosen,
+                notices=[*dict.fromkeys([*self._document.notices, *said])],
+                noise=None if settings.kernel.noise or not levels else f"{255 * np.mean(levels):.1f}/255",
+            )  # fmt: skip
+
+    def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
+        request = change.request
 
         def tell(label: str, done: int, total: int) -> None:
             request.send(kind="progress", label=label, share=done / total)
@@ -237,33 +265,7 @@ class Live:
 
         tell("choosing parameters", 0, 1)
         job = dataclasses.replace(self._job, progress=Share(forward=show))
-        try:
-            result, painted = recolour_in_memory(self._document, settings, Smoothing.of(settings), job)
-            made = FileReport(input=self._source, output="", format="")
-            used = used_parameters(
-                json.loads(json.dumps(dataclasses.asdict(smooth_report(made, painted, settings))))
-            )
-        except GoneError:
-            raise
-        except Exception as error:
-            is_known = isinstance(error, BeltramiError)
-            message = str(error) if is_known else f"unexpected error: {type(error).__name__}: {error}"
-            request.send(kind="failed", message=message)
-            return
-        choices = [done.report.choice for done in painted if done.report.choice is not None]
-        chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
-        said = [each for done in painted for each in (*done.warnings, *done.repainted.notices)]
-        levels = [level for each in painted for level in each.report.noise.values()]
-        with self._previewing:
-            request.check()
-            page = change.page
-            page.chosen, page.chosen_by = chosen, (settings.kernel.strength, settings.kernel.noise)
-            request.send(
-                kind="whole", number=change.number, patches=self._layers.whole(page.shown, result),
-                used=rendered("parameters.html", used=used), chosen=chosen,
-                notices=[*dict.fromkeys([*self._document.notices, *said])],
-                noise=None if settings.kernel.noise or not levels else f"{255 * np.mean(levels):.1f}/255",
-            )  # fmt: skip
+        return recolour_in_memory(self._document, change.settings, Smoothing.of(change.settings), job)
 
 
 def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
