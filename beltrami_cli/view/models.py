@@ -108,10 +108,11 @@ class ModelWriter:
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
 
     def _add_image(self, documents: Pair) -> None:
-        pair = []
-        for each in documents:
-            texture = Texture("", each.name, each.data)
-            pair.append(self._texture(texture, partial(image_of, texture, "baseColor", each.picture)))
+        pair = [
+            self._texture(texture, partial(image_of, texture, "baseColor", each.picture))
+            for each in documents
+            for texture in textures_of(each, None)
+        ]
         self._scene("image", [], middle=[0, 0, 0], pairs=[pair], flatOnly=True)
 
     def glb(self, reach: float) -> bytes:
@@ -281,6 +282,13 @@ def _sorted(faces: NDArray[np.integer[Any]], count: int) -> tuple[Int64s, Int64s
     index = number[faces]
     index = np.take_along_axis(index, (index.argmin(axis=1)[:, None] + np.arange(3)) % 3, 1)
     return order, index[np.lexsort((index[:, 1], index[:, 0]))]
+
+
+def textures_of(document: Document, slot: Slot | None) -> tuple[Texture, ...]:
+    """Return the textures of a layer; an image is one."""
+    if slot is not None:
+        return document.textured(slot).textures
+    return (Texture("", document.name, document.data),)
 
 
 def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None = None) -> ImageBytes:

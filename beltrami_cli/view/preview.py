@@ -28,7 +28,7 @@ from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import EmbeddingSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
+from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
 from beltrami_cli.view.models import (
     Box,
     ModelWriter,
@@ -36,6 +36,7 @@ from beltrami_cli.view.models import (
     displayed_pixels,
     image_of,
     packed_array,
+    textures_of,
 )
 
 Progress = Callable[[int, int], None]
@@ -129,11 +130,8 @@ class Previewer:
             raise NoPreviewError("exposure steps are levelled over the whole model")
         if self._document.kind == "image":
             return self._of_image(settings, focus, budget, progress)
-        if self._painted is None:
-            return self._of_textures(settings, focus, budget, progress)
-        if self._document.grid() is not None:
-            return self._of_grid(settings, focus, budget, progress)
-        return self._of_vertices(settings, focus, budget, progress)
+        of_part = self._of_textures if self._painted is None else self._of_vertices
+        return of_part(settings, focus, budget, progress)
 
     def _of_image(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
@@ -151,39 +149,33 @@ class Previewer:
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
 
-    def _of_grid(
-        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
-    ) -> list[Patch]:
-        painted, grid = self._painted, self._document.grid()
-        assert painted is not None
-        assert grid is not None
-        nearest = self._around(focus)[0]
-        vertex = painted.faces[nearest, 0] if len(painted.faces) else nearest
-        middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
-        part = grid[_window(grid.shape, middle, budget)]
-        rows = part[part >= 0]
-        layer = GridLayer(
-            painted=painted,
-            grid=np.ascontiguousarray(part),
-            settings=settings,
-            guides=self._vertex_guides(settings),
-        )
-        return [_smoothed(layer, rows, rows, progress)]
-
     def _of_vertices(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
-        painted = self._painted
+        painted, grid, order = self._painted, self._document.grid(), self._around(focus)
         assert painted is not None
-        is_mesh = len(painted.faces) > 0
-        order = self._around(focus)[: budget * (2 if is_mesh else 1)]
-        rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
-        faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
-        part = only_rows(painted, rows, faces.astype(np.int32))
-        known = self._vertex_guides(settings)
-        guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in known]
-        layer = VertexLayer(painted=part, settings=settings, guides=guides)
-        return [_smoothed(layer, rows, np.arange(len(rows)), progress)]
+        guides, is_mesh = self._vertex_guides(settings), len(painted.faces) > 0
+        layer: PaintedLayer
+        if grid is not None:
+            vertex = painted.faces[order[0], 0] if is_mesh else order[0]
+            middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
+            part = np.ascontiguousarray(grid[_window(grid.shape, middle, budget)])
+            rows = own = part[part >= 0]
+            layer = GridLayer(painted=painted, grid=part, settings=settings, guides=guides)
+        else:
+            order = order[: budget * (2 if is_mesh else 1)]
+            rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
+            own = np.arange(len(rows))
+            faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
+            vertices = only_rows(painted, rows, faces.astype(np.int32))
+            guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in guides]
+            layer = VertexLayer(painted=vertices, settings=settings, guides=guides)
+        made = smooth_layer(layer, progress).repainted
+        assert made.colours is not None
+        kept = dataclasses.replace(
+            layer.painted, colours=made.colours[own], positions=layer.painted.positions[own], faces=_NO_FACES
+        )
+        return [Patch(-1, rows, rows, displayed_colours(kept), made.positions)]
 
     def _vertex_guides(self, settings: SmoothSettings) -> list[Guide]:
         if self._guides is None or self._guides[0] != settings.embedding:
@@ -228,15 +220,6 @@ class Previewer:
 def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
     new: NewColours = smooth(layer.plan(), progress).manifold.new_colours()
     return new
-
-
-def _smoothed(layer: PaintedLayer, rows: Int64s, own: Int64s, progress: Progress | None) -> Patch:
-    """Smooth vertices; `rows`: their numbers in the document, `own`: in the layer."""
-    made, painted = smooth_layer(layer, progress).repainted, layer.painted
-    assert made.colours is not None
-    colours, places = made.colours[own], painted.positions[own]
-    kept = dataclasses.replace(painted, colours=colours, positions=places, faces=_NO_FACES)
-    return Patch(-1, rows, rows, displayed_colours(kept), made.positions)
 
 
 def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters) -> ImageLayer:
@@ -383,7 +366,7 @@ class Layers:
     def _pixels(self, shown: Shown, layer: int, texture: int) -> Uint8s:
         key = layer, texture
         if key not in shown:
-            file, is_image = _textures_of(self.document, self.slots[layer])[texture], self._is_image
+            file, is_image = textures_of(self.document, self.slots[layer])[texture], self._is_image
             shown[key] = displayed_pixels(read_image(file.data, file.name, finite=not is_image))
         return shown[key]
 
@@ -401,7 +384,7 @@ class Layers:
             places = painted.positions if is_moved or self._has_moved else None
             self._has_moved = is_moved
             return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
-        old, new = _textures_of(self.document, slot), _textures_of(result, slot)
+        old, new = textures_of(self.document, slot), textures_of(result, slot)
         found = []
         for index, (before, after) in enumerate(zip(old, new, strict=True)):
             if after.data != before.data:
@@ -411,11 +394,3 @@ class Layers:
             source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
             found.append({"layer": layer, "texture": index, "source": source})
         return found
-
-
-def _textures_of(document: Document, slot: Slot | None) -> tuple[Texture, ...]:
-    """Return the textures of a layer; an image is one."""
-    if document.kind == "image":
-        return (Texture("", document.name, document.data),)
-    assert slot is not None
-    return document.textured(slot).textures
