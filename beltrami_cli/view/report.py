@@ -28,9 +28,6 @@ from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.parameters import used_parameters
 
 _NEARLY_ALL = 99.5  # per cent of changes that are not shown brightest
-_COLUMNS = [
-    "part", "samples", "PSNR, dB", "SSIM", "Delta E 2000, mean", "worst", "mean change, /255", "seam steps, /255",
-]  # fmt: skip
 _LARGEST = 8_000_000  # bytes of a page, unless its meshes alone are larger
 _SCALED = "Pictures have {:.0f} % of their width on the page; --full-size keeps all of it."
 _LONGEST = 768  # pixels, of a seam map
@@ -87,7 +84,8 @@ def _page(
     short = distinct_labels(names)
     changes = [changes_of(each.part) for each in tracked(compared.differing(), "counting changes", progress)]
     values: dict[str, Any] = {
-        "title": f"{short[0]} and {short[1]}", "names": names, "figures": _rows(compared, changes),
+        "title": f"{short[0]} and {short[1]}", "names": names, "figures": _figures(compared, changes),
+        "identical": [pair.name for pair in compared.parts if pair.is_identical],
         "change": histogram(changes), "used": used,
         "seams": [drawn for part in tracked(compared.parts, "drawing seams", progress) if (drawn := seam_map(part))],
     }  # fmt: skip
@@ -145,27 +143,15 @@ def _parameters(path: str, access: Access) -> dict[str, Any]:
         raise InputError(path, "it is no report of beltrami smooth", remedy) from error
 
 
-def _rows(compared: Compared, changes: Sequence[Int64s]) -> list[list[str]]:
-    rows, measured = [_COLUMNS], list(zip(compared.differing(), changes, strict=True))
+def _figures(compared: Compared, changes: Sequence[Int64s]) -> list[dict[str, Any]]:
+    """Return the figures of each part that differs, and of all together."""
+    measured = list(zip(compared.differing(), changes, strict=True))
     parts = [(pair[0].part.name, [pair]) for pair in measured]
-    for name, chosen in [*parts, *([("all", measured)] if len(measured) > 1 else [])]:
-        found: dict[str, Any] = figures([each for each, _ in chosen])
-        delta_e, jump = found["delta_e"] or {}, found["seam_jump"] or {}
-        psnr = "equal" if found["samples"] and found["psnr"] is None else _number(found["psnr"], 2)
-        rows.append(
-            [
-                name, str(found["samples"]), psnr, _number(found["ssim"], 3),
-                _number(delta_e.get("mean"), 2), _number(delta_e.get("worst"), 1),
-                _number(_mean([each for _, each in chosen]), 2),
-                f"{255 * jump['reference']:.2f} to {255 * jump['test']:.2f}" if jump else "",
-            ]
-        )  # fmt: skip
-    identical = [pair.name for pair in compared.parts if pair.is_identical]
-    return rows + [[name, "", "identical", *[""] * (len(_COLUMNS) - 3)] for name in identical]
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
+    parts += [("all", measured)] if len(measured) > 1 else []
+    return [
+        {"name": name, "change": _mean([each for _, each in chosen]), **figures([each for each, _ in chosen])}
+        for name, chosen in parts
+    ]
 
 
 def histogram(changes: Sequence[Int64s]) -> dict[str, Any]:

@@ -232,6 +232,7 @@ class _Sheet:
         """Write the page; `others` is the state of trials without a result."""
         if self._page is None:
             return
+        parameters, found = columns_of(self._trials)
         trials, background = self._trials, background_of(self._looks, self._panels)
         first, best = len(self._panels) - len(trials), best_of(trials)
         pictures = [self._picture(number, background) for number in range(len(self._panels))]
@@ -243,13 +244,12 @@ class _Sheet:
             title=self._title,
             state=others,
             count=len(self._labels),
-            names=FIGURES,
-            sorts=columns_of(trials)[1],
+            swept=parameters,
+            sorts={key: FIGURES[key] for key in found},
             best=None if best is None else trials[best],
             inputs=zip(labels, pictures, strict=False),
             results=[*zip(trials, pictures[first:], strict=True)],
             missing=self._labels[len(trials) :],
-            rows=_rows(trials),
         )
         self._page.write(Written(main=[page]))
 
@@ -260,12 +260,3 @@ class _Sheet:
             picture = arranged([dataclasses.replace(panel, label="")], 1, background)
             self._pictures[number, background] = picture.shape[1], picture.shape[0], data_address(picture)
         return self._pictures[number, background]
-
-
-def _rows(trials: Sequence[Trial]) -> list[list[str]]:
-    parameters, found = columns_of(trials)
-    rows = [[*parameters, *(FIGURES[key] for key in found)]]
-    for trial in trials:
-        cells = [f"{trial.parameters[key]:g}" if key in trial.parameters else "default" for key in parameters]
-        rows.append(cells + [f"{trial.figures[key]:.3f}" if key in trial.figures else "" for key in found])
-    return rows
