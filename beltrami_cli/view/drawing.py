@@ -223,14 +223,13 @@ def draw_panels(
 ) -> list[Panel]:  # fmt: skip
     """Draw all views with their details: of every model one after the other all its turns."""
     turns = max(1, settings.turntable)
-    drawers: list[Draw] = []
     nowhere = np.zeros((0, 3))
     frames = [
         nowhere if isinstance(view, ImageView) else framed(view.positions, view.faces) for view in views
     ]
-    for turn in range(turns):
-        azimuth = settings.azimuth + 360 * turn / turns
-        drawers += _drawers(views, frames, dataclasses.replace(settings, azimuth=azimuth))
+    azimuths = [settings.azimuth + 360 * turn / turns for turn in range(turns)]
+    turned = [dataclasses.replace(settings, azimuth=azimuth) for azimuth in azimuths]
+    drawers = [drawer for each in turned for drawer in _drawers(views, frames, each)]
     half = 0.5 / settings.zoom
     whole = 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
     drawn = []

@@ -160,8 +160,12 @@ class PageRequest(BaseHTTPRequestHandler):
     def check(self) -> None:
         """Raise GoneError if the page has broken the answer off."""
         self.check_open()
-        ready, _, _ = select.select([self.connection], [], [], 0)
-        if ready and not self.connection.recv(1, socket.MSG_PEEK):
+        try:
+            ready, _, _ = select.select([self.connection], [], [], 0)
+            is_gone = bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
+        except OSError as error:
+            raise GoneError from error
+        if is_gone:
             raise GoneError
 
     def check_open(self) -> None:

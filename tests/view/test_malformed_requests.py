@@ -7,6 +7,7 @@ import http.client
 import json
 import socket
 import threading
+import time
 
 import pytest
 
@@ -121,6 +122,21 @@ def test_parts_of_another_type_change_nothing(name, kind, more, page_server, liv
         part = {name: value} if name in right else {"focus": {**FOCUS, name: value}}
         assert sent(page_server, "change", json.dumps({**right, **part})) == MALFORMED, value
     assert not live._pages
+
+
+@pytest.mark.slow
+def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server, live):
+    connection = http.client.HTTPConnection(page_server.host, timeout=10)
+    request = {"values": {}, "target": "out.ply", "page": "page", "layer": 0, "focus": FOCUS}
+    own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
+    connection.request("POST", f"/{page_server.token}/change", json.dumps(request), own)
+    assert json.loads(connection.getresponse().readline()) == {"kind": "accepted", "command": "command"}
+    assert live._pages
+    connection.close()
+    end = time.monotonic() + 60
+    while live._pages:
+        assert time.monotonic() < end
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("control", ["iterations", "t", "beta", "noise", "strength", "patches", "slots"])
