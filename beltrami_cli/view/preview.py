@@ -236,7 +236,8 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
         picture=dataclasses.replace(layer.picture, pixels=np.ascontiguousarray(layer.picture.pixels[place])),
         valid=layer.valid[place],
         surface=ImageSurface(
-            *(None if each is None else each[place] for each in (surface.heights, surface.positions)),
+            heights=None if surface.heights is None else surface.heights[place],
+            positions=None if surface.positions is None else surface.positions[place],
             valid=layer.valid[place],
         ),
         noise=None if layer.noise is None else rows(layer.noise),

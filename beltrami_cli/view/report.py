@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -90,13 +89,14 @@ def _page(
         "seams": [drawn for part in tracked(compared.parts, "drawing seams", progress) if (drawn := seam_map(part))],
     }  # fmt: skip
     writer, notices = _writer(compared, documents, progress), compared.all_notices()
-    page_with = partial(pages.page_with_models, "report.html", "report.js", **values)
-    without_models = page_with({}, notices=[*notices, _SCALED])
-    limit = np.inf if full_size else _LARGEST - len(without_models)
+
+    def page_with(data: dict[str, Any], notices: Sequence[str]) -> bytes:
+        return pages.page_with_models("report.html", "report.js", data, notices=notices, **values)
+
+    limit = np.inf if full_size else _LARGEST - len(page_with({}, [*notices, _SCALED]))
     models, share = writer.packed(_percentile(changes), limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
-    page = page_with({"models": models}, notices=notices)
-    return page, notices
+    return page_with({"models": models}, notices), notices
 
 
 def _writer(
@@ -117,7 +117,7 @@ def changes_of(part: ComparedColours) -> Int64s:
     for _, reference, test in part.blocks():
         change = np.rint(255 * _FINE * (test.astype(np.float64) - reference))
         bins = np.clip(change, -_MOST, _MOST).astype(np.int64) + _MOST
-        counts = counts + [np.bincount(channel, minlength=len(_CHANGES)) for channel in bins.T]
+        counts = counts + np.array([np.bincount(channel, minlength=len(_CHANGES)) for channel in bins.T])
     return counts
 
 

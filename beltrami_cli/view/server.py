@@ -60,8 +60,8 @@ class PageServer(ThreadingHTTPServer):
         self.files, self.answer = files, answer
         self.host = f"127.0.0.1:{self.server_address[1]}"
         self.token, self._ticket = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
-        self._pages, self._lock = 0, threading.Lock()
-        self._end = math.inf  # when to end unless a page is loaded again
+        self._lock = threading.Lock()
+        self.answered: set[PageRequest] = set()  # requests whose answers are not yet complete
         self.closing = threading.Event()  # when all connections are to end
 
     @property
@@ -85,18 +85,15 @@ class PageServer(ThreadingHTTPServer):
         """Serve until the last page is closed."""
         threading.Thread(target=self.serve_forever, args=(_BEAT,), daemon=True).start()
         try:
-            while time.monotonic() < self._end:
-                self.closing.wait(_BEAT)
+            end = math.inf
+            while time.monotonic() < end:
+                time.sleep(_BEAT)
+                if not all(request.is_gone() for request in [*self.answered]):
+                    end = time.monotonic() + _GRACE
         finally:
             self.closing.set()
             self.shutdown()
             self.server_close()
-
-    def count_pages(self, more: int) -> None:
-        """Count open pages."""
-        with self._lock:
-            self._pages += more
-            self._end = math.inf if self._pages else time.monotonic() + _GRACE
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Drop what a browser that went away causes."""
@@ -108,7 +105,6 @@ class PageRequest(BaseHTTPRequestHandler):
     server: PageServer
     protocol_version = "HTTP/1.1"
     timeout = 60
-    _is_answered = False
 
     def log_message(self, *_: Any) -> None:
         """Print nothing."""
@@ -142,15 +138,13 @@ class PageRequest(BaseHTTPRequestHandler):
             message = f"unexpected error: {type(error).__name__}: {error}"
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, message)
         finally:
-            if self._is_answered:
-                self.server.count_pages(-1)
+            self.server.answered.discard(self)
 
     def send(self, **event: Any) -> None:
         """Send an event; GoneError if the page has broken the answer off."""
         self.check()
-        if not self._is_answered:
-            self._is_answered = True
-            self.server.count_pages(1)
+        if self not in self.server.answered:
+            self.server.answered.add(self)
             self._send(HTTPStatus.OK, "application/json", None)
         try:
             self.wfile.write(json.dumps(event).encode() + b"\n")
@@ -160,13 +154,16 @@ class PageRequest(BaseHTTPRequestHandler):
     def check(self) -> None:
         """Raise GoneError if the page has broken the answer off."""
         self.check_open()
+        if self.is_gone():
+            raise GoneError
+
+    def is_gone(self) -> bool:
+        """Whether the page has broken the answer off."""
         try:
             ready, _, _ = select.select([self.connection], [], [], 0)
-            is_gone = bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
-        except OSError as error:
-            raise GoneError from error
-        if is_gone:
-            raise GoneError
+            return bool(ready) and not self.connection.recv(1, socket.MSG_PEEK)
+        except (OSError, ValueError):  # it is reset, or closed
+            return True
 
     def check_open(self) -> None:
         """Raise GoneError if the program ends."""
@@ -181,7 +178,7 @@ class PageRequest(BaseHTTPRequestHandler):
             self.server.closing.wait(min(left, _BEAT))
 
     def _refuse(self, status: HTTPStatus, message: str) -> None:
-        if not self._is_answered:
+        if self not in self.server.answered:
             self._send(status, "application/json", json.dumps({"message": message}).encode())
 
     def _request(self) -> dict[str, Any]:

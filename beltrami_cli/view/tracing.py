@@ -117,7 +117,7 @@ class Pyramid:
             # The last of an odd number of texels is counted twice.
             even = np.pad(last, [(0, side % 2) for side in last.shape[:2]] + [(0, 0)], mode="edge")
             four = [even[row::2, column::2] for row in (0, 1) for column in (0, 1)]
-            self._levels.append((four[0] + four[1] + four[2] + four[3]) / 4)
+            self._levels.append(np.asarray((four[0] + four[1] + four[2] + four[3]) / 4, np.float32))
         return self._levels[number]
 
 

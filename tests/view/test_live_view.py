@@ -282,6 +282,29 @@ def test_the_address_that_a_browser_is_started_with_is_good_once():
         thread.join()
 
 
+def test_the_program_ends_with_its_last_page_though_work_goes_on(monkeypatch):
+    monkeypatch.setattr("beltrami_cli.view.server._GRACE", 0.1)
+    is_worked = threading.Event()
+
+    def work(name, asked, request):
+        request.send(kind="accepted")
+        is_worked.wait(60)
+
+    server = PageServer({}, work)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    connection = http.client.HTTPConnection(server.host, timeout=10)
+    own = {"Host": server.host, "Origin": f"http://{server.host}"}
+    connection.request("POST", f"/{server.token}/change", "{}", own)
+    with contextlib.closing(connection), connection.getresponse() as answer:
+        assert answer.readline() == b'{"kind": "accepted"}\n'
+        thread.join(timeout=1)
+        assert thread.is_alive()
+    thread.join(timeout=30)
+    assert not thread.is_alive()
+    is_worked.set()
+
+
 @pytest.mark.slow
 def test_a_page_says_why_there_is_no_preview(browser, served):
     viewer = Live(browser, served(SAMPLES / "torus-two-noisy.gltf", "--level", "-n", "1").address)
