@@ -20,6 +20,7 @@ import numpy as np
 from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import override
+from beltrami_cli.flow.parameters import TUNABLE
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import WRITABLE
 from beltrami_cli.formats.image.reading import pictures_kept
@@ -33,7 +34,8 @@ from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.pages import page_with_models, rendered
 from beltrami_cli.view.parameters import (
-    controls,
+    CONTROLS,
+    SLIDERS,
     given_values,
     plain_settings,
     settings_from,
@@ -141,7 +143,7 @@ class Live:
         start = {"values": given_values(settings), "target": target}
         return page_with_models(
             "view.html", "live.js", {"start": start}, connect="'self'",
-            title=self._source, controls=controls(), slots=slots, target=target,
+            title=self._source, controls=CONTROLS, sliders=SLIDERS, free=TUNABLE, slots=slots, target=target,
         )  # fmt: skip
 
     def _follow(

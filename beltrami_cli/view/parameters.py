@@ -12,12 +12,16 @@ from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, describe_settings
 
 _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
-# Least and greatest value, and step.
-_SLIDERS: dict[str, tuple[float, ...]] = {
+_NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")
+
+CONTROLS = [_DECLARED[name] for name in _NAMES]
+"""What the controls of a page set."""
+
+SLIDERS = {
     "strength": (STRENGTHS["gentle"], STRENGTHS["strong"], 0.05),
     "iterations": (1, 20, 1), "t": (0.5, 10, 0.1), "beta": (0, 40, 0.5), "window": (3, 31, 2),
 }  # fmt: skip
-_NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")
+"""Least and greatest value of controls, and step."""
 
 # Kernel parameters that are shown even with their defaults.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
@@ -30,7 +34,7 @@ def plain_settings(settings: SmoothSettings) -> SmoothSettings:
     """Return settings with what the controls set as it is where nothing is given."""
     kernel = settings.kernel
     reset = {name: _DECLARED[name].default for name in _NAMES}
-    given = [name for name in TUNABLE if name in _SLIDERS and getattr(kernel, name) is not None]
+    given = [name for name in TUNABLE if name in SLIDERS and getattr(kernel, name) is not None]
     free = tuple(name for name in TUNABLE if name in kernel.free or name in given)
     textures = dataclasses.replace(settings.textures, slots=DEFAULTS.textures.slots)
     kernel = dataclasses.replace(kernel, **reset, free=free)
@@ -63,18 +67,6 @@ def _value(declared: Parameter, value: Any) -> Any:
     if declared.kind is int and isinstance(value, float) and value.is_integer():
         return int(value)
     return float(value) if declared.kind is float and type(value) is int else value
-
-
-def controls() -> list[tuple[Parameter, tuple[float, ...] | None, bool]]:
-    """Return the controls: what they set, the range, step and value of sliders, and whether the data may choose it."""
-    found: list[tuple[Parameter, tuple[float, ...] | None, bool]] = []
-    for name in _NAMES:
-        declared, bounds = _DECLARED[name], _SLIDERS.get(name)
-        if bounds is not None:
-            low, high, step = bounds
-            bounds = low, high, step, (low + high) / 4 if declared.default is None else declared.default
-        found.append((declared, bounds, name in TUNABLE))
-    return found
 
 
 def used_parameters(report: dict[str, Any]) -> dict[str, list[tuple[str, list[list[str]]]]]:

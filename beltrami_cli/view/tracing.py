@@ -208,13 +208,18 @@ class SurfaceView:
         self._all, self._faces, self._paint = positions, faces, paint
         self._tracer = Tracer(self.positions, self.faces)
 
-    def painted(self, positions: Float64s, faces: Int32s, paint: Paint) -> SurfaceView | None:
-        """Return the same surface painted otherwise; None if it is another."""
-        if not (np.array_equal(positions, self._all) and np.array_equal(faces, self._faces)):
-            return None
-        other = copy(self)
-        other._paint = paint
-        return other
+    @classmethod
+    def of(cls, positions: Float64s, faces: Int32s, paint: Paint, like: object) -> SurfaceView:
+        """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
+        if not (
+            isinstance(like, SurfaceView)
+            and np.array_equal(positions, like._all)
+            and np.array_equal(faces, like._faces)
+        ):
+            return cls(positions, faces, paint)
+        again = copy(like)
+        again._paint = paint
+        return again
 
     def draw(
         self, camera: Camera, size: tuple[int, int], window: Window, *,
@@ -286,12 +291,6 @@ class SurfaceView:
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
         return np.asarray(np.where(creased, flat, smooth), np.float32)
-
-
-def surface_view(positions: Float64s, faces: Int32s, paint: Paint, like: object) -> SurfaceView:
-    """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
-    again = like.painted(positions, faces, paint) if isinstance(like, SurfaceView) else None
-    return again or SurfaceView(positions, faces, paint)
 
 
 def sampled(

@@ -30,7 +30,6 @@ from beltrami_cli.view.tracing import (
     TexturePaint,
     VertexPaint,
     sampled,
-    surface_view,
 )
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
@@ -151,12 +150,12 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
         sheets = [texture_sheet(texture, slot) for texture in surface.textures]
         positions = within_reach(surface.positions)
         areas = triangle_areas(positions, surface.faces)
-        return surface_view(positions, surface.faces, TexturePaint(surface, sheets, areas), like)
+        return SurfaceView.of(positions, surface.faces, TexturePaint(surface, sheets, areas), like)
     painted = document.painted()
     light, finite = light_of(painted), np.isfinite(painted.positions).all(axis=1)
     positions = within_reach(painted.positions)
     if len(painted.faces):
-        return surface_view(positions, painted.faces, VertexPaint(painted.faces, light), like)
+        return SurfaceView.of(positions, painted.faces, VertexPaint(painted.faces, light), like)
     return CloudView(positions[finite], light[finite])
 
 
