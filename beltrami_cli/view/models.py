@@ -1,7 +1,7 @@
 """What was painted before and after on one model, as one binary glTF file for the viewer of pages.
 
 Each layer is a scene, with its triangles, points or lines in a box of size 1. Vertex colours are display values in the
-attributes _BEFORE and _AFTER. Materials have the textures before; `extras` name both textures of a part.
+attributes _BEFORE and _AFTER; `extras` name both textures of a part, and whether opacity hides it.
 
 Vertices are sorted so that the corners of a triangle are close in the file [1]_. Pages keep differences of
 neighbouring elements, which compress well.
@@ -72,7 +72,7 @@ class ModelWriter:
         self._is_live = is_live  # colours will change to any 16-bit value
         self._arrays = Arrays()
         self._tables: list[tuple[int, int, int]] = []  # offset, length, bytes of an element
-        self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes", "materials")}
+        self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes")}
         self._textures: dict[Any, int] = {}
         self._images: list[Callable[[], ImageBytes]] = []
         self.row_of: Int64s | None = None  # rows of vertices in the file; -1: a vertex that is left out
@@ -206,12 +206,8 @@ class ModelWriter:
             return self._node(attributes, _TRIANGLES, {}, index)
         attributes["TEXCOORD_0"] = self._table(_quantised(_finite(uv[rows])))
         attributes["_CHART"] = self._table(charts[rows, None].astype("<f4"))
-        material = {
-            "pbrMetallicRoughness": {"baseColorTexture": {"index": pair[0]}, "metallicFactor": 0},
-            "alphaMode": "MASK" if surface.textures[number].alpha_hides else "OPAQUE", "doubleSided": True,
-        }  # fmt: skip
-        self._tree["materials"].append(material)
-        return self._node(attributes, _TRIANGLES, {"textures": pair}, index, len(self._tree["materials"]) - 1)
+        hides = surface.textures[number].alpha_hides
+        return self._node(attributes, _TRIANGLES, {"textures": pair, "hides": hides}, index)
 
     def _scene(self, name: str, nodes: list[int], **extras: Any) -> None:
         self._tree["scenes"].append({"name": name, "nodes": nodes, "extras": {"name": name, **extras}})
@@ -219,15 +215,12 @@ class ModelWriter:
             del self._tree["scenes"][-1]["nodes"]
 
     def _node(
-        self, attributes: dict[str, int], mode: int, extras: dict[str, Any], index: Int64s | None = None,
-        material: int | None = None,
-    ) -> int:  # fmt: skip
+        self, attributes: dict[str, int], mode: int, extras: dict[str, Any], index: Int64s | None = None
+    ) -> int:
         primitive: dict[str, Any] = {"attributes": attributes, "mode": mode}
         if index is not None:
             kind = "<u2" if index.max(initial=0) < _FULL else "<u4"
             primitive["indices"] = self._table(index.reshape(-1, 1).astype(kind), target=INDEX_DATA)
-        if material is not None:
-            primitive["material"] = material
         self._tree["meshes"].append({"primitives": [primitive]})
         self._tree["nodes"].append({"mesh": len(self._tree["meshes"]) - 1, "extras": extras})
         return len(self._tree["nodes"]) - 1

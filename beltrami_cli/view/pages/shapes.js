@@ -71,8 +71,7 @@ const Shapes = (() => {
     }
 
     addShape(layer, shape) {
-      const { textures = null, size = 0 } = shape.userData, { _before: painted, _moved: moved } = shape.geometry.attributes;
-      const hides = shape.material.alphaTest > 0;
+      const { textures = null, hides = false, size = 0 } = shape.userData, { _before: painted, _moved: moved } = shape.geometry.attributes;
       shape.material = this.material({ textures, hides, size, painted, moved, points: shape.isPoints });
       shape.frustumCulled = false;
       layer.materials.push(shape.material);
