@@ -21,7 +21,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.jobs.job import memory_reserved
 from beltrami_cli.surface.baking import look_up
-from beltrami_cli.surface.geometry import vertex_normals
+from beltrami_cli.surface.geometry import unit_vectors, vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import TexturedSurface, Wrap
 from beltrami_cli.view.camera import Camera, Window, size_between
@@ -279,9 +279,7 @@ class SurfaceView:
     def _face_normals(self) -> Float32s:
         corners = self._all[self._faces]
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
-        normals = np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
-        return np.asarray(normals, np.float32)
+        return np.asarray(unit_vectors(crosses), np.float32)
 
     @cached_property
     def _corner_normals(self) -> Float32s:
@@ -297,7 +295,7 @@ def sampled(
     size: tuple[int, int], window: Window, light: Callable[[Float64s, Float64s], Float32s],
     progress: Callable[[int, int], None] | None = None,
 ) -> Float32s:  # fmt: skip
-    """Average what is seen at places all over each pixel of a window of a view, shape (height, width, 4).
+    """Average the light at places all over each pixel of a window of a view, shape (height, width, 4).
 
     `light` is called with columns (C,) and rows (R, 1), in fractions of the view, and returns (R * C, 4).
     """
