@@ -146,7 +146,7 @@ OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
 
 # The options that are no parameters of a record, but of the method or of encoding. Whatever is not here is refused.
 _HARMLESS = frozenset({
-    "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "view", "no_labels",
+    "preset", "output_format", "unwrap", "to", "at", "iteration", "whole", "no_labels",
 })  # fmt: skip
 
 

@@ -7,7 +7,6 @@ import itertools
 import os
 import shlex
 import sys
-from collections.abc import Mapping
 from typing import Any, Literal
 
 import click
@@ -20,7 +19,7 @@ from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.settings import VIEWS, RenderSettings
+from beltrami_cli.view.settings import RenderSettings
 
 _RENDER_EPILOG = """\b
 Examples:
@@ -41,24 +40,9 @@ and reflections are not shown.
 """
 
 
-_viewpoint = click.option(
-    "--view", type=click.Choice(list(VIEWS)), default="front", show_default=True,
-    help="Where the eye is; y points up, and the front looks along z, unless --up says otherwise.",
-)  # fmt: skip
-
-
-def render_settings_from(values: Mapping[str, Any], **made: Any) -> RenderSettings:
-    """Make the settings of pictures from the values of `_viewpoint` and options of `RenderSettings`."""
-    for name, angle in zip(("azimuth", "elevation"), VIEWS[values["view"]], strict=True):
-        if values[name] is None:
-            made[name] = angle
-    return options.record_from(RenderSettings, values, **made)
-
-
 @click.command("render", cls=HelpfulCommand, epilog=_RENDER_EPILOG)
 @click.argument("sources", nargs=-1, required=True, metavar="FILE...")
 @click.argument("target", metavar="OUT.png")
-@_viewpoint
 @options.options_of(RenderSettings)
 @click.option("--no-labels", is_flag=True, help="No words in the picture.")
 @options.writing
@@ -69,7 +53,7 @@ def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Mes
     """
     if values["labels"] and no_labels:
         raise UsageError("--label and --no-labels contradict each other")
-    settings = render_settings_from(values, **({"labels": ()} if no_labels else {}))
+    settings = options.record_from(RenderSettings, values, **({"labels": ()} if no_labels else {}))
     from beltrami_cli.view.render import render_file
 
     with options.job_from(values, sources[0], messages) as job:
@@ -128,7 +112,6 @@ _LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in
 @options.adding(_LISTS[::-1])
 @options.options_of(SmoothSettings, without=_SWEPT)
 @options.preset
-@_viewpoint
 @options.options_of(RenderSettings, without=_NOT_LOOKS)
 @options.writing
 def sweep(
@@ -147,7 +130,7 @@ def sweep(
     trials, columns = _trials(given)
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
-    settings = render_settings_from(given, on=on, slot=plain.textures.slots[0])
+    settings = options.record_from(RenderSettings, given, on=on, slot=plain.textures.slots[0])
     from beltrami_cli.view.sweep import best_of, sweep_file
 
     with options.job_from(given, source, messages) as job:

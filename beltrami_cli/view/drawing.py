@@ -227,7 +227,7 @@ def draw_panels(
     frames = [
         nowhere if isinstance(view, ImageView) else framed(view.positions, view.faces) for view in views
     ]
-    azimuths = [settings.azimuth + 360 * turn / turns for turn in range(turns)]
+    azimuths = [settings.angles[0] + 360 * turn / turns for turn in range(turns)]
     turned = [dataclasses.replace(settings, azimuth=azimuth) for azimuth in azimuths]
     drawers = [drawer for each in turned for drawer in _drawers(views, frames, each)]
     half = 0.5 / settings.zoom
@@ -303,7 +303,7 @@ def _sums(values: Float64s, square: int) -> Float64s:
 
 def _drawers(views: Sequence[Drawable], frames: Sequence[Float64s], settings: RenderSettings) -> list[Draw]:
     """Return what draws each view; models that lie in one place are seen by one camera."""
-    rotation = orientation(settings.azimuth, settings.elevation, settings.up)
+    rotation = orientation(*settings.angles, settings.up)
     aspect = settings.size[0] / settings.size[1]
     shared: tuple[Camera, Float64s] | None = None
     drawers: list[Draw] = []

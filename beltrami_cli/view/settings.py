@@ -67,13 +67,17 @@ class RenderSettings:
         low=16, high=LONGEST_SIDE, unit="pixels", metavar="N|WxH", parse=_size,
         show=lambda size: "x".join(map(str, size)), is_daily=True,
     )  # fmt: skip
-    azimuth: float = parameter(
-        0.0, "Position of the eye: around the model, to the right of its front.",
-        low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+    view: str = parameter(
+        "front", "Where the eye is; y points up, and the front looks along z, unless --up says otherwise.",
+        choices=tuple(VIEWS), is_daily=True,
     )  # fmt: skip
-    elevation: float = parameter(
-        0.0, "Position of the eye: upwards; negative: from below.",
-        low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+    azimuth: float | None = parameter(
+        None, "Position of the eye: around the model, to the right of its front.",
+        kind=float, low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
+    )  # fmt: skip
+    elevation: float | None = parameter(
+        None, "Position of the eye: upwards; negative: from below.",
+        kind=float, low=-_MOST_DEGREES, high=_MOST_DEGREES, unit="degrees", unset="of --view", metavar="DEGREES",
     )  # fmt: skip
     up: Axis = parameter(
         "y", "Which axis of the models points up: z in many scans and in CAD.", choices=get_args(Axis)
@@ -133,6 +137,15 @@ class RenderSettings:
         if len(self.crops) > 5:
             raise UsageError(f"there are {len(self.crops)} crops, but at most 5 can be shown")
         self.background_colour()
+
+    @property
+    def angles(self) -> tuple[float, float]:
+        """Where the eye is, in degrees: to the right of the front, and upwards."""
+        azimuth, elevation = VIEWS[self.view]
+        return (
+            azimuth if self.azimuth is None else self.azimuth,
+            elevation if self.elevation is None else self.elevation,
+        )
 
     def background_colour(self) -> tuple[float, float, float] | None:
         """Return the background as display values, 0 to 1; None: transparent, or what suits the models."""
