@@ -88,7 +88,12 @@ def _page(
         "change": histogram(changes), "used": used,
         "seams": [drawn for part in tracked(compared.parts, "drawing seams", progress) if (drawn := seam_map(part))],
     }  # fmt: skip
-    writer, notices = _writer(compared, documents, progress), compared.all_notices()
+    writer, notices = ModelWriter(), compared.all_notices()
+    slots: list[Slot | None] = [*compared.slots]
+    if not slots or any(part.kind == "vertices" for part in compared.parts):
+        slots.append(None)
+    for slot in tracked(slots, "packing models", progress):
+        writer.add(documents, slot)
 
     def page_with(data: dict[str, Any], notices: Sequence[str]) -> bytes:
         return pages.page_with_models("report.html", "report.js", data, notices=notices, **values)
@@ -97,18 +102,6 @@ def _page(
     models, share = writer.packed(_percentile(changes), limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
     return page_with({"models": models}, notices), notices
-
-
-def _writer(
-    compared: Compared, documents: tuple[Document, Document], progress: Progress | None
-) -> ModelWriter:
-    writer = ModelWriter()
-    slots: list[Slot | None] = [*compared.slots]
-    if not slots or any(part.kind == "vertices" for part in compared.parts):
-        slots.append(None)
-    for slot in tracked(slots, "packing models", progress):
-        writer.add(documents, slot)
-    return writer
 
 
 def changes_of(part: ComparedColours) -> Int64s:
