@@ -326,7 +326,7 @@ class Layers:
         slots: list[Slot | None] = [] if self._is_image else [*document.slots()]
         self.slots = [*slots, None] if self._is_image or document.has_vertex_colours() else slots
         self._row_of: Int64s | None = None
-        self._has_moved = False  # vertices, on the page
+        self._can_move = False  # whether vertices have moved, on any page
         self._boxes: list[Box] = []
 
     def glb(self, reach: float) -> bytes:
@@ -380,9 +380,8 @@ class Layers:
             painted = result.painted()
             rows = np.arange(len(painted.positions))
             unmoved = self.document.painted().positions
-            is_moved = not np.array_equal(painted.positions, unmoved, equal_nan=True)
-            places = painted.positions if is_moved or self._has_moved else None
-            self._has_moved = is_moved
+            self._can_move |= not np.array_equal(painted.positions, unmoved, equal_nan=True)
+            places = painted.positions if self._can_move else None
             return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
         old, new = textures_of(self.document, slot), textures_of(result, slot)
         found = []

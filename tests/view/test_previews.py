@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -19,9 +20,10 @@ from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
+from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 from beltrami_cli.view.parameters import given_values, plain_settings, settings_from
-from beltrami_cli.view.preview import Focus, Previewer
+from beltrami_cli.view.preview import Focus, Layers, Previewer
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
@@ -61,6 +63,25 @@ def test_the_command_gives_the_settings_that_it_was_made_of(words):
 def test_controls_that_are_let_go_are_chosen_again():
     plain = plain_settings(parsed(["-n", "5", "--beta", "3"]))
     assert settings_from(plain, {"slots": ["baseColor"]}) == DEFAULTS
+
+
+def test_moved_vertices_go_back_on_every_page():
+    painted = PaintedVertices(
+        np.eye(3), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.float32), ("red", "green", "blue"),
+        "srgb", "uint8",
+    )  # fmt: skip
+    still, moved = (
+        SimpleNamespace(
+            kind="mesh", slots=tuple, has_vertex_colours=lambda: True, painted=lambda shown=shown: shown
+        )
+        for shown in (painted, replace(painted, positions=painted.positions + 0.1))
+    )
+    layers, one, other = Layers(still), {}, {}
+    layers.glb(8)
+    layers.whole(one, moved)
+    layers.whole(other, still)
+    (patch,) = layers.whole(one, still)
+    assert "places" in patch
 
 
 def middle(kind, document):
