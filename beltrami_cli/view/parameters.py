@@ -25,7 +25,6 @@ SLIDERS = {
 
 # Kernel parameters that are shown even with their defaults.
 _ALWAYS = ("iterations", "t", "beta", "beta_growth", "metric_steps", "space")
-_COLUMNS = ("value", "how it came about")
 _NEVER = ("free", "fast", "on", "threads", "noise")
 _WORDS = {"t": "time step, t", "on": "smoothed, --on"}
 
@@ -69,19 +68,17 @@ def _value(declared: Parameter, value: Any) -> Any:
     return float(value) if declared.kind is float and type(value) is int else value
 
 
-def used_parameters(report: dict[str, Any]) -> dict[str, list[tuple[str, list[list[str]]]]]:
-    """Return tables, by their names, of the parts in a report of `smooth`; KeyError and the like if it is none."""
-    requested, parts = report["parameters"], []
-    for name, done in _parts(report):
-        rows = [["parameter", *_COLUMNS], *_kernel(requested, done), *_measured(requested.get("noise"), done)]
-        parts.append((name, rows))
-    given = [["parameter of the job", *_COLUMNS], *([*each, "given"] for each in _given(requested))]
-    stages = [
-        ["stage", "seconds"],
-        *([name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()),
-    ]
-    others = [("parameters of the job", given), ("stages", stages)]
-    return {"parts": parts, "others": [(name, rows) for name, rows in others if len(rows) > 1]}
+def used_parameters(report: dict[str, Any]) -> dict[str, list[Any]]:
+    """Return rows about the parts in a report of `smooth`, and its job; KeyError and the like if it is none."""
+    requested = report["parameters"]
+    return {
+        "parts": [
+            (name, [*_kernel(requested, done), *_measured(requested.get("noise"), done)])
+            for name, done in _parts(report)
+        ],
+        "given": [[*each, "given"] for each in _given(requested)],
+        "stages": [[name, f"{spent['wall']:.2f}"] for name, spent in report["stages"].items()],
+    }
 
 
 def _parts(report: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
