@@ -66,23 +66,20 @@
     isSending = false;
   }
 
-  // An event is a line.
+  // An event is a line. An answer that ends, or fails, and was not broken off here is the end of the program.
   async function follow(reader, signal) {
+    const next = () => reader.read().catch(() => ({ done: true }));
     let line = [];
-    try {
-      for (let { value, done } = await reader.read(); !done; { value, done } = await reader.read()) {
-        const [last, ...others] = value.split("\n");
-        line.push(last);
-        for (const next of others) {
-          const event = JSON.parse(line.join(""));
-          line = [next];
-          await shown[event.kind](event);
-        }
+    for (let { value, done } = await next(); !done; { value, done } = await next()) {
+      const [last, ...others] = value.split("\n");
+      line.push(last);
+      for (const first of others) {
+        const event = JSON.parse(line.join(""));
+        line = [first];
+        await shown[event.kind](event);
       }
-    } catch (error) {
-      if (signal.aborted) return;
     }
-    end();
+    if (!signal.aborted) end();
   }
 
   function end() {
