@@ -31,8 +31,7 @@ from beltrami_cli.jobs.array_arguments import (
 )
 from beltrami_cli.jobs.smooth import smooth_layer
 from beltrami_cli.layers.image_surface import ImageSurface
-from beltrami_cli.layers.layer import Layer, SlotReport, VertexReport
-from beltrami_cli.layers.levelled_charts import level
+from beltrami_cli.layers.layer import SlotReport, VertexReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import CloudCounts, GridLayer, VertexLayer, count_cloud
@@ -402,8 +401,8 @@ def smooth_textured(
     names = [picture.name for picture in pictures]
     surface = textured_surface(arrays, names, texture_of, origin)
     # Images that other slots show, too, are handed back as pixels, not as files: here all of them.
-    layer: Layer = TextureLayer.of(surface, pictures, [None] * len(pictures), slot, settings, shared=names)
-    done = smooth_layer(level(layer, LevelSettings()) if settings.level_seams else layer, progress)
+    layer = TextureLayer.of(surface, pictures, [None] * len(pictures), slot, settings, shared=names)
+    done = smooth_layer(layer.levelled(LevelSettings()) if settings.level_seams else layer, progress)
     assert isinstance(done.report, SlotReport)
     smoothed = [
         in_type_of(old, picture.pixels, new.pixels).reshape(old.shape)

@@ -16,7 +16,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools
+from beltrami_cli.arrays import Array, Bools, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
@@ -26,12 +26,12 @@ from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import Job, Progress
-from beltrami_cli.jobs.progress import count_samples, phases_of
-from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.levelled_charts import describe_exposure, photograph_attribute, photographs_of
+from beltrami_cli.jobs.progress import phases_of
+from beltrami_cli.layers.layer import Layer, Part
+from beltrami_cli.layers.levelled_charts import photograph_attribute, photographs_of
 from beltrami_cli.layers.memory_check import checked_memory, memory_beside, require_memory, too_many_together
-from beltrami_cli.layers.selection import layers_of, require_scale, select, vertex_layer
-from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.selection import count_samples, layers_of, require_scale, select, vertex_layer
+from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures, only_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.tile_groups import TileGroups
@@ -83,12 +83,14 @@ def inspect_file(
     document = open_input(os.fspath(source), settings, access)
     selection = select(document, settings)
     require_scale(document, selection)
-    facts = dict[str, object]()
     counts = count_samples(document, selection, settings.textures)
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
+    described: dict[Part, list[dict[str, object]]] = {"vertices": [], "image": [], "textures": []}
     if selection.slots and not selection.vertices:
-        facts |= _describe_under_textures(document, selection.slots[0], settings, access)
-    notices, textures = [*document.notices, *selection.notices], list[dict[str, object]]()
+        described["vertices"].append(_describe_under_textures(document, selection.slots[0], settings, access))
+    notices, photographs = [*document.notices, *selection.notices], None
+    if selection.vertices and photograph_attribute(document) is not None:
+        photographs = photographs_of(document)
     in_groups = settings.fits_parts
     memory, rest = memory_beside(document, access) if in_groups else None, list[Slot]()
     how = {"image": selection.image, "in_groups": in_groups}
@@ -99,37 +101,50 @@ def inspect_file(
             if many is None:
                 rest.append(slot)
                 continue
-            textures.append(_describe_one_by_one(TileGroups(surface, *many), slot, settings))
+            described["textures"].append(_describe_one_by_one(TileGroups(surface, *many), slot, settings))
             which = "estimated on some textures, as memory is small for all"
             notices.append(f"{slot}: noise and parameters are {which}.")
         chosen = dataclasses.replace(selection, slots=tuple(rest))
         job.begin("laying out")
-        for samples in layers_of(document, chosen, settings, access, in_groups=in_groups):
-            job.begin(f"{samples.label}: choosing parameters")
-            if isinstance(samples, TextureLayer):
-                textures.append(samples.describe())
-                if samples.is_whole:
-                    textures[-1]["exposure"] = describe_exposure(samples)
-            else:
-                facts |= samples.describe()
-                if samples.part == "vertices" and photograph_attribute(document) is not None:
-                    facts["exposure"] = describe_exposure(samples, photographs_of(document))
-            if isinstance(samples, ImageLayer):
-                notices += [*samples.picture.notices, *samples.remarks]
+        for layer in layers_of(document, chosen, settings, access, in_groups=in_groups):
+            job.begin(f"{layer.label}: choosing parameters")
+            facts, exposure = layer.describe(), describe_exposure(layer, photographs)
+            described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
+            notices += layer.notices
         for slot in rest:
-            groups = [each for each in textures if each["slot"] == slot]
+            groups = [each for each in described["textures"] if each["slot"] == slot]
             if len(groups) > 1:  # exposures belong to all groups together
                 exposure = describe_exposure(TextureLayer.read(document.textured(slot), slot, settings))
                 for each in groups:
                     each["exposure"] = exposure
-    if textures:
-        facts["textures"] = textures
+    # Of images they are known once there is enough memory to decode them.
+    file = {"name": document.name, "format": document.format, **document.facts()}
+    found: dict[str, object] = {"file": file}
+    for each in (*described["vertices"], *described["image"]):
+        found |= each
+    if described["textures"]:
+        found["textures"] = described["textures"]
         others = [slot for slot in document.slots() if slot not in settings.textures.slots]
         if others:
             notices.append(f"it has textures in other slots, too; --slots {','.join(others)} shows them")
-    # Of images they are known once there is enough memory to decode them.
-    file = {"name": document.name, "format": document.format, **document.facts()}
-    return {"file": file, **facts, "notices": notices}
+    return {**found, "notices": notices}
+
+
+def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[str, object] | None:
+    """Describe exposure steps, in JSON types; None for layers that cannot be levelled, such as data."""
+    try:
+        report = layer.levelled(LevelSettings(strength=0.0), photographs).level_report
+    except UsageError:
+        return None
+    assert report is not None
+    return {
+        "step": report.before,
+        "seams": report.seams,
+        "stepped": report.stepped,
+        "painted": report.painted,
+        "explained": report.explained,
+        "is_exposure": bool(report.exposures),
+    }
 
 
 def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:

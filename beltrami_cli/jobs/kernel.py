@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Int64s
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import from_space
@@ -24,20 +24,18 @@ from beltrami_cli.formats.ply.writer import write_scalars_as_ply
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.layers.layer import Layer
+from beltrami_cli.layers.layer import Layer, SampledVertices
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.selection import layers_of, require_scale, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import PaintedLayer
 from beltrami_cli.surface.atlas import EMPTY
+from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import as_bytes, colour_by_value
 
 _ZOOM, _GAP = 28, 12  # pixels of a cell in a picture, and between its panels
 _SURROUNDINGS = 4  # cells that are shown around the window
-Place = tuple[
-    str, int, dict[str, Array]
-]  # of a sample: in words, its number, and columns that say where all are
+# Of a sample: in words, its number, and columns that say where all samples are.
+Place = tuple[str, int, dict[str, Array]]
 
 
 @dataclass(frozen=True)
@@ -71,16 +69,17 @@ def kernel_file(
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
     require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = layers_of(document, selection, settings, access)
-    on_mesh = isinstance(samples, PaintedLayer)
+    where = samples.places()
+    on_mesh = isinstance(where, SampledVertices)
     if suffix != ".csv" and (suffix == ".ply") != on_mesh:
         drawn_as = ".ply" if on_mesh else ".png"
         raise UsageError(f"{target}: a kernel on {samples.label} is drawn as {drawn_as}, or written as .csv")
     plan = samples.plan()
-    if isinstance(samples, PaintedLayer):
-        sample_of = samples.sample_of(plan)
-        name, index, columns = _vertex_at(at, samples, sample_of, document.name)
+    if isinstance(where, SampledVertices):
+        name, index, columns = _vertex_at(at, where, document.name)
     else:  # glTF counts v from the upper side of an image, other formats from the lower
-        name, index, columns = _texel_at(at, samples, is_flipped=document.format not in ("gltf", "glb"))
+        is_flipped = document.format not in ("gltf", "glb")
+        name, index, columns = _texel_at(at, where, samples.label, is_flipped=is_flipped)
     manifold = smooth(plan.stopped_before(iteration - 1), job.progress_of("iterations before")).manifold
     kernel = manifold.kernel_at(index, plan.step(iteration - 1))
     channels = ("L", "a", "b", *samples.names[3:]) if settings.space == "oklab" else samples.names
@@ -94,8 +93,8 @@ def kernel_file(
         rows = zip(*(values.tolist() for values in table.values()), strict=True)
         csv.writer(text, lineterminator="\n").writerows([list(table), *rows])
         written = Written([text.getvalue().encode()])
-    elif isinstance(samples, PaintedLayer):
-        written = _mesh(samples, sample_of, kernel, nearness, _greys(manifold.new_colours().table(), samples))
+    elif isinstance(where, SampledVertices):
+        written = _mesh(where, kernel, nearness, _greys(manifold.new_colours().table(), samples))
     else:
         written = _picture(manifold, index, kernel, nearness, samples, suffix)
     output.write(written)
@@ -104,9 +103,9 @@ def kernel_file(
     return ShownKernel(name, parameters.iterations, beta, parameters.radius, cut_short, table)
 
 
-def _vertex_at(at: str, samples: PaintedLayer, sample_of: Int64s, name: str) -> Place:
+def _vertex_at(at: str, where: SampledVertices, name: str) -> Place:
     """Find the sample of a vertex, by its index or the nearest position."""
-    numbers, positions = _numbers(at), samples.joined.positions
+    numbers, positions, sample_of = _numbers(at), where.mesh.positions, where.sample_of
     if len(numbers) == 3:
         squared = np.where(sample_of >= 0, np.square(positions - numbers).sum(axis=1), np.inf)
         numbers = [float(np.nanargmin(squared))]
@@ -119,12 +118,10 @@ def _vertex_at(at: str, samples: PaintedLayer, sample_of: Int64s, name: str) -> 
     return f"vertex {vertex}", int(sample_of[vertex]), columns
 
 
-def _texel_at(at: str, samples: Layer, *, is_flipped: bool) -> Place:
+def _texel_at(at: str, cells: Cells, what: str, *, is_flipped: bool) -> Place:
     """Find the sample nearest to texture coordinates, or to a pixel of an image."""
     glob, _, place = at.rpartition(":")
-    cells, numbers, is_image = samples.cells(), np.array(_numbers(place)), samples.part == "image"
-    assert cells is not None
-    names = [each.name for each in samples.surface.textures] if isinstance(samples, TextureLayer) else [""]
+    numbers, is_image, names = np.array(_numbers(place)), not cells.names, cells.names or [""]
     fitting = [index for index, name in enumerate(names) if fnmatch(name, glob or "*")]
     if len(fitting) != 1:
         which = "several textures" if fitting else "no texture"
@@ -136,7 +133,7 @@ def _texel_at(at: str, samples: Layer, *, is_flipped: bool) -> Place:
         numbers = np.floor((numbers[0], 1 - numbers[1] if is_flipped else numbers[1]) * size)
     if len(numbers) != 2 or not ((numbers >= 0) & (numbers <= size)).all() or not mine.any():
         form = "column and row as X,Y" if is_image else "texture coordinates U,V from 0 to 1"
-        raise UsageError(f"--at {at} is no place in {samples.label}, {size[0]} x {size[1]}; give {form}")
+        raise UsageError(f"--at {at} is no place in {what}, {size[0]} x {size[1]}; give {form}")
     nearest = np.square(np.stack([column, row], axis=1) - numbers).sum(axis=1).argmin()
     name, columns = f"{column[nearest]},{row[nearest]}", {"x": cells.column, "y": cells.row}
     if not is_image:
@@ -165,16 +162,15 @@ def _greys(colours: Float32s, samples: Layer) -> Float32s:
     return np.clip(np.broadcast_to(shown, (len(shown), 3)), 0, 1)
 
 
-def _mesh(
-    samples: PaintedLayer, sample_of: Int64s, kernel: SampledKernel, nearness: Float32s, greys: Float32s
-) -> Written:
+def _mesh(where: SampledVertices, kernel: SampledKernel, nearness: Float32s, greys: Float32s) -> Written:
     """Colour the whole mesh by nearness, with distance (NaN beyond the kernel) and weight as properties."""
     rows = np.full((len(greys), 3), [np.nan, np.nan, 0], np.float32)
     rows[kernel.samples] = np.column_stack([nearness, kernel.distances, kernel.weights])
     near, distance, weight = rows.T
     shades = as_bytes(colour_by_value(near, greys, np.isfinite(near)))
+    sample_of, mesh = where.sample_of, where.mesh
     scalars = {"distance": distance[sample_of], "weight": weight[sample_of]}
-    return write_scalars_as_ply(samples.joined.positions, samples.joined.faces, shades[sample_of], scalars)
+    return write_scalars_as_ply(mesh.positions, mesh.faces, shades[sample_of], scalars)
 
 
 def _picture(

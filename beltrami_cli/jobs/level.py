@@ -15,7 +15,7 @@ from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.layer import Layer, LevelReport, Repainted
-from beltrami_cli.layers.levelled_charts import colours_of, level, photographs_of
+from beltrami_cli.layers.levelled_charts import photographs_of
 from beltrami_cli.layers.selection import OutputFormat, Selection
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
@@ -50,8 +50,8 @@ class Levelling(Painter[Levelled]):
 
     def paint(self, layer: Layer, job: Job) -> Levelled:
         del job
-        layer = level(layer, self.wanted, self.photographs)
-        repainted = layer.repaint(colours_of(layer), is_smoothed=False)
+        layer = layer.levelled(self.wanted, self.photographs)
+        repainted = layer.repaint(layer.unchanged(), is_smoothed=False)
         assert layer.level_report is not None
         change = repainted.change.summary()
         return Levelled(repainted, dataclasses.replace(layer.level_report, change=change))

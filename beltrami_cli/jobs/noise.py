@@ -19,7 +19,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
-from beltrami_cli.jobs.noise_targets import NoiseTargets, coded_as_jpeg, positions_of, repainted, targets_of
+from beltrami_cli.jobs.noise_targets import NoiseTargets, NoisyLayer, coded_as_jpeg, noisy_layer
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.layer import Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
@@ -76,12 +76,11 @@ class Noising(Painter[Noisy]):
 
     def paint(self, layer: Layer, job: Job) -> Noisy:
         del job
-        targets = targets_of(layer)
-        after = _noisy(layer, targets, self.noise)
-        change = np.square(after - targets.colours, dtype=np.float64)
-        what = "vertex colours" if layer.part == "vertices" else layer.label
+        noisy = noisy_layer(layer)
+        after = _with_noise(noisy, self.noise)
+        change = np.square(after - noisy.targets.colours, dtype=np.float64)
         rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
-        return Noisy(repainted(layer, targets, after), Added(what, len(change), rms))
+        return Noisy(noisy.repainted(after), Added(noisy.what, len(change), rms))
 
 
 def noise_file(
@@ -119,15 +118,16 @@ def noise_file(
     return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=added)
 
 
-def _noisy(samples: Layer, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
+def _with_noise(noisy: NoisyLayer, settings: NoiseSettings) -> Float32s:
+    targets = noisy.targets
     if not targets.colours.size or settings.sigma == 0:
         return targets.colours.copy()
     if settings.kind == "jpeg":
-        return coded_as_jpeg(samples, settings.quality)
+        return coded_as_jpeg(noisy, settings.quality)
     if settings.kind == "camera":
-        return seen_by_camera(targets, samples.cells(), settings)
+        return seen_by_camera(targets, noisy.cells(), settings)
     if settings.kind == "grain":
-        return add_grain(targets, *positions_of(samples), settings)
+        return add_grain(targets, *noisy.positions(), settings)
     return add_noise(targets, settings)
 
 

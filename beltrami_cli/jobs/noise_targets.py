@@ -6,7 +6,9 @@ Samples at one place have one random number, so that split vertices stay equal, 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial, singledispatch
 from typing import Any
 
 import numpy as np
@@ -18,18 +20,19 @@ from beltrami_cli.flow.canvas import painted as on_canvas
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image import Picture, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.layers.image_layer import ImageLayer, written
 from beltrami_cli.layers.layer import Change, Layer, Repainted, rewritten
+from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SLOTS
 from beltrami_cli.layers.texel_colours import Repainting, all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface.atlas import fill_gutter
-from beltrami_cli.surface.baking import places_of_texels
+from beltrami_cli.surface.baking import Cells, places_of_texels
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot, limits_of
 
@@ -50,92 +53,100 @@ class NoiseTargets:
         return limits_of(self.colours)
 
 
-def targets_of(samples: Layer) -> NoiseTargets:
-    """Return the coloured vertices, covered texels or pixels."""
-    space = samples.settings.space
-    if isinstance(samples, PaintedLayer):
-        painted, rows = samples.painted, _coloured(samples)
-        colours = to_space(painted.colours[rows][:, samples.channels.changing], painted.encoding, space)
-        return NoiseTargets(colours, _places(painted, rows), space=space)
-    if isinstance(samples, ImageLayer):
-        pixels = np.flatnonzero(samples.valid)
-        colours = samples.colours.working(samples.picture, pixels)
-        return NoiseTargets(colours, np.arange(len(pixels)), space=space)
-    assert isinstance(samples, TextureLayer)
-    # They are numbered by their place in the textures, and not on the canvas.
-    atlas = samples.atlas
-    number = np.empty(len(atlas.owned_texels), np.int64)
-    number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
-    is_grey = np.array([len(picture.colour) == 1 for picture in samples.pictures], bool)
-    return NoiseTargets(
-        colours=all_texel_colours(samples.colours, samples.pictures, atlas),
-        number_of=number,
-        stream=1 + SLOTS.index(samples.slot),
-        is_grey=is_grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1],
-        space=samples.colours.space,
+@dataclass(frozen=True)
+class NoisyLayer:
+    """What adding noise needs of a layer."""
+
+    what: str  # the name of its colours in reports
+    targets: NoiseTargets
+    # The positions of the targets, (K, 3), and their distance from neighbours, (K,).
+    positions: Callable[[], tuple[Float64s, Float64s]]
+    # Replace the colours of the targets by others; colours beyond seams are shifted by the same amount.
+    repainted: Callable[[Float32s], Repainted]
+    cells: Callable[[], Cells | None] = lambda: None  # where the targets lie in pictures, if they do
+    pictures: Sequence[Picture] = ()
+    picture_colours: PictureColours | None = None
+
+
+@singledispatch
+def noisy_layer(layer: Layer) -> NoisyLayer:
+    """Prepare a layer for noise, by its kind."""
+    raise UsageError(f"{layer.label}: noise cannot be added to such colours")
+
+
+@noisy_layer.register
+def _(layer: PaintedLayer) -> NoisyLayer:
+    painted, space, changing = layer.painted, layer.settings.space, layer.channels.changing
+    rows = coloured_rows(painted, in_triangles=layer.in_triangles)
+    spaces = None if painted.space_of is None else painted.space_of[rows]
+    place_of, _ = group_places(painted.positions[rows], spaces)
+    before = to_space(painted.colours[rows][:, changing], painted.encoding, space)
+
+    def positions() -> tuple[Float64s, Float64s]:
+        return painted.positions[rows], _spacing(painted, rows, place_of)
+
+    def repainted(after: Float32s) -> Repainted:
+        colours, places = painted.colours.copy(), (rows[:, None], changing)
+        # Conversion to the working space and back is not exact: unchanged colours keep their bits.
+        back = from_space(after, painted.encoding, space)
+        colours[places] = np.where(after != before, back, colours[places])
+        return Repainted(Change.between(painted.colours, colours), colours)
+
+    targets = NoiseTargets(before, place_of, space=space)
+    return NoisyLayer("vertex colours", targets, positions, repainted)
+
+
+@noisy_layer.register
+def _(layer: ImageLayer) -> NoisyLayer:
+    before = layer.unchanged()
+
+    def positions() -> tuple[Float64s, Float64s]:
+        row, column = np.nonzero(layer.valid)
+        return np.column_stack([column, row, np.zeros_like(row)]).astype(np.float64), np.ones(len(row))
+
+    def repainted(after: Float32s) -> Repainted:
+        losses = noise_losses(layer.picture, layer.suffix, "an OUTPUT in .png keeps all")
+        return written(layer, NewColours.of(after, before.places), losses)
+
+    targets = NoiseTargets(before.table(), np.arange(len(before.places)), space=layer.settings.space)
+    return NoisyLayer(
+        layer.label, targets, positions, repainted, layer.places, [layer.picture], layer.colours
     )
 
 
-def positions_of(samples: Layer) -> tuple[Float64s, Float64s]:
-    """Return the positions of the targets, (K, 3), and their distance from neighbours, (K,)."""
-    if isinstance(samples, PaintedLayer):
-        painted, rows = samples.painted, _coloured(samples)
-        return painted.positions[rows], _spacing(painted, rows, _places(painted, rows))
-    if isinstance(samples, ImageLayer):
-        row, column = np.nonzero(samples.valid)
-        return np.column_stack([column, row, np.zeros_like(row)]).astype(np.float64), np.ones(len(row))
-    assert isinstance(samples, TextureLayer)
-    return places_of_texels(samples.surface, samples.cells())
+@noisy_layer.register
+def _(layer: TextureLayer) -> NoisyLayer:
+    atlas = layer.atlas
+    # Texels are numbered by their place in the textures, and not on the canvas.
+    number = np.empty(len(atlas.owned_texels), np.int64)
+    number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
+    is_grey = np.array([len(picture.colour) == 1 for picture in layer.pictures], bool)
+    targets = NoiseTargets(
+        colours=all_texel_colours(layer.colours, layer.pictures, atlas),
+        number_of=number,
+        stream=1 + SLOTS.index(layer.slot),
+        is_grey=is_grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1],
+        space=layer.colours.space,
+    )
+
+    def positions() -> tuple[Float64s, Float64s]:
+        return places_of_texels(layer.surface, layer.places())
+
+    repainted = partial(_repainted, layer, targets)
+    return NoisyLayer(layer.label, targets, positions, repainted, layer.places, layer.pictures, layer.colours)
 
 
-def coded_as_jpeg(samples: Layer, quality: int) -> Float32s:
-    """Return the colours of the targets as they are after their pictures went through JPEG."""
-    if isinstance(samples, PaintedLayer):
-        remedy = "put the colours into a texture first: `beltrami bake --to texture`"
-        raise UsageError(f"{samples.label}: JPEG codes pictures; {remedy}")
-    if samples.names not in (("red", "green", "blue"), ("grey",)):
-        cause = f"{samples.label}: JPEG codes all channels together; leave out --channels and --alpha"
-        raise UsageError(cause)
-    assert isinstance(samples, ImageLayer | TextureLayer)
-    cells, space = samples.cells(), samples.colours.space
-    coded = np.empty((len(cells.row), len(samples.names)), np.float32)
-    for index, picture in enumerate(
-        [samples.picture] if isinstance(samples, ImageLayer) else samples.pictures
-    ):
-        working = samples.colours.working(picture, np.arange(picture.pixels[..., 0].size))
-        shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
-        inside, place = cells.of(index)
-        coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", space)
-    return coded
-
-
-def repainted(samples: Layer, targets: NoiseTargets, after: Float32s) -> Repainted:
-    """Replace the colours of targets by others; colours beyond seams are shifted by the same amount."""
-    if isinstance(samples, PaintedLayer):
-        painted, places = samples.painted, (_coloured(samples)[:, None], samples.channels.changing)
-        back = from_space(after, painted.encoding, targets.space)
-        colours = painted.colours.copy()
-        # Conversion to the working space and back is not exact: unchanged colours keep their bits.
-        colours[places] = np.where(after != targets.colours, back, colours[places])
-        return Repainted(Change.between(painted.colours, colours), colours)
-    if isinstance(samples, ImageLayer):
-        losses = noise_losses(samples.picture, samples.suffix, "an OUTPUT in .png keeps all")
-        return written(samples, NewColours.of(after, np.flatnonzero(samples.valid)), losses)
-    assert isinstance(samples, TextureLayer)
-    return _repainted_textures(samples, targets, after)
-
-
-def _repainted_textures(samples: TextureLayer, targets: NoiseTargets, after: Float32s) -> Repainted:
-    atlas, added, wanted = samples.atlas, after - targets.colours, samples.settings.textures
+def _repainted(layer: TextureLayer, targets: NoiseTargets, after: Float32s) -> Repainted:
+    atlas, added, wanted = layer.atlas, after - targets.colours, layer.settings.textures
     planes = on_canvas(atlas, added, threads=1)
     beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
     new = NewColours.of(added, atlas.owned_texels, atlas.gutter_texels, beyond)
-    painter, notices = painter_of(samples, wanted.gutter), list[str]()
+    painter, notices = painter_of(layer, wanted.gutter), list[str]()
     images: dict[tuple[Slot, str], ImageFile] = {}
-    for index, (texture, picture) in enumerate(zip(samples.surface.textures, samples.pictures, strict=True)):
-        pixels, is_data = _shifted(painter, index, new, targets.limits), samples.slot not in COLOUR_SLOTS
+    for index, (texture, picture) in enumerate(zip(layer.surface.textures, layer.pictures, strict=True)):
+        pixels, is_data = _shifted(painter, index, new, targets.limits), layer.slot not in COLOUR_SLOTS
         file, said = rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=is_data)
-        images[samples.slot, texture.key] = file
+        images[layer.slot, texture.key] = file
         notices += said
         notices += noise_losses(picture, wanted.image_suffix, "--texture-format png keeps all")
     if not len(added):
@@ -163,6 +174,24 @@ def _shifted(painter: Repainting, index: int, added: NewColours, limits: tuple[f
     return pixels
 
 
+def coded_as_jpeg(noisy: NoisyLayer, quality: int) -> Float32s:
+    """Return the colours of the targets as they are after their pictures went through JPEG."""
+    cells, colours = noisy.cells(), noisy.picture_colours
+    if cells is None or colours is None:
+        remedy = "put the colours into a texture first: `beltrami bake --to texture`"
+        raise UsageError(f"{noisy.what}: JPEG codes pictures; {remedy}")
+    if colours.names not in (("red", "green", "blue"), ("grey",)):
+        cause = f"{noisy.what}: JPEG codes all channels together; leave out --channels and --alpha"
+        raise UsageError(cause)
+    coded = np.empty((len(cells.row), len(colours.names)), np.float32)
+    for index, picture in enumerate(noisy.pictures):
+        working = colours.working(picture, np.arange(picture.pixels[..., 0].size))
+        shown = from_space(working, "srgb", colours.space).reshape(*picture.pixels.shape[:2], -1)
+        inside, place = cells.of(index)
+        coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", colours.space)
+    return coded
+
+
 def as_jpeg(shown: Float32s, quality: int) -> Float32s:
     """Return display values of a picture, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
     coded = read_image(jpeg_file(shown, quality), "a picture").pixels
@@ -176,16 +205,6 @@ def jpeg_file(shown: Float32s, quality: int) -> bytes:
     new.spec.attribute("jpeg:subsampling", "4:2:0")
     picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
     return write_image(picture, new.pixels, jpeg_quality=quality).data
-
-
-def _coloured(layer: PaintedLayer) -> NDArray[np.intp]:
-    return coloured_rows(layer.painted, in_triangles=layer.in_triangles)
-
-
-def _places(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
-    """Return the number of each vertex's place, shape (S,)."""
-    spaces = None if painted.space_of is None else painted.space_of[rows]
-    return group_places(painted.positions[rows], spaces)[0]
 
 
 def _spacing(painted: PaintedVertices, rows: NDArray[np.intp], place_of: Int32s) -> Float64s:

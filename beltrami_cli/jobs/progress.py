@@ -16,14 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
-import numpy as np
-
-from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.jobs.job import Progress
-from beltrami_cli.layers.selection import Selection
-from beltrami_cli.layers.settings import TextureSettings
-from beltrami_cli.layers.texel_colours import choose_textures
 
 Item = TypeVar("Item")
 
@@ -41,7 +34,6 @@ _SECONDS = {
     "drawing seams": (0.01, 0.01),
     "packing models": (0.1, 0.5),
 }
-_TEXELS_OF_A_VERTEX = 6  # texels that take as long as a vertex
 _COUNT = re.compile(r"\d+ of \d+ ")  # before a label: shown, but no part of its name
 _UNANNOUNCED = 1.0  # seconds of a phase that no job has announced; more is left then than has been done
 _FIRST_SHARE = 0.05  # of the whole, that a first phase takes while nothing is announced
@@ -197,22 +189,3 @@ def one_of(
 def phases_of(kinds: Sequence[str], samples: int) -> list[tuple[str, float]]:
     """Return phases with the seconds that they are expected to take for a number of samples."""
     return [(kind, _SECONDS[kind][0] + 1e-6 * _SECONDS[kind][1] * samples) for kind in kinds]
-
-
-def count_samples(document: Document, selection: Selection, wanted: TextureSettings) -> list[int]:
-    """Return about how many texels the layers of a selection have, or take as long, without decoding an image."""
-    counts = []
-    if selection.image:
-        size = measure_image(document.data, document.name)
-        counts.append(0 if size is None else size.texels)
-    if selection.vertices:
-        counts.append(_TEXELS_OF_A_VERTEX * len(document.painted().colours))
-    for slot in selection.slots:
-        surface = choose_textures(document.textured(slot), wanted)
-        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
-        texels = np.array([0 if size is None else size.texels for size in sizes] + [0], np.float64)
-        (a, b), (c, d) = np.moveaxis(np.diff(surface.uv, axis=1), 0, 2)
-        areas = np.nan_to_num(np.abs(a * d - b * c) / 2)
-        areas = np.bincount(surface.texture_of % len(texels), areas, len(texels))
-        counts.append(int((texels * np.minimum(areas, 1)).sum()))
-    return counts

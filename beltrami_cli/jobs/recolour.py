@@ -26,10 +26,10 @@ from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
-from beltrami_cli.jobs.progress import count_samples, phases_of
+from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
 from beltrami_cli.layers.memory_check import checked_memory
-from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, layers_of, select
+from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, count_samples, layers_of, select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals

@@ -35,7 +35,6 @@ from beltrami_cli.layers.layer import (
     SlotReport,
     VertexReport,
 )
-from beltrami_cli.layers.levelled_charts import level
 from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
@@ -80,9 +79,7 @@ def smooth_layer(
         plan = layer.plan()
         result = dataclasses.replace(smooth(plan), choice=result.choice)
     report, new = layer.report(plan, result), result.manifold.new_colours()
-    warnings, is_smoothed = list[str](), plan.parameters.iterations > 0
-    if isinstance(report, VertexReport):
-        warnings = report.warnings(plan.parameters.max_samples)
+    warnings, is_smoothed = report.warnings(plan.parameters.max_samples), plan.parameters.iterations > 0
     if is_worse:
         warnings.append(f"{layer.label}: smoothing was estimated to make the colours worse, so they stay.")
     choice, samples_per_kernel = result.choice, result.samples_per_kernel
@@ -149,7 +146,7 @@ class Smoothing(Painter[Smoothed]):
 
     def paint(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
-            layer = level(layer, self.levelling.wanted, self.levelling.photographs)
+            layer = layer.levelled(self.levelling.wanted, self.levelling.photographs)
         return smooth_in_job(layer, job, layer.label)
 
 
@@ -171,33 +168,15 @@ def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
     """Join the reports of groups of textures of one slot that have the same noise and parameters."""
     groups: dict[object, list[Smoothed]] = {}
     for number, each in enumerate(done):
-        report = each.report
-        key: object = number
-        if isinstance(report, SlotReport):
-            key = report.slot, str(report.choice), str(report.noise)
-        groups.setdefault(key, []).append(each)
-    return [dataclasses.replace(each[0], report=_one_report(each)) for each in groups.values()]
-
-
-def _one_report(groups: Sequence[Smoothed]) -> LayerReport:
-    first = groups[0].report
-    reports = [each.report for each in groups if isinstance(each.report, SlotReport)]
-    if len(groups) == 1 or not isinstance(first, SlotReport):
-        return first
-    texels = [report.counts["covered"] for report in reports]
-
-    def mean(values: Sequence[float]) -> float:
-        return sum(a * b for a, b in zip(values, texels, strict=True)) / max(1, sum(texels))
-
-    return dataclasses.replace(
-        first,
-        textures=[texture for report in reports for texture in report.textures],
-        counts={key: sum(report.counts[key] for report in reports) for key in first.counts},
-        pitch=mean([report.pitch for report in reports]),
-        samples_per_kernel=round(mean([report.samples_per_kernel for report in reports]), 2),
-        patches=None if first.patches is None else mean([report.patches or 0.0 for report in reports]),
-        change=Change.joined(each.repainted.change for each in groups).summary(),
-    )
+        key = each.report.is_joined_by
+        groups.setdefault(number if key is None else key, []).append(each)
+    joined = []
+    for first, *others in groups.values():
+        group = [first, *others]
+        change = Change.joined(each.repainted.change for each in group).summary()
+        report = type(first.report).joined([each.report for each in group])
+        joined.append(dataclasses.replace(first, report=dataclasses.replace(report, change=change)))
+    return joined
 
 
 _HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')

@@ -107,6 +107,10 @@ class ImageLayer(Layer):
         coded = [(self.picture.pixels, self.tables)] if self.colours.shows_all else []
         return plan_on_pictures(make, atlas, coded, kernel, tick=tick, light_in=self.colours.light_space)
 
+    @property
+    def notices(self) -> Sequence[str]:  # type: ignore[override]  # read-only, as in all layers
+        return [*self.picture.notices, *self.remarks]
+
     def require_writable(self) -> None:
         check_writable(self.picture, self.suffix)
 
@@ -159,7 +163,11 @@ class ImageLayer(Layer):
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
         return written(self, new, notices)
 
-    def cells(self) -> Cells:
+    def unchanged(self) -> NewColours:
+        pixels = np.flatnonzero(self.valid)
+        return NewColours.of(self.colours.working(self.picture, pixels), pixels)
+
+    def places(self) -> Cells:
         row, column = np.nonzero(self.valid)
         return Cells([self.valid.shape], np.zeros_like(row), row, column, np.zeros_like(row))
 

@@ -11,21 +11,21 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.image import Picture, is_unchanged, losses, write_image
 from beltrami_cli.formats.image.picture import as_stored
-from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import ImageFile, Slot
+from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot
 
 Part = Literal["vertices", "textures", "image"]
 
@@ -56,6 +56,14 @@ class Repainted:
     images: dict[tuple[Slot, str], ImageFile] = field(default_factory=dict)
     shared: tuple[SharedImage, ...] = ()
     notices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SampledVertices:
+    """A mesh, and the sample that each of its V vertices belongs to."""
+
+    mesh: PaintedVertices
+    sample_of: Int64s  # shape (V,); -1: none
 
 
 @dataclass(frozen=True)
@@ -103,11 +111,12 @@ def choose_channels(
 class Layer(ABC):
     """Coloured samples of a document, immutable; UsageError if settings name absent channels or contradict them."""
 
-    part: ClassVar[Part]  # of the document, that they belong to
+    part: ClassVar[Part]  # of the document, that they belong to; its section in reports
     label: str  # their name in messages
     names: tuple[str, ...]  # of the sampled channels: changing ones, and ones that only enter the metric
     settings: SmoothSettings
     level_report: LevelReport | None = None  # what was done to exposure steps, if they were looked for
+    notices: Sequence[str] = ()  # what users should know about how they are stored, and where they lie
 
     @abstractmethod
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[Any]:
@@ -125,12 +134,25 @@ class Layer(ABC):
         """
 
     @abstractmethod
+    def unchanged(self) -> NewColours:
+        """Return the colours that they have, as `repaint` takes them."""
+
+    def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> Self:
+        """Return the layer without exposure steps, with a report; UsageError if it cannot have any.
+
+        `photographs`: the number of the photograph that each vertex is from.
+        """
+        del wanted, photographs
+        cause = "there are no charts that could differ in exposure; textures of models have them"
+        raise UsageError(f"{self.label}: {cause}")
+
+    @abstractmethod
     def describe(self) -> dict[str, object]:
         """Return facts about them, their noise, and what smoothing would do, in JSON types, by what they are about."""
 
-    def cells(self) -> Cells | None:
-        """Return where the samples lie in pictures; None: they are in none."""
-        return None
+    @abstractmethod
+    def places(self) -> Cells | SampledVertices:
+        """Return where the samples lie: in pictures, or at vertices of a mesh."""
 
     def require_writable(self) -> None:  # noqa: B027
         """Raise errors about images as outputs, before anything is computed."""
@@ -283,6 +305,21 @@ class LayerReport:
     choice: dict[str, object] | None
     patches: float | None  # the share of the result that is from patches; None: only the kernel was run
 
+    def warnings(self, max_samples: int) -> list[str]:
+        """Return warnings for users; kernels held at most `max_samples`."""
+        del max_samples
+        return []
+
+    @property
+    def is_joined_by(self) -> object:
+        """The value that reports to be joined into one have in common; None: this one stays separate."""
+        return None
+
+    @classmethod
+    def joined(cls, reports: Sequence[Self]) -> Self:
+        """Return one report for several that `is_joined_by` joins, but for the change of colours."""
+        return reports[0]
+
 
 @dataclass(frozen=True, kw_only=True)
 class VertexReport(LayerReport):
@@ -297,7 +334,6 @@ class VertexReport(LayerReport):
     geometry: dict[str, float] | None = None
 
     def warnings(self, max_samples: int) -> list[str]:
-        """Return warnings for users; kernels held at most `max_samples`."""
         found, outliers = list[str](), self.counts.get("outliers", 0)
         if outliers:
             alone = "is left as it is: it is" if outliers == 1 else "are left as they are: they are"
@@ -320,6 +356,29 @@ class SlotReport(LayerReport):
     counts: dict[str, int]
     pitch: float  # mean distance of neighbouring texels on the surface, in the model's own unit of length
     samples_per_kernel: float  # mean
+
+    @property
+    def is_joined_by(self) -> object:
+        return self.slot, str(self.choice), str(self.noise)
+
+    @classmethod
+    def joined(cls, reports: Sequence[Self]) -> Self:
+        first = reports[0]
+        if len(reports) == 1:
+            return first
+        texels = [report.counts["covered"] for report in reports]
+
+        def mean(values: Sequence[float]) -> float:
+            return sum(a * b for a, b in zip(values, texels, strict=True)) / max(1, sum(texels))
+
+        return dataclasses.replace(
+            first,
+            textures=[texture for report in reports for texture in report.textures],
+            counts={key: sum(report.counts[key] for report in reports) for key in first.counts},
+            pitch=mean([report.pitch for report in reports]),
+            samples_per_kernel=round(mean([report.samples_per_kernel for report in reports]), 2),
+            patches=None if first.patches is None else mean([report.patches or 0.0 for report in reports]),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

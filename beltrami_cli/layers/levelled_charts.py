@@ -1,88 +1,47 @@
-"""Layers without exposure steps between their charts: of textures, or of vertices by their photographs."""
+"""Exposure steps between charts of textures, or parts of vertices by their photographs, taken out of colours."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.arrays import Bools, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Int64s
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.flow.canvas import colours_at
-from beltrami_cli.flow.grid_manifold import grid_manifold
-from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture
-from beltrami_cli.layers.layer import Layer, LevelReport
-from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings
-from beltrami_cli.layers.texture_layer import TextureLayer, on_canvas
+from beltrami_cli.layers.layer import LevelReport
+from beltrami_cli.layers.settings import LevelSettings
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
 from beltrami_cli.levelling.verdict import CONFIDENCE, Verdict
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
-from beltrami_cli.surface.records import Texture
-
-if TYPE_CHECKING:
-    from beltrami_cli.layers.vertex_layer import VertexLayer
+from beltrami_cli.surface.records import SampledSurface, Texture
 
 _PHOTOGRAPHS = ("photograph", "photo", "image", "camera", "view")
 _NO_SEAMS = "no seam joins two of its charts"
 _TOO_SMALL = "the change would be too small to be seen"
 
 
-def level(layer: Layer, wanted: LevelSettings, photographs: Int64s | None = None) -> Layer:
-    """Return a layer with exposure steps taken out, and the report of that; `photographs`: of all vertices."""
-    if isinstance(layer, TextureLayer):
-        return _level_textures(layer, wanted)
-    from beltrami_cli.layers.vertex_layer import VertexLayer  # which textures do without
-
-    if isinstance(layer, VertexLayer):
-        return _level_vertices(layer, wanted, photographs)
-    cause = "there are no charts that could differ in exposure; textures of models have them"
-    raise UsageError(f"{layer.label}: {cause}")
-
-
-def _level_textures(layer: TextureLayer, wanted: LevelSettings) -> TextureLayer:
-    if layer.slot not in COLOUR_SLOTS:
-        cause = f"{layer.label}: they are data, which no camera exposed; leave them out of --slots"
-        raise UsageError(cause)
-    atlas, planes = layer.atlas, on_canvas(layer)
-    charts = TextureCharts.of(atlas, layer.surface.textures)
-    is_coloured = layer.names == ("red", "green", "blue")
-    halved = [is_coloured and each is not None and max(each.span) > 1 for each in layer.tables]
+def level_charts(
+    what: str, planes: Float32s, atlas: Atlas, charts: TextureCharts, wanted: LevelSettings, halved: Sequence[bool]
+) -> LevelReport:  # fmt: skip
+    """Take exposure steps out of colours on a canvas, in place; `halved`: whether textures have halved colour."""
     found, change = level_canvas(atlas, planes, wanted.strength, charts.matching(wanted.reference), halved)
-    levelled = None
-    if change:
-        levelled = colours_at(planes, atlas.owned_cells, layer.settings.kernel.thread_count)
-    report = _report(layer.label, found, change, charts.facts(layer.pictures))
-    return dataclasses.replace(layer, levelled=levelled, level_report=report)
+    return _report(what, found, change, charts.facts())
 
 
-def _level_vertices(layer: VertexLayer, wanted: LevelSettings, photographs: Int64s | None) -> VertexLayer:
-    if photographs is None or wanted.reference:
+def level_photographs(
+    what: str, surface: SampledSurface, photograph_of: Int64s, wanted: LevelSettings
+) -> tuple[Float32s, LevelReport]:
+    """Return the colours of samples without exposure steps between the photographs that they are from."""
+    if wanted.reference:
         raise UsageError("--reference is of charts of textures; parts of vertex colours have no names")
-    surface = layer.surface()
-    of_samples = np.zeros(len(surface.colours), np.int64)
-    of_samples[layer.sampling.sample_of] = photographs
     mesh = surface.positions, surface.all_faces
-    found, change, colours = level_mesh(*mesh, surface.colours, of_samples, wanted.strength)
-    report = _report(layer.label, found, change, [{"chart": part} for part in range(len(found.groups))])
-    return dataclasses.replace(layer, levelled=colours, level_report=report)
-
-
-def colours_of(layer: Layer) -> NewColours:
-    """Return the colours of a layer as they are, to be written back where exposure steps were taken out."""
-    if isinstance(layer, TextureLayer):
-        still, metric = layer.settings.kernel.with_values(iterations=0), layer.colours.metric_channels
-        return grid_manifold(layer.atlas, on_canvas(layer), still, metric_channels=metric).new_colours()
-    from beltrami_cli.layers.vertex_layer import VertexLayer
-
-    assert isinstance(layer, VertexLayer)
-    return NewColours.of(layer.surface().colours)
+    found, change, colours = level_mesh(*mesh, surface.colours, photograph_of, wanted.strength)
+    return colours, _report(what, found, change, [{"chart": part} for part in range(len(found.groups))])
 
 
 @dataclass(frozen=True)
@@ -90,18 +49,20 @@ class TextureCharts:
     """The charts of an atlas by the textures that they lie on."""
 
     textures: Sequence[Texture]
+    pictures: Sequence[Picture]
     areas: Int64s  # (charts,): texels of each
     texture_of: Int64s  # (charts,): -1 where a chart owns no texel
     texel: Int64s  # (charts,): one of its texels, counted from the first of its texture
 
     @classmethod
-    def of(cls, atlas: Atlas, textures: Sequence[Texture]) -> TextureCharts:
+    def of(cls, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture]) -> TextureCharts:
         offsets, areas = atlas.texture_offsets, np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
         texel = np.zeros(len(areas), np.int64)
         for block in large_arrays.blocks(len(atlas.chart_of)):
             texel[atlas.chart_of[block]] = atlas.owned_texels[block]
         texture_of = np.searchsorted(offsets, texel, side="right") - 1
-        return cls(textures, areas, np.where(areas > 0, texture_of, -1), texel - offsets[texture_of])
+        texture_of, texel = np.where(areas > 0, texture_of, -1), texel - offsets[texture_of]
+        return cls(textures, pictures, areas, texture_of, texel)
 
     def matching(self, wanted: Sequence[str]) -> Bools | None:
         """Return which charts are the reference, shape (charts,); None: none was asked for."""
@@ -130,12 +91,12 @@ class TextureCharts:
             )
         return found
 
-    def facts(self, pictures: Sequence[Picture]) -> list[dict[str, object]]:
+    def facts(self) -> list[dict[str, object]]:
         """Return for each chart its number, its texture, a texel of it there, and how many it has."""
         found: list[dict[str, object]] = []
         for chart in np.flatnonzero(self.texture_of >= 0).tolist():
             index = int(self.texture_of[chart])
-            row, column = divmod(int(self.texel[chart]), pictures[index].pixels.shape[1])
+            row, column = divmod(int(self.texel[chart]), self.pictures[index].pixels.shape[1])
             place = {"texture": self.textures[index].name, "column": column, "row": row}
             found.append({"chart": chart, **place, "samples": int(self.areas[chart])})
         return found
@@ -196,19 +157,3 @@ def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
     values = document.attribute(name)
     found = np.unique(values, axis=0, return_inverse=True)[1]
     return np.asarray(found.reshape(-1), np.int64)
-
-
-def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[str, object] | None:
-    """Describe exposure steps, in JSON types; None for data."""
-    if isinstance(layer, TextureLayer) and layer.slot not in COLOUR_SLOTS:
-        return None
-    report = level(layer, LevelSettings(strength=0.0), photographs).level_report
-    assert report is not None
-    return {
-        "step": report.before,
-        "seams": report.seams,
-        "stepped": report.stepped,
-        "painted": report.painted,
-        "explained": report.explained,
-        "is_exposure": bool(report.exposures),
-    }

@@ -8,19 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from beltrami_cli.arrays import Float64s, Int32s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
+from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, is_only_read
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.layers.texture_groups import separate_surfaces
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -43,6 +46,7 @@ class Selection:
 
 
 NOTHING = Selection()
+_TEXELS_OF_A_VERTEX = 6  # texels that take as long as a vertex
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,25 @@ def layers_of(
                 label = f"{name}, {group.label}" if name else group.label
                 own = group.common.settings
                 yield TextureLayer.read(group.surface, slot, own, shared=shared, group=group, part=label)
+
+
+def count_samples(document: Document, selection: Selection, wanted: TextureSettings) -> list[int]:
+    """Estimate how many texels take as long as each selected layer, without decoding an image."""
+    counts = []
+    if selection.image:
+        size = measure_image(document.data, document.name)
+        counts.append(0 if size is None else size.texels)
+    if selection.vertices:
+        counts.append(_TEXELS_OF_A_VERTEX * len(document.painted().colours))
+    for slot in selection.slots:
+        surface = choose_textures(document.textured(slot), wanted)
+        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
+        texels = np.array([0 if size is None else size.texels for size in sizes] + [0], np.float64)
+        (a, b), (c, d) = np.moveaxis(np.diff(surface.uv, axis=1), 0, 2)
+        areas = np.nan_to_num(np.abs(a * d - b * c) / 2)
+        areas = np.bincount(surface.texture_of % len(texels), areas, len(texels))
+        counts.append(int((texels * np.minimum(areas, 1)).sum()))
+    return counts
 
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:

@@ -10,9 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s
+from beltrami_cli.arrays import Array, Float32s, Int64s
+from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
-from beltrami_cli.flow.canvas import canvas_margin, painted, painted_by
+from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
 from beltrami_cli.flow.noise.by_scale import FoundNoise
@@ -24,8 +25,9 @@ from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
+from beltrami_cli.layers.levelled_charts import TextureCharts, level_charts
 from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures
-from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import (
     Repainting,
     choose_textures,
@@ -67,7 +69,7 @@ class TextureLayer(layer.Layer):
     noise: Float32s | None = None  # standard deviations of the owned cells, (T, K)
     group: TextureGroup | None = None
     is_whole: bool = True  # no texture of the slot is in another layer
-    levelled: Float32s | None = None  # colours of the owned cells without exposure steps, (T, N)
+    levelled_colours: Float32s | None = None  # of the owned cells without exposure steps, (T, N)
     level_report: LevelReport | None = None
 
     @classmethod
@@ -118,7 +120,7 @@ class TextureLayer(layer.Layer):
         )  # fmt: skip
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        is_as_stored = self.levelled is None and self.colours.shows_all
+        is_as_stored = self.levelled_colours is None and self.colours.shows_all
         pixels = [picture.pixels for picture in self.pictures]
         return plan_on_pictures(
             partial(self.manifold, guides=self.guided.guides() if self.guided else ()),
@@ -210,7 +212,7 @@ class TextureLayer(layer.Layer):
     def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> layer.Repainted:
         is_tried, is_covered = is_smoothed or self.level_report is not None, len(self.atlas.owned_texels) > 0
         notices = _notices_of(self.atlas) if is_tried or not is_covered else []
-        is_levelled, wanted = self.levelled is not None, self.settings.textures
+        is_levelled, wanted = self.levelled_colours is not None, self.settings.textures
         gutter = wanted.gutter if is_smoothed or is_levelled else None
         painter = painter_of(self, gutter, is_dithered=is_levelled and not is_smoothed)
         changes, images, shared = (
@@ -236,19 +238,41 @@ class TextureLayer(layer.Layer):
         change = layer.Change.joined(changes)
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
-    def cells(self) -> Cells:
+    def unchanged(self) -> NewColours:
+        still, metric = self.settings.kernel.with_values(iterations=0), self.colours.metric_channels
+        return grid_manifold(self.atlas, on_canvas(self), still, metric_channels=metric).new_colours()
+
+    def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> TextureLayer:
+        del photographs
+        if self.slot not in COLOUR_SLOTS:
+            cause = "they are data, which no camera exposed; leave them out of --slots"
+            raise UsageError(f"{self.label}: {cause}")
+        if not self.is_whole:
+            raise UsageError(f"{self.label}: exposures are fitted to all textures of a slot together")
+        planes = on_canvas(self)
+        charts = TextureCharts.of(self.atlas, self.surface.textures, self.pictures)
+        is_coloured = self.names == ("red", "green", "blue")
+        halved = [is_coloured and each is not None and max(each.span) > 1 for each in self.tables]
+        report = level_charts(self.label, planes, self.atlas, charts, wanted, halved)
+        levelled, threads = None, self.settings.kernel.thread_count
+        if report.levelled:
+            levelled = colours_at(planes, self.atlas.owned_cells, threads)
+        return dataclasses.replace(self, levelled_colours=levelled, level_report=report)
+
+    def places(self) -> Cells:
         atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
         picture = np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1
         own = atlas.owned_texels - atlas.texture_offsets[picture]
         row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
-        return Cells(sizes, picture, row, column, atlas.chart_of)
+        names = [texture.name for texture in self.surface.textures]
+        return Cells(sizes, picture, row, column, atlas.chart_of, names)
 
 
 def on_canvas(textures: TextureLayer) -> Float32s:
     """Return the colours on the canvas of the atlas, levelled if they were."""
     atlas, threads = textures.atlas, textures.settings.kernel.thread_count
-    if textures.levelled is not None:
-        return painted(atlas, textures.levelled, threads)
+    if textures.levelled_colours is not None:
+        return painted(atlas, textures.levelled_colours, threads)
     working = partial(texel_colours, textures.colours, textures.pictures, atlas)
     return painted_by(atlas, len(textures.names), working, threads)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,10 +27,12 @@ from beltrami_cli.layers.layer import (
     LevelReport,
     Part,
     Repainted,
+    SampledVertices,
     VertexReport,
     choose_channels,
 )
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.levelled_charts import level_photographs
+from beltrami_cli.layers.settings import LevelSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Indices
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import VertexSampling, sample_vertices
@@ -74,15 +75,6 @@ class PaintedLayer(Layer):
         object.__setattr__(self, "channels", channels)
         object.__setattr__(self, "names", tuple(self.painted.channels[each] for each in channels.sampled))
 
-    @property
-    def joined(self) -> PaintedVertices:
-        """The vertices with triangles: from the file, or of the surface that is fitted to points."""
-        return self.painted
-
-    @abstractmethod
-    def sample_of(self, plan: Plan[Any]) -> Int64s:
-        """Return the sample of a manifold that each of the V vertices belongs to, shape (V,); -1: none."""
-
     def _report(self, plan: Plan[Any], result: FlowResult[Any], counts: dict[str, float]) -> VertexReport:
         return VertexReport(
             counts={
@@ -115,7 +107,7 @@ class VertexLayer(PaintedLayer):
     label = "vertex colours"
 
     fits_surface: bool = True  # to vertices without any triangles
-    levelled: Float32s | None = None  # colours of the samples without exposure steps, (S, N)
+    levelled_colours: Float32s | None = None  # of the samples without exposure steps, (S, N)
     level_report: LevelReport | None = None
 
     @property
@@ -124,6 +116,7 @@ class VertexLayer(PaintedLayer):
 
     @cached_property
     def joined(self) -> PaintedVertices:
+        """The vertices with triangles: from the file, or of the surface that is fitted to points."""
         return with_surface(self.painted, self.settings) if self._is_cloud else self.painted
 
     @cached_property
@@ -141,7 +134,8 @@ class VertexLayer(PaintedLayer):
     def surface(self) -> SampledSurface:
         """Return the sampled surface; it is made when it is needed, since it is as large as the file."""
         surface = self.sampling.surface(self.joined, self._stored)
-        return surface if self.levelled is None else dataclasses.replace(surface, colours=self.levelled)
+        levelled = self.levelled_colours
+        return surface if levelled is None else dataclasses.replace(surface, colours=levelled)
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[MeshManifold]:
         own, sampling = self.settings, self.sampling
@@ -206,8 +200,20 @@ class VertexLayer(PaintedLayer):
             **count_topology(positions, place_of[surface.faces]),
         }
 
-    def sample_of(self, plan: Plan[Any]) -> Int64s:
-        return self.sampling.sample_of.astype(np.int64)
+    def places(self) -> SampledVertices:
+        return SampledVertices(self.joined, self.sampling.sample_of.astype(np.int64))
+
+    def unchanged(self) -> NewColours:
+        return NewColours.of(self.surface().colours)
+
+    def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> VertexLayer:
+        if photographs is None:
+            raise UsageError(f"{self.label}: nothing says which photograph each vertex is from")
+        surface = self.surface()
+        photograph_of = np.zeros(len(surface.colours), np.int64)
+        photograph_of[self.sampling.sample_of] = photographs
+        colours, report = level_photographs(self.label, surface, photograph_of, wanted)
+        return dataclasses.replace(self, levelled_colours=colours, level_report=report)
 
     def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
         del is_smoothed
@@ -274,11 +280,15 @@ class GridLayer(PaintedLayer):
             **self._planned(plan),
         }
 
-    def sample_of(self, plan: Plan[Any]) -> Int64s:
-        measured = self.grid.reshape(-1)[plan.manifold.geometry.atlas.owned_texels]
+    def places(self) -> SampledVertices:
+        measured = self.grid[self.grid >= 0]
         sample_of = np.full(len(self.painted.positions), -1)
         sample_of[measured] = np.arange(len(measured))
-        return sample_of
+        return SampledVertices(self.painted, sample_of)
+
+    def unchanged(self) -> NewColours:
+        places = np.flatnonzero(self.grid >= 0)
+        return NewColours.of(self._working(places), places)
 
     def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
         del is_smoothed

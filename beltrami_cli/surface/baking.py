@@ -78,6 +78,7 @@ class Cells:
     row: Int64s
     column: Int64s
     chart: NDArray[np.signedinteger[Any]]
+    names: Sequence[str] = ()  # of the pictures; none: of an image by itself
 
     def of(self, index: int) -> tuple[Bools, tuple[Int64s, Int64s]]:
         """Return which samples are in a picture, and their rows and columns."""

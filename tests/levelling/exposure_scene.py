@@ -13,7 +13,6 @@ from beltrami_cli.flow.canvas import canvas_colours, painted
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.layers.levelled_charts import colours_of, level
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -63,7 +62,7 @@ class ExposureScene:
 
     def levelled_as_file(self):
         """Return what `beltrami level` makes of the colours of its files."""
-        return colours_of(level(self.samples, LevelSettings())).table().astype(float)
+        return self.samples.levelled(LevelSettings()).unchanged().table().astype(float)
 
     @property
     def charts(self):

@@ -35,9 +35,9 @@ from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, co
 from beltrami_cli.jobs.file_job import open_any, require_level_set
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
-from beltrami_cli.jobs.progress import count_samples, phases_of
+from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.selection import Selection
+from beltrami_cli.layers.selection import Selection, count_samples
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
