@@ -403,15 +403,8 @@ def _similarity(x: Float64s, y: Float64s) -> Float64s:
 
 def _windowed(values: Float64s) -> Float64s:
     """Return the weighted means over the windows that lie within images, shape (N, R, W)."""
+    from scipy.ndimage import correlate1d
+
     for axis in (1, 2):
-        count = values.shape[axis] - 2 * _RADIUS
-        shifted = [
-            values[:, k : k + count] if axis == 1 else values[:, :, k : k + count]
-            for k in range(len(_WINDOW))
-        ]
-        values = _WINDOW[_RADIUS] * shifted[_RADIUS]
-        for k in range(_RADIUS):
-            pair = shifted[k] + shifted[-1 - k]
-            pair *= _WINDOW[k]
-            values += pair
-    return values
+        values = correlate1d(values, _WINDOW, axis)
+    return values[:, _RADIUS:-_RADIUS, _RADIUS:-_RADIUS]

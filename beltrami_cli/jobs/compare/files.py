@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,8 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.selection import Selection, count_samples
-from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
+from beltrami_cli.layers.selection import count_samples
+from beltrami_cli.layers.settings import IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
 
@@ -178,38 +179,23 @@ def compare_documents(
     further: Sequence[str] = (),
 ) -> Compared:
     """Compare the colours of two models, or of two images; `further` phases of progress follow."""
-    images = [document for document in documents if document.kind == "image"]
-    if len(images) == 1:
-        kinds = ["an image" if document in images else "a model" for document in documents]
-        raise InputError(
-            documents[1].name,
-            f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}",
-            "compare two files of one kind",
-        )
-    if images:  # they have no slots, so that all of them are none
-        slots = settings.textures.slots or DEFAULTS.textures.slots
-        textures = dataclasses.replace(settings.textures, slots=slots)
-        samples = sum(count_samples(documents[0], Selection(image=True), settings.textures))
-        job.expect(phases_of(["comparing", "measuring", *further], samples))
-        image = compare_images(images, dataclasses.replace(settings, textures=textures), job.access)
-        return Compared(_measured([image], job))
     selection, notices = choose_parts(documents, settings)
     samples = sum(count_samples(documents[0], selection, settings.textures))
     job.expect(phases_of(["comparing", "measuring", *further], samples))
-    parts = []
-    # None: the vertices.
-    chosen = [*([None] if selection.vertices else []), *selection.slots]
-    for slot in tracked(chosen, "comparing", job.progress):
-        if slot is None:
-            parts.append(compare_vertices(documents, settings, weights, is_extra=bool(selection.slots)))
-            continue
-        for document in documents:
-            require_memory_for_textures(document, selection.slots, settings.textures, job.access)
-        is_extra = slot != selection.slots[0]
-        parts += compare_textures(documents, slot, settings, weights, job.access, is_extra=is_extra)
-    return Compared(
-        _measured(parts, job), moves_between(documents, selection), selection.slots, tuple(notices)
-    )
+    for document in documents:
+        require_memory_for_textures(document, selection.slots, settings.textures, job.access)
+    steps: list[Callable[[], list[ComparedColours]]] = []
+    if selection.image:
+        steps.append(lambda: [compare_images(documents, settings, job.access)])
+    if selection.vertices:
+        is_extra = bool(selection.slots)
+        steps.append(lambda: [compare_vertices(documents, settings, weights, is_extra=is_extra)])
+    for slot in selection.slots:
+        options = {"is_extra": slot != selection.slots[0]}
+        steps.append(partial(compare_textures, documents, slot, settings, weights, job.access, **options))
+    parts = [part for step in tracked(steps, "comparing", job.progress) for part in step()]
+    moves = None if selection.image else moves_between(documents, selection)
+    return Compared(_measured(parts, job), moves, selection.slots, tuple(notices))
 
 
 def _measured(parts: Sequence[ComparedColours], job: Job) -> list[Measured]:

@@ -29,6 +29,12 @@ _OTHER_MODEL = "compare two files of one model"
 
 def choose_parts(documents: Pair, settings: SmoothSettings) -> tuple[Selection, list[str]]:
     """Choose the compared parts, by default all coloured ones; return notices on all others."""
+    kinds = ["an image" if document.kind == "image" else "a model" for document in documents]
+    if kinds[0] != kinds[1]:
+        cause = f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}"
+        raise InputError(documents[1].name, cause, "compare two files of one kind")
+    if documents[0].kind == "image":
+        return Selection(image=True), []
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)

@@ -24,7 +24,7 @@ from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.memory_check import COMPARED_PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import PictureColours
-from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures, texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import coloured_rows, only_rows, with_surface
@@ -192,6 +192,8 @@ def compare_images(
 ) -> ComparedColours:
     """Bring the pixels of two images together that can be seen in the reference, and are finite numbers there."""
     names = [document.name for document in documents]
+    slots = settings.textures.slots or DEFAULTS.textures.slots  # which images do without
+    settings = dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
     require_memory([(document.name, document.data) for document in documents], access, COMPARED_PIXEL_BYTES)
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
     samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
