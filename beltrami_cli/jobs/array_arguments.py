@@ -166,17 +166,17 @@ def _channel(channel: object, names: Sequence[str]) -> str:
     return names[int(channel)]
 
 
-def require_encoding(encoding: str) -> None:
-    """Raise UsageError if there is no such encoding."""
-    if encoding not in get_args(Encoding):
-        raise UsageError(f"encoding is {encoding}, but must be {' or '.join(get_args(Encoding))}")
+def require_choice(name: str, value: str, choices: Sequence[str] = get_args(Encoding)) -> None:
+    """Raise UsageError if an argument is none of its choices; by default it is an encoding."""
+    if value not in choices:
+        raise UsageError(f"{name} is {value}, but must be {' or '.join(choices)}")
 
 
 def painted_arrays(
     positions: ArrayLike, faces: ArrayLike | None, colours: ArrayLike, encoding: Encoding
 ) -> PaintedVertices:
     """Check the arrays of a mesh, or of points; channels have names, or else their numbers."""
-    require_encoding(encoding)
+    require_choice("encoding", encoding)
     places, shades = position_table(positions), colour_table(colours)
     names = ("red", "green", "blue") if shades.shape[1] == 3 else tuple(map(str, range(shades.shape[1])))
     stored = str(np.asarray(colours).dtype)
@@ -285,8 +285,7 @@ def textured_surface(
     """Check positions, faces and texture coordinates, with v from an edge, for images of some names."""
     if mesh.uv is None or mesh.faces is None:
         raise UsageError("the mesh has no texture coordinates; give MeshArrays(positions, faces, uv=uv)")
-    if origin not in ("lower", "upper"):
-        raise UsageError(f"origin is {origin}, but must be lower or upper")
+    require_choice("origin", origin, ("lower", "upper"))
     positions = _numbers(position_table(mesh.positions), "positions", ("V", 3))
     require_finite(positions, _ARRAYS, "the position of vertex")
     faces, uv = face_table(mesh.faces, len(positions)), array_of(mesh.uv, "uv")

@@ -24,7 +24,7 @@ from beltrami_cli.jobs.array_arguments import (
     mesh_arrays,
     painted_arrays,
     pixel_colours,
-    require_encoding,
+    require_choice,
     settings_for,
     textured_surface,
     unpacked,
@@ -287,7 +287,7 @@ def smooth_image(
     table, shape = pixel_colours(given)
     channels = tuple(map(str, range(table.shape[1])))
     settings, guides, noise = settings_for(parameters, guide, channels, shape, overrides)
-    require_encoding(encoding)
+    require_choice("encoding", encoding)
     place = checked_surface(surface, table, shape)
     assert place.valid is not None
     valid = place.valid.reshape(-1)
@@ -391,8 +391,7 @@ def smooth_textured(
     guides, noise = settings.embedding.guides, settings.kernel.given_noise
     if guides or settings.embedding.smooth_geometry or (noise is not None and noise.source):
         raise UsageError("smooth_textured takes no guides, files of noise or smooth_geometry")
-    if slot not in get_args(Slot):
-        raise UsageError(f"slot is {slot}, but must be {' or '.join(get_args(Slot))}")
+    require_choice("slot", slot, get_args(Slot))
     arrays = mesh_arrays(mesh) or MeshArrays(mesh)
     if images is None:
         images = [] if arrays.image is None else [arrays.image]
@@ -413,7 +412,7 @@ def smooth_textured(
 
 def _pictures(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
     """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
-    require_encoding(encoding)
+    require_choice("encoding", encoding)
     pictures = []
     for name, image in ((f"image {number}", image) for number, image in enumerate(images)):
         if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):

@@ -226,17 +226,16 @@ def is_map(head: bytes) -> bool:
 
 def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[Written, float]:
     """Draw images and textures, or else the vertices; return also the Delta E that the brightest colour stands for."""
-    images = [each for each in parts if each.part.size is not None]
-    if parts[0].part.kind == "vertices" and (not images or target.lower().endswith(".ply")):
-        return _draw_vertices(parts[0], model, target)
-    return _draw_images(images, target)
+    images, suffix = [each for each in parts if each.part.size is not None], Path(target).suffix.lower()
+    on_vertices = parts[0].part.kind == "vertices" and (not images or suffix == ".ply")
+    if on_vertices != (suffix == ".ply"):
+        form = "vertices is drawn as .ply" if on_vertices else "images and textures is drawn as .png"
+        raise UsageError(f"{target}: the map of {form}; end its name so")
+    return _draw_vertices(parts[0], model) if on_vertices else _draw_images(images, target)
 
 
 def _draw_images(parts: Sequence[Measured], target: str) -> tuple[Written, float]:
     """Draw the differences of images or textures side by side, grey where nothing is compared."""
-    suffix = Path(target).suffix.lower()
-    if suffix == ".ply":
-        raise UsageError(f"{target}: the map of images and textures is drawn as .png; end its name so")
     amounts = [_amounts(each) for each in parts]
     scale = _scale(amounts)
     drawn = [_image_of(each.part, values / scale) for each, values in zip(parts, amounts, strict=True)]
@@ -246,13 +245,12 @@ def _draw_images(parts: Sequence[Measured], target: str) -> tuple[Written, float
         padding = ((0, height - len(panel)), (0, 0), (0, 0))
         columns += [np.pad(panel, padding, constant_values=255), np.full((height, _GAP, 3), 255, np.uint8)]
     pixels = np.ascontiguousarray(np.hstack(columns[:-1]))
-    return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
+    drawing = write_image(new_picture(pixels, target), pixels, suffix=Path(target).suffix.lower())
+    return Written([drawing.data]), scale
 
 
-def _draw_vertices(measured: Measured, document: Document, target: str) -> tuple[Written, float]:
+def _draw_vertices(measured: Measured, document: Document) -> tuple[Written, float]:
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
-    if Path(target).suffix.lower() != ".ply":
-        raise UsageError(f"{target}: the map of vertices is drawn as .ply; end its name so")
     painted, amounts = document.painted(), _amounts(measured)
     scale = _scale([amounts])
     values = np.full(len(painted.positions), np.nan, np.float32)
