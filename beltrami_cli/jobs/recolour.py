@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -19,7 +18,6 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats import registry
-from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Changes, Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
@@ -61,13 +59,10 @@ AnyPainted = TypeVar("AnyPainted", bound=Painted)
 class Painter(ABC, Generic[AnyPainted]):
     """What gives samples new colours. It is immutable; what it did is in what it returns."""
 
-    colours_only: ClassVar[bool] = (
-        True  # whether channels of images that are no colours stay, unless they are named
-    )
-    works_on_disk: ClassVar[bool] = (
-        False  # whether textures too large for memory can be painted, together in files
-    )
-
+    # Whether channels of images that are no colours stay, unless they are named.
+    colours_only: ClassVar[bool] = True
+    # Whether textures too large for memory can be painted, together in files.
+    works_on_disk: ClassVar[bool] = False
     phases: ClassVar[Sequence[str]] = ("painting",)  # of `paint`, see `jobs/progress.py`
 
     @property
@@ -103,16 +98,12 @@ def recolour(
         painter = painter.prepared(document, selection, kind)
         naming = file.reserve(lambda naming: _sidecar_names(naming, document, selection, settings, kind))
     place = None if file.output is None else target
-    with _checked_memory(document, selection, settings, painter, file.job.access, place):
+    how = {"image": selection.image, "on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
+    with checked_memory(document, selection.slots, settings.textures, file.job.access, place, **how):
         with watch.stage("smooth"):
+            in_groups = painter.works_in_groups
             painted = paint(
-                document,
-                selection,
-                settings,
-                painter,
-                file.job,
-                kind.suffix,
-                in_groups=painter.works_in_groups,
+                document, selection, settings, painter, file.job, kind.suffix, in_groups=in_groups
             )
         with watch.stage("write"):
             new = [each.repainted for each in painted]
@@ -129,29 +120,10 @@ def recolour_in_memory(
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
     painter = painter.prepared(document, selection, OutputFormat(document.format, is_patched=True))
-    with _checked_memory(document, selection, settings, painter, job.access):
+    how = {"image": selection.image, "on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
+    with checked_memory(document, selection.slots, settings.textures, job.access, None, **how):
         painted = paint(document, selection, settings, painter, job, in_groups=painter.works_in_groups)
     return with_new_colours(document, [each.repainted for each in painted]), painted
-
-
-def _checked_memory(
-    document: Document,
-    selection: Selection,
-    settings: SmoothSettings,
-    painter: Painter[AnyPainted],
-    access: Access,
-    target: str | None = None,
-) -> AbstractContextManager[None]:
-    return checked_memory(
-        document,
-        selection.slots,
-        settings.textures,
-        access,
-        target,
-        image=selection.image,
-        on_disk=painter.works_on_disk,
-        in_groups=painter.works_in_groups,
-    )
 
 
 def paint(
