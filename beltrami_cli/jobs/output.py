@@ -190,6 +190,7 @@ class FileSet:
         self._reads = {replacing.place_of(Path(name)) for name in reads if name != "-"}
         self._guarded: set[str] = set()
         self._staged: dict[Path, replacing.TemporaryFile] = {}
+        self._names: dict[Path, str] = {}  # that the user knows them by
         # What writes to standard output or devices, before anything is put in place.
         self.streams: list[Callable[[], None]] = []
         self._journal: replacing.Journal | None = None
@@ -261,22 +262,20 @@ class FileSet:
         main = min(
             (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
         )
-        with replacing.writing(), replacing.endings_held() as deliver:
+        self._names |= names
+        with replacing.writing():
             for path, pieces in files.items():
                 may_replace = output.overwrite and path in own
                 try:
                     if self._journal is None:
-                        self._journal = replacing.Journal(main.path.parent, deliver)
-                    replacing.make_folder(path.parent, self._made_folders)
-                    staged = dataclasses.replace(
-                        self._journal.new_file(path), overwrite=may_replace, name=names[path],
-                        rank=(path == output.path, output.is_result),
-                    )  # fmt: skip
-                    replacing.write_aside(staged, pieces, deliver)
+                        with replacing.folders_locked([main.path.parent]), replacing.endings_held():
+                            self._journal = replacing.Journal(main.path.parent)
+                    with replacing.endings_held():
+                        replacing.make_folder(path.parent, self._made_folders)
+                    self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
                 leave_memory()
-                self._staged[path] = staged
 
     def keep_equal(self) -> None:
         """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
@@ -284,30 +283,32 @@ class FileSet:
             try:
                 if path.exists():
                     if not filecmp.cmp(path, staged.temporary, shallow=False):
-                        raise _existing(staged.name)
+                        raise _existing(self._names[path])
                     del self._staged[path]
                     continue
             except OSError as error:
-                raise _unwritable(staged.name, error) from error
+                raise _unwritable(self._names[path], error) from error
             self._staged[path] = dataclasses.replace(staged, overwrite=False)
 
     def put_in_place(self) -> None:
         """Give all files their names; OutputError if that fails, and then all is as it was."""
         for write in self.streams:
             write()
-        with replacing.writing(), replacing.endings_held() as deliver:
-            staged = sorted(self._staged.values(), key=lambda each: (each.rank, str(each.path)))
+        # Files come before the files that name them, and OUTPUT last.
+        ranks = {output.path: output.is_result for output in self._outputs}
+        order = sorted(self._staged, key=lambda path: (path in ranks, ranks.get(path, False), str(path)))
+        with replacing.writing():
             try:
-                with replacing.folders_locked((path.parent for path in self._staged), deliver):
+                with replacing.folders_locked(path.parent for path in order), replacing.endings_held():
                     if self._journal is not None:
-                        self._journal.put_together(staged)
+                        self._journal.put_together([self._staged[path] for path in order])
+                    self._made_folders.pop_all()
+                    self._remove_temporary()
             except OSError as error:
-                blamed = next((each.name for each in staged if str(each.path) == error.filename), "")
+                blamed = next((path for path in order if str(path) == error.filename), order[-1])
                 if isinstance(error, FileExistsError):
-                    raise _existing(blamed) from error
-                raise _unwritable(blamed or staged[-1].name, error) from error
-            self._made_folders.pop_all()
-            self._remove_temporary()
+                    raise _existing(self._names[blamed]) from error
+                raise _unwritable(self._names[blamed], error) from error
         self.streams.clear()
 
 

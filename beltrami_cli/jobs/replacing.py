@@ -4,7 +4,7 @@ A run that writes files has a journal, `.beltrami-ID.tmp` in OUTPUT's folder, wh
 temporary files, `.beltrami-ID.N.tmp`, each in its target's folder. Before several files are put in place it lists them,
 and replaced files are kept as `.beltrami-ID.N.previous.tmp`; the set is complete when the last line is written. An
 unlocked journal is of a killed run: the next run in the folder undoes its unfinished set, and removes the temporary
-files. Signals that would end the process wait until nothing is half done.
+files. Signals that would end the process wait while files are put in place or removed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import stat
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -54,8 +54,6 @@ class TemporaryFile:
     temporary: Path
     path: Path
     overwrite: bool = False
-    name: str = ""  # that the user knows it by
-    rank: tuple[bool, bool] = (False, False)  # files come before the files that name them, and OUTPUT last
     identity: _Identity | None = None  # None: it is not being put in place yet
 
     @property
@@ -65,20 +63,30 @@ class TemporaryFile:
 
 
 class Journal:
-    """What a run writes down of its temporary files, so that the next one can tidy up if it is killed."""
+    """What a run writes down of its temporary files, so that the next one can tidy up if it is killed.
 
-    def __init__(self, folder: Path, deliver: Callable[[], None]) -> None:
+    It is made within the lock of its folder, so that no other run finds it before it is locked itself.
+    """
+
+    def __init__(self, folder: Path) -> None:
         self._path, self._files, self._is_needed = _new_journal(folder), list[TemporaryFile](), False
-        # Within the lock of the folder, so that no other run finds the journal before it is locked itself.
-        with folders_locked([folder], deliver):
-            self._descriptor = os.open(self._path, _OPENING | os.O_CREAT | os.O_EXCL, 0o600)
-            _try_lock(self._descriptor)
+        self._descriptor = os.open(self._path, _OPENING | os.O_CREAT | os.O_EXCL, 0o600)
+        _try_lock(self._descriptor)
 
-    def new_file(self, path: Path) -> TemporaryFile:
-        """Return a temporary file in the folder of a file, under a free name."""
-        file = TemporaryFile(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path)
+    def write_aside(self, path: Path, pieces: Iterable[Bytes], *, overwrite: bool) -> TemporaryFile:
+        """Write a file under a temporary name, with the mode of a new file, or of the file that it replaces."""
+        file = TemporaryFile(path.with_name(f"{self._path.stem}.{len(self._files)}.tmp"), path, overwrite)
         self._files.append(file)
         self._list(file)
+        mode = stat.S_IMODE(path.stat().st_mode) if overwrite and path.exists() else None
+        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(file.temporary, flags, 0o666 if mode is None else mode)
+        with os.fdopen(descriptor, "wb") as opened:
+            opened.writelines(pieces)
+            opened.flush()
+            os.fsync(descriptor)
+        if mode is not None:
+            file.temporary.chmod(mode)
         return file
 
     def put_together(self, files: Sequence[TemporaryFile]) -> None:
@@ -137,9 +145,9 @@ def recover(folder: Path) -> None:
         journals = sorted(path for path in folder.iterdir() if _JOURNAL.fullmatch(path.name))
     for journal in journals:
         # In the lock of the folder, since two runs would take each other for the one that goes on.
-        with endings_held() as deliver, folders_locked([folder], deliver), _left_in(journal) as text:
+        with folders_locked([folder]), _left_in(journal) as text:
             files, is_settled = _read(journal, text)
-            with folders_locked({file.path.parent for file in files} - {folder}, deliver):
+            with folders_locked({file.path.parent for file in files} - {folder}), endings_held():
                 if not is_settled and (stuck := _undo(files)) is not None:
                     raise stuck
                 if text is not None:
@@ -260,9 +268,9 @@ def is_protected(path: Path) -> bool:
 
 
 @contextlib.contextmanager
-def folders_locked(folders: Iterable[Path], deliver: Callable[[], None]) -> Iterator[None]:
+def folders_locked(folders: Iterable[Path]) -> Iterator[None]:
     """Let no other run put files in place in these folders meanwhile; OSError if one does so for very long."""
-    # In one order for all, so that two runs do not wait for each other. `deliver` lets signals through while it waits.
+    # In one order for all, so that two runs do not wait for each other.
     with contextlib.ExitStack() as locks:
         for folder in sorted(set(folders)):
             try:
@@ -272,7 +280,6 @@ def folders_locked(folders: Iterable[Path], deliver: Callable[[], None]) -> Iter
             locks.callback(os.close, descriptor)  # which unlocks it
             end = time.monotonic() + _PATIENCE
             while _try_lock(descriptor) is False:
-                deliver()
                 if time.monotonic() > end:
                     cause = f"another run has been putting files in place there for {_PATIENCE:.0f} s"
                     raise OSError(errno.EBUSY, cause, str(folder))
@@ -303,8 +310,8 @@ def writing() -> contextlib.AbstractContextManager[object]:
 
 
 @contextlib.contextmanager
-def endings_held() -> Iterator[Callable[[], None]]:
-    """Defer signals that end the process, and return a function that delivers the pending ones."""
+def endings_held() -> Iterator[None]:
+    """Defer signals that end the process."""
     waiting: list[int] = []
     before: dict[int, signal._HANDLER] = {}
     if threading.current_thread() is threading.main_thread():
@@ -314,15 +321,8 @@ def endings_held() -> Iterator[Callable[[], None]]:
                 before[number] = handler
                 signal.signal(number, lambda received, _: waiting.append(received))
 
-    def deliver() -> None:
-        while waiting:
-            handler = before[waiting[0]]
-            if not callable(handler):  # the system's own, which ends the process
-                return
-            handler(waiting.pop(0), None)
-
     try:
-        yield deliver
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -344,21 +344,6 @@ def make_folder(folder: Path, cleaning: contextlib.ExitStack) -> None:
                 raise
             continue
         cleaning.callback(_remove_empty, each)
-
-
-def write_aside(file: TemporaryFile, pieces: Iterable[Bytes], deliver: Callable[[], None]) -> None:
-    """Write a file under its temporary name, with the mode that a new file gets, or that of the file it replaces."""
-    mode = stat.S_IMODE(file.path.stat().st_mode) if file.overwrite and file.path.exists() else None
-    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-    descriptor = os.open(file.temporary, flags, 0o666 if mode is None else mode)
-    with os.fdopen(descriptor, "wb") as opened:
-        for piece in pieces:
-            deliver()
-            opened.write(piece)
-        opened.flush()
-        os.fsync(descriptor)
-    if mode is not None:
-        file.temporary.chmod(mode)
 
 
 def _remove_empty(folder: Path) -> None:
