@@ -14,6 +14,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Literal
 
@@ -194,7 +195,7 @@ class FileSet:
         # What writes to standard output or devices, before anything is put in place.
         self.streams: list[Callable[[], None]] = []
         self._journal: replacing.Journal | None = None
-        self._made_folders = contextlib.ExitStack()
+        self._made_folders: list[Path] = []  # inner ones before outer ones
 
     def __enter__(self) -> FileSet:
         return self
@@ -202,7 +203,10 @@ class FileSet:
     def __exit__(self, *error: object) -> None:
         with replacing.endings_held():
             self._remove_temporary()
-            self._made_folders.close()
+            for folder in self._made_folders:
+                with contextlib.suppress(OSError):  # it may hold other files now
+                    folder.rmdir()
+            self._made_folders.clear()
         self.streams.clear()
 
     def _remove_temporary(self) -> None:
@@ -270,12 +274,16 @@ class FileSet:
                     if self._journal is None:
                         with replacing.folders_locked([main.path.parent]), replacing.endings_held():
                             self._journal = replacing.Journal(main.path.parent)
-                    with replacing.endings_held():
-                        replacing.make_folder(path.parent, self._made_folders)
+                    self._make_folder(path.parent)
                     self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
                 except OSError as error:
                     raise _unwritable(output.target, error) from error
                 leave_memory()
+
+    def _make_folder(self, folder: Path) -> None:
+        missing = takewhile(lambda each: not each.exists(), (folder, *folder.parents))
+        self._made_folders = [*missing, *self._made_folders]
+        folder.mkdir(parents=True, exist_ok=True)
 
     def keep_equal(self) -> None:
         """Replace nothing: leave files that have the same bytes already; OutputError if one has others."""
@@ -302,7 +310,7 @@ class FileSet:
                 with replacing.folders_locked(path.parent for path in order), replacing.endings_held():
                     if self._journal is not None:
                         self._journal.put_together([self._staged[path] for path in order])
-                    self._made_folders.pop_all()
+                    self._made_folders.clear()
                     self._remove_temporary()
             except OSError as error:
                 blamed = next((path for path in order if str(path) == error.filename), order[-1])

@@ -330,27 +330,6 @@ def endings_held() -> Iterator[None]:
             signal.raise_signal(number)
 
 
-def make_folder(folder: Path, cleaning: contextlib.ExitStack) -> None:
-    """Make a folder with all above it; they are removed again when the stack unwinds."""
-    missing = []
-    while not folder.exists():
-        missing.append(folder)
-        folder = folder.parent
-    for each in reversed(missing):
-        try:
-            each.mkdir()
-        except FileExistsError:  # another process was faster
-            if not each.is_dir():
-                raise
-            continue
-        cleaning.callback(_remove_empty, each)
-
-
-def _remove_empty(folder: Path) -> None:
-    with contextlib.suppress(OSError):
-        folder.rmdir()
-
-
 def _put(file: TemporaryFile, *, keep: bool) -> None:
     """Give a file its name, and `keep` what it replaces under another one."""
     try:
@@ -373,8 +352,10 @@ def _put_new(temporary: Path, path: Path) -> None:
     try:
         os.link(temporary, path)
     except FileExistsError:
-        if not _is_same(temporary, path):  # on NFS the link may have been made, and only the answer lost
-            raise
+        with contextlib.suppress(OSError):
+            if temporary.samefile(path):  # on NFS the link may have been made, and only the answer lost
+                return
+        raise
     except OSError:  # no file can have two names there
         # Only one process can make the empty file, and may then replace it.
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
@@ -383,10 +364,3 @@ def _put_new(temporary: Path, path: Path) -> None:
         except OSError:
             path.unlink()
             raise
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    try:
-        return one.samefile(other)
-    except OSError:
-        return False
