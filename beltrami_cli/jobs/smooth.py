@@ -168,7 +168,7 @@ def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
     """Join the reports of groups of textures of one slot that have the same noise and parameters."""
     groups: dict[object, list[Smoothed]] = {}
     for number, each in enumerate(done):
-        key = each.report.is_joined_by
+        key = each.report.joining_key
         groups.setdefault(number if key is None else key, []).append(each)
     joined = []
     for first, *others in groups.values():

@@ -311,13 +311,13 @@ class LayerReport:
         return []
 
     @property
-    def is_joined_by(self) -> object:
-        """The value that reports to be joined into one have in common; None: this one stays separate."""
+    def joining_key(self) -> object:
+        """What several reports must agree in to become one; None: this one stays separate."""
         return None
 
     @classmethod
     def joined(cls, reports: Sequence[Self]) -> Self:
-        """Return one report for several that `is_joined_by` joins, but for the change of colours."""
+        """Return one report for several with one `joining_key`, but for the change of colours."""
         return reports[0]
 
 
@@ -358,7 +358,7 @@ class SlotReport(LayerReport):
     samples_per_kernel: float  # mean
 
     @property
-    def is_joined_by(self) -> object:
+    def joining_key(self) -> object:
         return self.slot, str(self.choice), str(self.noise)
 
     @classmethod

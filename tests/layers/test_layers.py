@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import KernelParameters, SmoothSettings
+from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
@@ -87,3 +88,11 @@ def test_every_kind_of_layer_has_few_methods_and_can_be_made_noisy():
     methods = [name for name, each in vars(Layer).items() if isfunction(each) and not name.startswith("_")]
     assert len(methods) <= 8
     assert all(noisy_layer.dispatch(kind) is not noisy_layer.dispatch(Layer) for kind in kinds)
+
+
+@pytest.mark.parametrize("layer", ["grid.npz", "picture.png"], indirect=True)
+def test_a_layer_without_charts_is_described_without_exposure(layer):
+    photographs = np.arange(24 * 30) % 2  # as an attribute of a range image may number them
+    with pytest.raises(UsageError, match="no charts"):
+        layer.levelled(LevelSettings(), photographs)
+    assert describe_exposure(layer, photographs) is None
