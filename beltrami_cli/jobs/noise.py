@@ -19,7 +19,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
-from beltrami_cli.jobs.noise_targets import NoiseTargets, NoisyLayer, coded_as_jpeg, noisy_layer
+from beltrami_cli.jobs.noise_targets import NoiseTargets, NoisyLayer, noisy_layer
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.layer import Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
@@ -123,7 +123,7 @@ def _with_noise(noisy: NoisyLayer, settings: NoiseSettings) -> Float32s:
     if not targets.colours.size or settings.sigma == 0:
         return targets.colours.copy()
     if settings.kind == "jpeg":
-        return coded_as_jpeg(noisy, settings.quality)
+        return noisy.coded_as_jpeg(settings.quality)
     if settings.kind == "camera":
         return seen_by_camera(targets, noisy.cells(), settings)
     if settings.kind == "grain":

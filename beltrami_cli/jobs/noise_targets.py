@@ -26,7 +26,6 @@ from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.layers.image_layer import ImageLayer, written
 from beltrami_cli.layers.layer import Change, Layer, Repainted, rewritten
-from beltrami_cli.layers.picture_colours import PictureColours
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SLOTS
 from beltrami_cli.layers.texel_colours import Repainting, all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
@@ -63,9 +62,9 @@ class NoisyLayer:
     positions: Callable[[], tuple[Float64s, Float64s]]
     # Replace the colours of the targets by others; colours beyond seams are shifted by the same amount.
     repainted: Callable[[Float32s], Repainted]
+    # Return the colours of the targets as they are after their pictures went through JPEG of a quality.
+    coded_as_jpeg: Callable[[int], Float32s]
     cells: Callable[[], Cells | None] = lambda: None  # where the targets lie in pictures, if they do
-    pictures: Sequence[Picture] = ()
-    picture_colours: PictureColours | None = None
 
 
 @singledispatch
@@ -92,8 +91,12 @@ def _(layer: PaintedLayer) -> NoisyLayer:
         colours[places] = np.where(after != before, back, colours[places])
         return Repainted(Change.between(painted.colours, colours), colours)
 
+    def coded_as_jpeg(_: int) -> Float32s:
+        remedy = "put the colours into a texture first: `beltrami bake --to texture`"
+        raise UsageError(f"{layer.label}: JPEG codes pictures; {remedy}")
+
     targets = NoiseTargets(before, place_of, space=space)
-    return NoisyLayer("vertex colours", targets, positions, repainted)
+    return NoisyLayer("vertex colours", targets, positions, repainted, coded_as_jpeg)
 
 
 @noisy_layer.register
@@ -109,9 +112,8 @@ def _(layer: ImageLayer) -> NoisyLayer:
         return written(layer, NewColours.of(after, before.places), losses)
 
     targets = NoiseTargets(before.table(), np.arange(len(before.places)), space=layer.settings.space)
-    return NoisyLayer(
-        layer.label, targets, positions, repainted, layer.places, [layer.picture], layer.colours
-    )
+    coded = partial(_coded_as_jpeg, layer, [layer.picture])
+    return NoisyLayer(layer.label, targets, positions, repainted, coded, layer.places)
 
 
 @noisy_layer.register
@@ -132,8 +134,8 @@ def _(layer: TextureLayer) -> NoisyLayer:
     def positions() -> tuple[Float64s, Float64s]:
         return places_of_texels(layer.surface, layer.places())
 
-    repainted = partial(_repainted, layer, targets)
-    return NoisyLayer(layer.label, targets, positions, repainted, layer.places, layer.pictures, layer.colours)
+    repainted, coded = partial(_repainted, layer, targets), partial(_coded_as_jpeg, layer, layer.pictures)
+    return NoisyLayer(layer.label, targets, positions, repainted, coded, layer.places)
 
 
 def _repainted(layer: TextureLayer, targets: NoiseTargets, after: Float32s) -> Repainted:
@@ -174,21 +176,19 @@ def _shifted(painter: Repainting, index: int, added: NewColours, limits: tuple[f
     return pixels
 
 
-def coded_as_jpeg(noisy: NoisyLayer, quality: int) -> Float32s:
-    """Return the colours of the targets as they are after their pictures went through JPEG."""
-    cells, colours = noisy.cells(), noisy.picture_colours
-    if cells is None or colours is None:
-        remedy = "put the colours into a texture first: `beltrami bake --to texture`"
-        raise UsageError(f"{noisy.what}: JPEG codes pictures; {remedy}")
-    if colours.names not in (("red", "green", "blue"), ("grey",)):
-        cause = f"{noisy.what}: JPEG codes all channels together; leave out --channels and --alpha"
+def _coded_as_jpeg(
+    layer: ImageLayer | TextureLayer, pictures: Sequence[Picture], quality: int
+) -> Float32s:  # fmt: skip
+    if layer.names not in (("red", "green", "blue"), ("grey",)):
+        cause = f"{layer.label}: JPEG codes all channels together; leave out --channels and --alpha"
         raise UsageError(cause)
-    coded = np.empty((len(cells.row), len(colours.names)), np.float32)
-    for index, picture in enumerate(noisy.pictures):
-        working = colours.working(picture, np.arange(picture.pixels[..., 0].size))
-        shown = from_space(working, "srgb", colours.space).reshape(*picture.pixels.shape[:2], -1)
+    cells, space = layer.places(), layer.colours.space
+    coded = np.empty((len(cells.row), len(layer.names)), np.float32)
+    for index, picture in enumerate(pictures):
+        working = layer.colours.working(picture, np.arange(picture.pixels[..., 0].size))
+        shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
         inside, place = cells.of(index)
-        coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", colours.space)
+        coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", space)
     return coded
 
 
