@@ -30,7 +30,14 @@ from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.levelled_charts import photograph_attribute, photographs_of
 from beltrami_cli.layers.memory_check import checked_memory, memory_beside, require_memory, too_many_together
-from beltrami_cli.layers.selection import count_samples, layers_of, require_scale, select, vertex_layer
+from beltrami_cli.layers.selection import (
+    Selection,
+    count_samples,
+    layers_of,
+    require_scale,
+    select,
+    vertex_layer,
+)
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures, only_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -85,10 +92,31 @@ def inspect_file(
     require_scale(document, selection)
     counts = count_samples(document, selection, settings.textures)
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
-    described: dict[Part, list[dict[str, object]]] = {"vertices": [], "image": [], "textures": []}
+    surface = dict[str, object]()
     if selection.slots and not selection.vertices:
-        described["vertices"].append(_describe_under_textures(document, selection.slots[0], settings, access))
-    notices, photographs = [*document.notices, *selection.notices], None
+        surface = _describe_under_textures(document, selection.slots[0], settings, access)
+    notices = [*document.notices, *selection.notices]
+    described, of_layers = _describe_layers(document, selection, settings, job)
+    notices += of_layers
+    # Of images they are known once there is enough memory to decode them.
+    file = {"name": document.name, "format": document.format, **document.facts()}
+    found: dict[str, object] = {"file": file, **surface}
+    for each in (*described["vertices"], *described["image"]):
+        found |= each
+    if described["textures"]:
+        found["textures"] = described["textures"]
+        left = [slot for slot in document.slots() if slot not in settings.textures.slots]
+        if left:
+            notices.append(f"it has textures in other slots, too; --slots {','.join(left)} shows them")
+    return {**found, "notices": notices}
+
+
+def _describe_layers(
+    document: Document, selection: Selection, settings: SmoothSettings, job: Job
+) -> tuple[dict[Part, list[dict[str, object]]], list[str]]:
+    """Describe the selected layers, by the part of the document that they belong to; return also notices."""
+    described: dict[Part, list[dict[str, object]]] = {"vertices": [], "image": [], "textures": []}
+    notices, photographs, access = list[str](), None, job.access
     if selection.vertices and photograph_attribute(document) is not None:
         photographs = photographs_of(document)
     in_groups = settings.fits_parts
@@ -117,17 +145,7 @@ def inspect_file(
                 exposure = describe_exposure(TextureLayer.read(document.textured(slot), slot, settings))
                 for each in groups:
                     each["exposure"] = exposure
-    # Of images they are known once there is enough memory to decode them.
-    file = {"name": document.name, "format": document.format, **document.facts()}
-    found: dict[str, object] = {"file": file}
-    for each in (*described["vertices"], *described["image"]):
-        found |= each
-    if described["textures"]:
-        found["textures"] = described["textures"]
-        others = [slot for slot in document.slots() if slot not in settings.textures.slots]
-        if others:
-            notices.append(f"it has textures in other slots, too; --slots {','.join(others)} shows them")
-    return {**found, "notices": notices}
+    return described, notices
 
 
 def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[str, object] | None:
