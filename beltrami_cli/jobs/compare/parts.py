@@ -233,52 +233,38 @@ def compare_textures(
             for name in names
         ]  # fmt: skip
     require_memory(((texture.name, texture.data) for texture in textures), access)
-    prepared = TextureLayer.read(surface, slot, settings)
+    one = TextureLayer.read(surface, slot, settings)
     pictures = [read_texture(texture) for texture in textures]
-    for old, new in zip(prepared.pictures, pictures, strict=True):
+    for old, new in zip(one.pictures, pictures, strict=True):
         _require_same_size(old, new, f"{test.name}: {new.name}")
     colours = PictureColours.of(pictures, slot, settings)
-    if colours.names != prepared.colours.names:
-        cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(prepared.colours.names)} before"
+    if colours.names != one.names:
+        cause = f"its {slot} textures have {', '.join(colours.names)}, but {', '.join(one.names)} before"
         raise InputError(test.name, cause, "compare files with the same channels")
-    return _parts(prepared, colours, pictures, names, weights)
+    return _parts(one, dataclasses.replace(one, pictures=pictures, colours=colours), names, weights)
 
 
 def _parts(
-    prepared: TextureLayer,
-    colours: PictureColours,
-    pictures: Sequence[Picture],
-    names: Sequence[str],
-    weights: Weights,
+    one: TextureLayer, other: TextureLayer, names: Sequence[str], weights: Weights
 ) -> list[ComparedColours]:
-    """Cut what belongs to all textures together in parts."""
-    atlas = prepared.atlas
-    both = (prepared.colours, prepared.pictures), (colours, pictures)
+    """Cut two layers with one atlas in parts, texture by texture."""
+    atlas, parts = one.atlas, list[ComparedColours]()
     areas, near = texel_areas(atlas) if weights == "area" else None, near_seams(atlas)
-    (cells, before), (_, after) = (seam_steps(atlas, partial(texel_colours, *each, atlas)) for each in both)
+    (cells, before), (_, after) = (
+        seam_steps(atlas, partial(texel_colours, each.colours, each.pictures, atlas)) for each in (one, other)
+    )
     texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
-    looked_up = np.concatenate([atlas.border_texels, atlas.lone_texels])
-    around = {index: texels for index, _, texels in texels_by_texture(atlas.texture_offsets, looked_up)}
-    nothing = np.zeros(0, np.int64)
-    owned = {index: (slice(0), nothing) for index in range(len(pictures))} | {
-        index: (inside, texels)
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels)
-    }
-    parts = []
-    for index, (inside, texels) in owned.items():
-        old, new, hides = (
-            prepared.pictures[index],
-            pictures[index],
-            prepared.surface.textures[index].alpha_hides,
-        )
-        read = partial(_both_colours, (prepared.colours, old), (colours, new))
-        beyond = around.get(index, nothing)
+    owned = _by_texture(atlas, atlas.owned_texels)
+    around = _by_texture(atlas, np.concatenate([atlas.border_texels, atlas.lone_texels]))
+    for index, ((inside, texels), (_, beyond)) in enumerate(zip(owned, around, strict=True)):
+        old, new, hides = one.pictures[index], other.pictures[index], one.surface.textures[index].alpha_hides
+        read = partial(_both_colours, (one.colours, old), (other.colours, new))
         if hides:
-            beyond = beyond[~prepared.colours.hidden(old, beyond)]
+            beyond = beyond[~one.colours.hidden(old, beyond)]
         here, near_here = texture_of == index, near[inside]
         parts.append(
             ComparedColours(
-                name=names[index], kind="texture", index=texels, read=read, space=prepared.colours.space,
+                name=names[index], kind="texture", index=texels, read=read, space=one.colours.space,
                 weights=None if areas is None else areas[inside],
                 near_seams=near_here if near_here.any() else None,
                 jumps=(before[here], after[here]) if here.any() else None,
@@ -287,6 +273,16 @@ def _parts(
             )
         )  # fmt: skip
     return parts
+
+
+def _by_texture(atlas: Atlas, texels: Indices) -> list[tuple[Bools | slice, Indices]]:
+    """Return for each texture which of the texels are of it, and these counted from its first."""
+    found: list[tuple[Bools | slice, Indices]] = [(slice(0), np.zeros(0, np.int64))] * (
+        len(atlas.texture_offsets) - 1
+    )
+    for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
+        found[index] = inside, own
+    return found
 
 
 def _both_colours(
