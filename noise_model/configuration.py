@@ -6,9 +6,13 @@ import hashlib
 import re
 from pathlib import Path
 
-HERE = Path(__file__).parent
-FILES = tuple(
-    HERE / f"{name}.py" for name in ("noises", "observations", "pictures", "train", "features", "network")
+from beltrami_cli.flow import noise
+
+TRAINING = ("noises", "observations", "pictures", "surfaces", "train")
+INFERENCE = ("clusters", "features", "grid_squares", "neighbourhoods", "network")
+FILES = (
+    *(Path(__file__).with_name(f"{name}.py") for name in TRAINING),
+    *(Path(noise.__file__).with_name(f"{name}.py") for name in INFERENCE),
 )
 
 

@@ -26,8 +26,10 @@ class Recipe:
     floor: float = 1.0  # share of the deviation that does not depend on the level
     correlation: float = 0.0  # of the channels
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    tail: str = "normal"  # or "student", "gamma", "laplace"
-    shape: float = 4.0  # degrees of freedom, or the shape of the gamma distribution
+    tail: str = "normal"  # or "student", "gamma", "laplace", "binomial"
+    shape: float = (
+        4.0  # degrees of freedom, the shape of the gamma distribution, or log2 of the number of rays
+    )
     is_linear: bool = False  # added to linear light
     grain: float = 1.0  # noise alone is enlarged by this, or shaped by a spectrum
     spectrum: float = 0.0  # cut-off frequency of noise alone, of that of the grid; 0: all; below 0: high pass
@@ -69,54 +71,102 @@ def to_srgb(x):
 
 
 def draw_recipe(rng: np.random.Generator) -> Recipe:
-    """Draw the steps of one noisy picture; about a quarter has no noise."""
+    """Draw the steps of one noisy picture; a quarter has no noise, and half of the others at most one step more."""
     chance = rng.random
     recipe = Recipe(bits=8 if chance() < 0.9 else 0)
     if chance() < 0.76:
-        tail = str(rng.choice(["normal", "normal", "normal", "student", "laplace", "gamma"]))
-        correlation = float(rng.choice([0, 0, 0, 0, rng.uniform(0, 1), rng.uniform(0, 1), 1]))
-        gains = np.ones(3) if chance() < 0.5 else rng.uniform(0.3, 1.6, 3)
-        recipe = replace(
-            recipe, sigma=float(2 ** rng.uniform(-0.7, 6)) / 255, correlation=correlation, tail=tail,
-            gains=tuple(gains / gains.max()), shape=float(rng.uniform(2.5, 8)), is_linear=chance() < 0.3,
-            power=float(rng.choice([0, 1, 2, rng.uniform(0, 2)])), floor=float(rng.choice([0, rng.uniform(0, 1)])),
-        )  # fmt: skip
-        if chance() < 0.35:
-            recipe = replace(recipe, power=0.0)
-        if recipe.is_linear:
-            recipe = replace(recipe, sigma=float(2 ** rng.uniform(-9, -2.5)))
-        if tail == "gamma":
-            recipe = replace(recipe, power=2.0, floor=0.0, correlation=float(rng.choice([1, 1, correlation])))
-        filtering = chance()
-        if filtering < 0.14:
-            recipe = replace(recipe, grain=float(rng.uniform(1.2, 5)), kernel=int(rng.integers(4)))
-        elif filtering < 0.24:
-            recipe = replace(recipe, spectrum=float(rng.choice([-1, 1, 1]) * rng.uniform(0.08, 0.8)))
-        elif filtering < 0.42:
-            recipe = replace(
-                recipe, mosaic=str(rng.choice(["bilinear", "malvar"])), is_linear=chance() < 0.8, grain=1.0
-            )
-        if chance() < 0.12:
-            recipe = replace(
-                recipe, places=str(rng.choice(["halves", "chess", "blob", "blend"])),
-                place_gain=float(rng.choice([0, rng.uniform(0, 0.6)])),
-            )  # fmt: skip
+        recipe = _noise_of(rng, recipe)
+        if chance() < 0.5:
+            return _with_one_step(rng, recipe)
+        recipe = _filtered(rng, recipe) if chance() < 0.42 else recipe
+        recipe = _in_places(rng, recipe) if chance() < 0.12 else recipe
         if chance() < 0.07:
             recipe = replace(recipe, denoised=float(rng.choice([-1, rng.uniform(0.4, 1.2)])))
     if chance() < 0.05:
         recipe = replace(recipe, impulses=float(rng.choice([1, -1]) * 10 ** rng.uniform(-3, -1.3)))
-    if chance() < 0.14:
-        recipe = replace(recipe, resampled=float(2 ** rng.uniform(-1, 1.3)), kernel=int(rng.integers(4)))
-    if chance() < 0.14:
-        recipe = replace(recipe, sharpened=float(rng.uniform(0.2, 2)))
+    recipe = _resampled(rng, recipe) if chance() < 0.14 else recipe
+    recipe = _sharpened(rng, recipe) if chance() < 0.14 else recipe
     if chance() < 0.1:
         recipe = replace(recipe, transfer=str(rng.choice(["to linear", "to srgb"])))
     if chance() < 0.3:
-        recipe = replace(
-            recipe, codec=str(rng.choice(["JPEG", "JPEG", "JPEG", "WEBP"])), quality=int(rng.integers(50, 99)),
-            subsampling=int(rng.choice([0, 2])), after_codec=float(rng.choice([1, 1, 1, 2 ** rng.uniform(-1, 1)])),
-        )  # fmt: skip
+        recipe = _compressed(rng, recipe)
+        recipe = replace(recipe, after_codec=float(rng.choice([1, 1, 1, 2 ** rng.uniform(-1, 1)])))
     return recipe
+
+
+def _with_one_step(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    """Add one step at most to noise, half of which is independent and equally strong everywhere."""
+    if rng.random() < 0.5:
+        is_one_of_rays = recipe.tail in ("gamma", "binomial")
+        recipe = replace(
+            recipe, sigma=_sigma(rng), power=0.0, correlation=0.0, is_linear=False,
+            tail="normal" if is_one_of_rays else recipe.tail,
+        )  # fmt: skip
+    steps = (lambda rng, recipe: recipe), _in_places, _compressed, _filtered, _resampled, _sharpened
+    step = rng.choice(len(steps), p=[0.35, 0.2, 0.15, 0.15, 0.1, 0.05])
+    return steps[step](rng, recipe)
+
+
+def _sigma(rng: np.random.Generator) -> float:
+    return float(2 ** rng.uniform(-0.7, 6)) / 255
+
+
+def _noise_of(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    """Draw the noise that is added, by its distribution, its channels and how it depends on the level."""
+    chance = rng.random
+    if chance() < 0.05:  # ambient occlusion is the share of rays that meet nothing
+        return replace(recipe, sigma=1.0, tail="binomial", shape=float(rng.uniform(2, 9)), correlation=1.0)
+    tail = str(rng.choice(["normal", "normal", "normal", "student", "laplace", "gamma"]))
+    correlation = float(rng.choice([0, 0, 0, 0, rng.uniform(0, 1), rng.uniform(0, 1), 1, 1]))
+    gains = np.ones(3) if chance() < 0.5 else rng.uniform(0.3, 1.6, 3)
+    recipe = replace(
+        recipe, sigma=_sigma(rng), correlation=correlation, tail=tail, gains=tuple(gains / gains.max()),
+        shape=float(rng.uniform(2.5, 8)), is_linear=chance() < 0.3,
+        power=float(rng.choice([0, 1, 2, rng.uniform(0, 2)])), floor=float(rng.choice([0, rng.uniform(0, 1)])),
+    )  # fmt: skip
+    if chance() < 0.35:
+        recipe = replace(recipe, power=0.0)
+    if recipe.is_linear:
+        recipe = replace(recipe, sigma=float(2 ** rng.uniform(-9, -2.5)))
+    if tail == "gamma":
+        recipe = replace(recipe, power=2.0, floor=0.0, correlation=float(rng.choice([1, 1, correlation])))
+    return recipe
+
+
+def _filtered(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    """Enlarge the noise, shape its spectrum, or keep one channel of each texel and interpolate the others."""
+    kind = rng.choice(["grain", "spectrum", "mosaic"], p=[0.33, 0.24, 0.43])
+    if kind == "grain":
+        return replace(recipe, grain=float(rng.uniform(1.2, 5)), kernel=int(rng.integers(4)))
+    if kind == "spectrum":
+        return replace(recipe, spectrum=float(rng.choice([-1, 1, 1]) * rng.uniform(0.08, 0.8)))
+    return replace(recipe, mosaic=str(rng.choice(["bilinear", "malvar"])), is_linear=rng.random() < 0.8)
+
+
+def _in_places(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    gain = float(rng.choice([0, rng.uniform(0, 0.6)]))
+    return replace(recipe, places=str(rng.choice(["halves", "chess", "blob", "blend"])), place_gain=gain)
+
+
+def _resampled(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    return replace(recipe, resampled=float(2 ** rng.uniform(-1, 1.3)), kernel=int(rng.integers(4)))
+
+
+def _sharpened(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    return replace(recipe, sharpened=float(rng.uniform(0.2, 2)))
+
+
+def _compressed(rng: np.random.Generator, recipe: Recipe) -> Recipe:
+    codec = str(rng.choice(["JPEG", "JPEG", "JPEG", "WEBP"]))
+    return replace(
+        recipe, codec=codec, quality=int(rng.integers(50, 99)), subsampling=int(rng.choice([0, 2]))
+    )
+
+
+def of_one_channel(clean: np.ndarray, recipe: Recipe) -> tuple[np.ndarray, Recipe]:
+    """Take one channel of a picture for all, with the same noise in all."""
+    alike = replace(recipe, correlation=1.0, gains=(1.0, 1.0, 1.0), mosaic="")
+    return np.repeat(clean[..., :1], 3, axis=2), alike
 
 
 def degrade(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> Sample:
@@ -167,6 +217,10 @@ def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
 
 def _noise(rng: np.random.Generator, clean: np.ndarray, recipe: Recipe) -> np.ndarray:
     """Draw noise for a clean picture."""
+    if recipe.tail == "binomial":
+        rays = round(2**recipe.shape)
+        noise = rng.binomial(rays, clean.clip(0, 1).mean(axis=2, keepdims=True)) / rays
+        return (noise - clean.mean(axis=2, keepdims=True)).astype(np.float32).repeat(3, axis=2)
     noise = _field(rng, clean.shape, recipe)
     if recipe.places == "blend":  # of two exposures, one of them quieter
         other, mask = (

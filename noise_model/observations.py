@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-import features
-from features import SCALES, SIDE
-from network import OFFSET
-from noises import Sample, degrade, draw_recipe
+from beltrami_cli.flow.noise import features
+from beltrami_cli.flow.noise.features import Cells
+from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
+from beltrami_cli.flow.noise.neighbourhoods import Samples
+from beltrami_cli.flow.noise.network import log_of
+from noises import Sample, degrade, draw_recipe, of_one_channel
 from pictures import Crop, drawn, varied
 
 SIDES = (32, 48, 64, 96, 128, 192, 256)
 SHARES = (0.06, 0.06, 0.14, 0.22, 0.24, 0.2, 0.08)
 MAX_SQUARES = 64  # of a picture
+ONE_CHANNEL = 0.12  # share of the pictures that are of one channel, or grey
 # Of the variance of independent noise, at each scale, the last with the mean that is left.
 OF_SCALES = np.array([0.75, 0.1875, 0.046875, 0.015625])
+FEWEST_DETAILS = 3 * SIDE**2 / 16  # of the finest cells that a picture must hold
 MIN_BLOCKS = 4  # of a level, for its noise to be known
 CORRELATED = 1.0  # noise from which its correlation is to be read, in steps of 8 bits
 
@@ -41,6 +46,8 @@ def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observati
     recipe, side = draw_recipe(rng), int(rng.choice(SIDES, p=SHARES))
     wanted = int(np.ceil(side / min(1, recipe.resampled * recipe.after_codec))) + 8
     clean = varied(rng, drawn(rng, _part_of(rng, crop.pixels, wanted)))
+    if rng.random() < ONE_CHANNEL:
+        clean, recipe = of_one_channel(clean, recipe)
     sample = degrade(rng, clean, recipe)
     top, left = (int(rng.integers(9)) if rng.random() < 0.3 else 0 for _ in range(2))
     filled = np.ones((side, side), bool)
@@ -70,21 +77,29 @@ def observe(sample: Sample, filled: np.ndarray | None = None) -> Observation | N
     filled = (
         np.ones(planes.shape[1:], bool) if filled is None else filled[: planes.shape[1], : planes.shape[2]]
     )
-    corners = features.choose_corners(filled, MAX_SQUARES)
-    if not len(corners):
+    grid = Grid(filled, MAX_SQUARES)
+    if not grid.count:
         return None
-    squares = features.cut_squares(planes, filled, corners)
-    details = squares.details()
-    described = features.describe(squares, details)
-    blocks = features.blocks_of(squares, details)
+    seen = grid.cut(planes)
     noise, loss = (
-        features.cut_squares(np.moveaxis(own, 2, 0), filled, corners, squares.order)
+        grid.cut(np.moveaxis(own, 2, 0), seen.order) if own.any() else None
         for own in (sample.noise, sample.loss)
     )
-    of_noise, of_loss = (own.details() for own in (noise, loss))
-    pairs = list(zip(of_noise, of_loss, strict=True))[:SCALES]
-    covariances = np.stack([_covariance(noisy) - _covariance(lost) for noisy, lost in pairs])
-    if np.isnan(covariances[0]).any() or noise.is_filled.sum() < SIDE**2 / 4:
+    return observed(seen, noise, loss)
+
+
+def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Observation | None:
+    """Observe neighbourhoods of noisy colours, of the noise, and of what compression alone does; None: nothing."""
+    cells, blocks = seen.cells(), seen.blocks()
+    products, energies = [0.0 * own.products for own in cells], 0.0 * blocks.energies
+    for part, sign in ((noise, 1), (loss, -1)):
+        if part is not None:
+            pairs = zip(products, part.products(), strict=True)
+            products = [total + sign * own for total, own in pairs]
+            energies = energies + sign * part.blocks().energies
+    truths = [dataclasses.replace(own, products=part) for own, part in zip(cells, products, strict=True)]
+    covariances = np.stack([own.covariance() for own in truths])
+    if np.isnan(covariances[0]).any() or cells[0].freedom.sum() < FEWEST_DETAILS:
         return None
     known = np.where(np.isnan(covariances), covariances[0], covariances)
     total = max(0.0, float(np.einsum("l,lkk->", OF_SCALES, known)) / 3)
@@ -99,48 +114,28 @@ def observe(sample: Sample, filled: np.ndarray | None = None) -> Observation | N
     correlations = np.where(
         (largest > CORRELATED)[:, None] & (least > 0.05)[:, None], np.stack(pairs, axis=1).clip(-1, 1), np.nan
     )
-    by_level = _by_level(
-        blocks.levels, *(features.blocks_of(*own).energies for own in ((noise, of_noise), (loss, of_loss)))
-    )
+    by_level = _by_level(blocks.levels, energies)
     return Observation(
-        described, features.describe_even_cells(details), features.describe_levels(blocks), logged(total),
-        logged(variances).ravel(), correlations.ravel(), by_level, _by_square(of_noise, of_loss),
+        features.describe(seen.described(), cells), features.describe_even_cells(cells),
+        features.describe_levels(blocks), log_of(total), log_of(variances).ravel(), correlations.ravel(), by_level,
+        _by_square(truths),
     )  # fmt: skip
 
 
-def logged(variance):
-    """Return what the network reads of a variance."""
-    return np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET)
-
-
-def _covariance(details: features.Details) -> np.ndarray:
-    """Return the covariance of components; NaN where there are no cells."""
-    values, count = details.by_component(), details.is_valid.sum()
-    if not count:
-        return np.full((3, 3), np.nan)
-    return np.einsum("pkdij,pldij->kl", values, values, dtype=np.float64) / (3 * count)
-
-
-def _by_level(level, energy, lost) -> np.ndarray:
+def _by_level(level, energy) -> np.ndarray:
     """Return the noise of the channels in each bin of their level."""
     found = np.full((3, features.LEVEL_BINS), np.nan)
     for channel in range(3):
         bins = features.level_bins(level[channel])
         counts = np.bincount(bins, minlength=features.LEVEL_BINS)
-        sums = np.bincount(bins, energy[channel] - lost[channel], features.LEVEL_BINS)
+        sums = np.bincount(bins, energy[channel], features.LEVEL_BINS)
         enough = counts >= MIN_BLOCKS
-        found[channel, enough] = logged(sums[enough] / counts[enough])
+        found[channel, enough] = log_of(sums[enough] / counts[enough])
     return found
 
 
-def _by_square(noise, loss) -> np.ndarray:
-    """Return the noise of each square, in the finer two scales."""
-    count, total = 0, 0
-    for own, lost in zip(noise[:2], loss[:2], strict=True):
-        total = (
-            total
-            + np.square(own.values).sum(axis=(1, 2, 3, 4))
-            - np.square(lost.values).sum(axis=(1, 2, 3, 4))
-        )
-        count = count + 9 * own.is_valid.sum(axis=(1, 2))
-    return np.where(count > 0, logged(total / np.maximum(count, 1)), np.nan)
+def _by_square(noise: list[Cells]) -> np.ndarray:
+    """Return the noise of each neighbourhood, in the finer two scales."""
+    total = sum(np.einsum("kpn,pn->p", own.products[:3], own.freedom) for own in noise[:2])
+    count = 3 * sum(own.freedom.sum(axis=1) for own in noise[:2])
+    return np.where(count > 0, log_of(total / np.maximum(count, 1)), np.nan)

@@ -17,19 +17,32 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-import features
-import network
+import observations
 import pictures
+import surfaces
 import table
+from beltrami_cli.flow.noise import features, network
+from beltrami_cli.flow.noise.network import (
+    QUANTILES,
+    TOTAL_QUANTILES,
+    Layers,
+    Weights,
+    candidates_of,
+    mixed,
+    read,
+    split_mixture,
+)
 from configuration import configuration
-from network import QUANTILES, TOTAL_QUANTILES, Layers, Weights, read
-from observations import Observation, random_observation
+from observations import Observation
 
-WEIGHTS = Path(__file__).with_name("grid_weights.npz")
-OBSERVATIONS = {"training": 140_000, "validation": 4_000}
+WEIGHTS = Path(network.__file__).parent
+OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}
 CHUNK = 2_000  # observations that are made together
+FIRST_SEED = 300  # of training; those below served to choose features and layers
 EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1
 SEED = 49
+KINDS = {"grid": observations.random_observation, "cluster": surfaces.random_observation}
+LARGEST_GRADIENT = 1.0  # norm
 # What the heads count for in the loss.
 COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5, "levels": 0.5}
 
@@ -113,13 +126,13 @@ def crops_of(roots: tuple[Path, ...], part: str) -> list[pictures.Crop]:
     return pictures.clean_crops(list(roots), part, SEED)
 
 
-def make_observations(job: tuple[str, int, int, list[Path]]) -> list[Observation]:
-    """Make some observations of a part of the pictures; `job`: the part, the seed, how many, the folders."""
-    part, seed, count, roots = job
+def make_observations(job: tuple[str, str, int, int, list[Path]]) -> list[Observation]:
+    """Make observations; `job`: the kind of neighbourhoods, the part of the pictures, seed, count, folders."""
+    kind, part, seed, count, roots = job
     crops = crops_of(tuple(roots), part)
     rng, found = np.random.default_rng([SEED, seed, part == "training"]), []
     while len(found) < count:
-        made = random_observation(rng, crops)
+        made = KINDS[kind](rng, crops)
         if made is not None:
             found.append(made)
     return found
@@ -128,7 +141,8 @@ def make_observations(job: tuple[str, int, int, list[Path]]) -> list[Observation
 class Batches:
     """Observations side by side, in half precision; features are standardised as they are taken."""
 
-    def __init__(self, observations: list[Observation]) -> None:
+    def __init__(self, kind: str, observations: list[Observation]) -> None:
+        self.kind = kind
         self.counts = np.array([len(own.squares) for own in observations])
         self.starts = np.append(0, np.cumsum(self.counts))
         self.parts = {
@@ -155,16 +169,19 @@ class Batches:
             name: own.std(axis=0) + 1e-3 for name, own in kinds.items()
         }
 
-    def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict[str, np.ndarray]]:
-        """Return what `read` takes of some observations, and the truths."""
+    def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
+        """Return what `read` takes of some observations, the truths, and the candidates."""
         rows = np.concatenate([np.arange(self.starts[own], self.starts[own + 1]) for own in chosen])
         counts = self.counts[chosen]
-        channels = self.parts["channels"][chosen]
+        channels, squares = self.parts["channels"][chosen], self.parts["squares"][rows].astype(np.float32)
         given = (
-            weights.standardised("squares", self.parts["squares"][rows].astype(np.float32)),
+            weights.standardised("squares", squares),
             np.append(0, np.cumsum(counts)[:-1]),
             weights.standardised("even", self.parts["even"][chosen]),
             weights.standardised("levels", channels.reshape(-1, channels.shape[-1])),
+        )
+        candidates = candidates_of(
+            self.parts["even"][chosen], squares, given[1], channels.reshape(-1, channels.shape[-1]), self.kind
         )
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
         # Levels and squares are read by how they differ from their mean, which may be all that is uncertain.
@@ -179,41 +196,56 @@ class Batches:
             np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
         )
         truths["places"] = places - np.repeat(means, counts, axis=0)
-        return given, truths
+        return given, truths, candidates
 
 
 def losses(
-    found: dict[str, np.ndarray], truths: dict[str, np.ndarray]
+    found: dict[str, np.ndarray], truths: dict[str, np.ndarray], candidates: dict[str, np.ndarray]
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     """Return the loss of each head, and its gradient: pinball losses of quantiles; of correlations, squares."""
     values, gradients = {}, {}
     for name, own in found.items():
         truth, known = truths[name], np.isfinite(truths[name])
-        count = max(1, known.sum())
+        count, outputs = max(1, known.sum()), own.reshape(*truth.shape, -1)
         if name == "correlations":
-            limited = np.tanh(own)
-            error = np.where(known, limited - np.nan_to_num(truth), 0)
+            read_as = np.tanh(outputs)
+            error = np.where(known[..., None], np.nan_to_num(truth)[..., None] - read_as, 0)
+            slope, parts = 2 * error * (1 - read_as**2), 1
             values[name] = float(np.square(error).sum() / count)
-            gradients[name] = COUNTED[name] * 2 * error * (1 - limited**2) / count
-            continue
-        shares = np.array(TOTAL_QUANTILES if name == "total" else QUANTILES, np.float32)
-        error = np.nan_to_num(truth)[..., None] - own.reshape(*truth.shape, len(shares))
-        slope = np.where(error > 0, shares, shares - 1) * known[..., None]
-        values[name] = float((slope * error).sum() / count / len(shares))
-        gradients[name] = (-COUNTED[name] * slope / count / len(shares)).reshape(own.shape).astype(np.float32)
+        else:
+            read_as = mixed(outputs, candidates[name]) if name in candidates else outputs
+            error = np.nan_to_num(truth)[..., None] - read_as
+            shares = np.array(TOTAL_QUANTILES if name == "total" else QUANTILES, np.float32)
+            slope, parts = np.where(error > 0, shares, shares - 1) * known[..., None], len(shares)
+            values[name] = float((slope * error).sum() / count / parts)
+        gradient = -COUNTED[name] * slope / count / parts
+        if name in candidates:
+            gradient = _through_mixture(gradient, read_as, outputs, candidates[name])
+        gradients[name] = gradient.reshape(own.shape).astype(np.float32)
     return values, gradients
 
 
-def initial(rng: np.random.Generator, columns: dict[str, int]) -> dict[str, np.ndarray]:
-    """Draw weights, by the number of features of each kind."""
-    width = network.WIDTHS
+def _through_mixture(gradient, read_as, outputs, candidates):
+    """Return the gradient by the outputs from that by what is read as their mixture with candidates."""
+    own, weights = split_mixture(outputs, candidates)
+    toward = [
+        (gradient * (part[..., None] - read_as)).sum(axis=-1) for part in np.moveaxis(candidates, -1, 0)
+    ]
+    toward.append((gradient * (own - read_as)).sum(axis=-1))
+    return np.concatenate([gradient * weights[..., -1:], weights * np.stack(toward, axis=-1)], axis=-1)
+
+
+def initial(
+    rng: np.random.Generator, columns: dict[str, int], width: dict[str, int]
+) -> dict[str, np.ndarray]:
+    """Draw weights, by the number of features of each kind and the units of layers."""
     inner, context = width["square 2"], width["whole 2"]
     inputs = {
         "square 1": columns["squares"], "square 2": width["square 1"], "whole 1": 3 * inner + columns["even"],
         "whole 2": width["whole 1"], "place 1": inner + context, "place 2": width["place 1"],
         "level 1": columns["levels"] + context, "level 2": width["level 1"],
-        "total": context + columns["even"], "deviations": context + columns["even"],
-        "correlations": context + columns["even"],
+        "total": context, "deviations": context,
+        "correlations": context,
     }  # fmt: skip
     weights = {}
     for name, size in inputs.items():
@@ -223,29 +255,34 @@ def initial(rng: np.random.Generator, columns: dict[str, int]) -> dict[str, np.n
     return weights
 
 
-def train(training: Batches, validation: Batches, epochs: int) -> Weights:
+def train(kind: str, training: Batches, validation: Batches, epochs: int) -> Weights:
     """Train by Adam with a rate that falls to 0 along a cosine."""
     rng = np.random.default_rng(SEED)
     means, scales = training.standard()
     weights = Weights(
-        initial(rng, {name: len(own) for name, own in means.items()}), means, scales, configuration()
+        initial(rng, {name: len(own) for name, own in means.items()}, network.WIDTHS[kind]),
+        means,
+        scales,
+        configuration(),
     )
     layers, moments = weights.layers, {}
     step, steps, began = 0, epochs * (len(training.counts) // BATCH), time.monotonic()
     for epoch in range(epochs):
         order, sums = rng.permutation(len(training.counts)), {}
         for at in range(0, len(order) - BATCH + 1, BATCH):
-            given, truths = training.take(order[at : at + BATCH], weights)
+            given, truths, candidates = training.take(order[at : at + BATCH], weights)
             tape = Tape(layers)
             squares, starts, *others = given
             found = read(tape, Node(squares), starts, *map(Node, others))
-            values, gradients = losses({name: own.value for name, own in found.items()}, truths)
+            values, gradients = losses({name: own.value for name, own in found.items()}, truths, candidates)
             for name, own in found.items():
                 own.gradient = gradients[name].astype(np.float32)
             tape.go_back()
             step += 1
             rate = RATE * min(1, step / 500) * (1 + np.cos(np.pi * step / steps)) / 2
+            norm = np.sqrt(sum(float(np.vdot(own, own)) for own in tape.gradients.values()))
             for name, gradient in tape.gradients.items():
+                gradient = gradient * np.float32(min(1, LARGEST_GRADIENT / norm))
                 first, second = moments.setdefault(name, (np.zeros_like(gradient), np.zeros_like(gradient)))
                 first += 0.1 * (gradient - first)
                 second += 0.001 * (gradient**2 - second)
@@ -254,43 +291,48 @@ def train(training: Batches, validation: Batches, epochs: int) -> Weights:
             for name, value in values.items():
                 sums[name] = sums.get(name, 0) + value * BATCH / len(order)
         if epoch % 5 == 4 or epoch == epochs - 1:
-            given, truths = validation.take(np.arange(len(validation.counts)), weights)
+            given, truths, candidates = validation.take(np.arange(len(validation.counts)), weights)
             found = read(Tape(layers), *map(Node, given[:1]), given[1], *map(Node, given[2:]))
-            valued, _ = losses({name: own.value for name, own in found.items()}, truths)
+            valued, _ = losses({name: own.value for name, own in found.items()}, truths, candidates)
             line = ", ".join(f"{name} {sums[name]:.4f} / {valued[name]:.4f}" for name in sums)
             print(f"epoch {epoch + 1}, {time.monotonic() - began:.0f} s: {line}", flush=True)
     return weights
 
 
 def main() -> None:
-    """Make observations, train, judge and write."""
+    """Make observations, train, judge and write, for grids and for clusters."""
     parser = argparse.ArgumentParser(description="Train the network that reads noise.")
     parser.add_argument("folders", nargs="+", type=Path, help="with pictures")
-    parser.add_argument("--observations", type=int, default=OBSERVATIONS["training"])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    parser.add_argument("--observations", type=int, help="of each kind")
     parser.add_argument("--epochs", type=int, default=EPOCHS)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument(
         "--judged", default="test", choices=["validation", "test"], help="the part that is judged"
     )
-    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="where they are written")
+    parser.add_argument("--weights", type=Path, default=WEIGHTS, help="the folder that they are written to")
     options = parser.parse_args()
-    roots, began = [*options.folders, *pictures.folders_of_packages()], time.monotonic()
-    jobs = [("training", seed, CHUNK, roots) for seed in range(options.observations // CHUNK)]
-    jobs.append(("validation", 0, OBSERVATIONS["validation"], roots))
+    roots = [*options.folders, *pictures.folders_of_packages()]
+    for kind in options.kinds:
+        train_kind(kind, roots, options)
+
+
+def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> None:
+    """Train the network for one kind of neighbourhoods."""
+    began = time.monotonic()
+    count = options.observations or OBSERVATIONS[kind]
+    jobs = [(kind, "training", seed, CHUNK, roots) for seed in range(FIRST_SEED, FIRST_SEED + count // CHUNK)]
+    jobs.append((kind, "validation", 0, OBSERVATIONS["validation"], roots))
     with Pool(options.processes) as pool:
         *parts, validation = pool.imap(make_observations, jobs)
-    training = Batches([own for part in parts for own in part])
-    print(
-        f"{len(training.counts)} observations, {training.starts[-1]} squares: {time.monotonic() - began:.0f} s",
-        flush=True,
-    )
+    training = Batches(kind, [own for part in parts for own in part])
+    held = f"{len(training.counts)} observations, {training.starts[-1]} neighbourhoods"
+    print(f"{kind}: {held}: {time.monotonic() - began:.0f} s", flush=True)
     del parts
-    train(training, Batches(validation), options.epochs).save(str(options.weights))
-    print(
-        f"{options.weights.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s",
-        flush=True,
-    )
-    table.main(roots, options.judged, Weights.load(options.weights))
+    path = options.weights / f"{kind}_weights.npz"
+    train(kind, training, Batches(kind, validation), options.epochs).save(str(path))
+    print(f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True)
+    table.main(roots, options.judged, kind, Weights.load(path))
 
 
 if __name__ == "__main__":

@@ -34,7 +34,6 @@ printable = one_line
 """Text that moves no cursor and fits any terminal."""
 
 NO_NOISE = "no more than rounding makes"
-NO_NOISE_FOUND = "no noise detected"
 NO_AREA = "no face has an area"
 ALL_THE_SAME = "to smooth all the same, give --strength strong, or the noise, as in --noise 5"
 

@@ -15,7 +15,6 @@ from beltrami_cli.cli.compare import show_table
 from beltrami_cli.cli.console import (
     ALL_THE_SAME,
     NO_AREA,
-    NO_NOISE_FOUND,
     Messages,
     choice_in_words,
     counted,
@@ -23,6 +22,7 @@ from beltrami_cli.cli.console import (
 )
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.parameters import NO_NOISE_FOUND, noise_in_words
 
 _SUMMARY = 20  # lines
 _SHOWN_IMAGES = 6
@@ -128,7 +128,9 @@ def _show_summary(facts: dict[str, Any]) -> None:
         charts = f"{slot['covered']} texels in {counted(slot['charts'], 'chart')}"
         rows += [(f"{slot['slot']} textures", f"{counted(len(slot['images']), 'image')}, {charts}")]
         images = slot["images"] if len(slot["images"]) > 1 else []
-        rows += [("", f"{each['name']}: {_noise_in_words(each['noise'])}") for each in images[:_SHOWN_IMAGES]]
+        rows += [
+            ("", f"{each['name']}: {noise_in_words(each['noise'], {})}") for each in images[:_SHOWN_IMAGES]
+        ]
         rows += [("", f"and {len(images) - _SHOWN_IMAGES} more")] if len(images) > _SHOWN_IMAGES else []
         rows += _answer(slot)
         if slot.get("exposure", {}).get("is_exposure"):
@@ -162,21 +164,13 @@ def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
 
 def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Give the noise of a part and what smoothing would do to it."""
-    yield "noise", _noise_in_words(part["noise"])
+    yield "noise", noise_in_words(part["noise"], part["noise_model"])
     smooth = part["smooth"]
     choice = (
         smooth.get("choice")
         or f"iterations {smooth['iterations']}, t {smooth['t']:.3g}, beta {smooth['beta']:.3g}"
     )
     yield "smooth", choice
-
-
-def _noise_in_words(values: dict[str, float]) -> str:
-    strongest = max(values.values(), default=0.0)
-    if not strongest:
-        return NO_NOISE_FOUND
-    each = ", ".join(f"{name} {255 * value:.1f}" for name, value in values.items())
-    return f"{_noise(strongest)}" + (f" ({each})" if len(values) > 1 else "")
 
 
 def _choice_in_short(choice: dict[str, Any]) -> str:

@@ -18,7 +18,6 @@ from beltrami_cli.cli.console import (
     ALL_THE_SAME,
     NO_AREA,
     NO_NOISE,
-    NO_NOISE_FOUND,
     Messages,
     choice_in_words,
     counted,
@@ -26,6 +25,7 @@ from beltrami_cli.cli.console import (
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job, show_size
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view.parameters import NO_NOISE_FOUND, noise_in_words
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.level import LevelFileReport
@@ -273,6 +273,7 @@ def _show_done(
         f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
         f"mean change {255 * done.change['mean']:.1f}/255"
     )
+    messages.detail(f"noise: {noise_in_words(done.noise, done.noise_model)}")
     for guide, beta in done.guides.items():
         messages.detail(f"guide {guide}: beta {beta:.3g}")
     if done.patches is not None:

@@ -118,7 +118,7 @@ def choose_parameters(
         chosen = dataclasses.replace(chosen, iterations=max(1, chosen.iterations))
     if choice is not None:
         variance = float(np.mean(np.square(noise.of_input)))
-        choice = choice.improved(-error).doubted(variance, noise.doubt)
+        choice = dataclasses.replace(choice.improved(-error), doubt=noise.doubt)
         if corrects and choice.psnr is not None:
             # Until here the gain is over colours whose shared noise is removed already.
             choice = dataclasses.replace(choice, gain=choice.psnr + 10 * math.log10(variance))

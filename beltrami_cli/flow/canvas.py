@@ -9,7 +9,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
-from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid
+from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Mixing, NewColours
 from beltrami_cli.flow.regularisation import guide_radius
@@ -315,7 +316,7 @@ def end_at_seams(planes: Float32s, atlas: Atlas, threads: int) -> None:
     """Continue a guide as a constant, in place, beyond the seams whose two sides differ."""
     from beltrami_cli._native import nearest_marked
 
-    sigma = estimate_sigma_on_grid(planes, atlas.kind == OWNED)
+    sigma = read_noise(planes, Grid(atlas.kind == OWNED), varies=False).sigma
     beyond = atlas.halo_cells[halo_beyond(atlas, find_colour_jumps(atlas, planes, sigma))]
     if len(beyond):
         wanted = np.zeros(atlas.kind.shape, bool)

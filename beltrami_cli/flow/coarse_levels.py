@@ -56,13 +56,12 @@ def denoise_means(manifold: AnyManifold, tick: Callable[[], None] | None = None)
     called often, and may raise to stop.
     """
     covariances = manifold.noise.covariances
-    if covariances is None:
-        return manifold, 0.0
     if manifold.parameters.clipping == "restore":
         _impute_cut_off(manifold)
     levels, error = manifold.levels(_coarsest(covariances), tick), 0.0
-    if levels:
-        replace_outliers(manifold, levels[0], sigma_of_covariances(covariances))
+    if not levels:
+        return manifold, 0.0
+    replace_outliers(manifold, levels[0], sigma_of_covariances(covariances))
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate(level, manifold, noise))

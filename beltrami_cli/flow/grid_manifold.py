@@ -13,7 +13,7 @@ from typing import cast
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.canvas import (
     canvas_colours,
     collaborate_on_canvas,
@@ -29,12 +29,10 @@ from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_geometry import ROWS, Cells, GridGeometry, pick
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
-from beltrami_cli.flow.noise.by_place import find_relative_noise, relative_to_mean
-from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.noise.estimate import NoiseByPlace, estimate_noise
-from beltrami_cli.flow.noise.grid_scales import estimate_sigma_on_grid, find_grid_noise
+from beltrami_cli.flow.noise.given import relative_to_mean
+from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import (
     Averaged,
@@ -71,33 +69,7 @@ class Whole:
     """What a part of a surface takes from the whole; noise that is None is found on the part."""
 
     unit: float | None = None  # None: its own
-    noise: FoundNoise | None = None
-
-
-@dataclass(frozen=True)
-class NoisyCanvas:
-    """Colours on a canvas, shape (N, R, C), as samples to estimate noise on."""
-
-    planes: Float32s
-    filled: Bools
-
-    def noise_by_place(self) -> NoiseByPlace:
-        found = find_relative_noise(self.planes, self.filled)
-        if found is None:
-            return NoiseByPlace()
-        relative, scale, most = found
-        return NoiseByPlace(relative[None], most, scale)
-
-    def noise_by_scale(self, relative: Float32s | None, *, by_level: bool) -> FoundNoise:
-        return find_grid_noise(self.planes, self.filled, by_level=by_level, relative=relative)
-
-    def sigma(self, relative: Float32s | None) -> Float64s:
-        del relative  # its mean is 1
-        return estimate_sigma_on_grid(self.planes, self.filled)
-
-    def stabilise(self, stabiliser: VarianceStabiliser) -> None:
-        for rows in large_arrays.blocks(self.planes.shape[1], ROWS):
-            stabiliser.stabilise(self.planes[:, rows])
+    noise: NoiseModel | None = None
 
 
 def grid_manifold(
@@ -119,7 +91,7 @@ def grid_manifold(
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
     noise = estimate_noise(
-        NoisyCanvas(planes, atlas.kind == OWNED), parameters.given_noise, varies=parameters.evens_noise,
+        planes, Grid(atlas.kind == OWNED), parameters.given_noise, varies=parameters.evens_noise,
         least=parameters.least_noise, measured=measured, known=known,
     )  # fmt: skip
     different = np.zeros(max(1, atlas.seams), bool)
@@ -300,7 +272,7 @@ class GridManifold(Manifold):
         return estimates
 
     def perturbation(self) -> Array:
-        return perturbations(1, len(self.colours), self.geometry.atlas, self.noise.covariances)[0]
+        return perturbations(1, self.geometry.atlas, self.noise)[0]
 
     def levels(self, most: int, tick: Callable[[], None] | None = None) -> list[Squares]:
         return squares_for(self.geometry.atlas, self.parameters, most, self.noise.relative, tick)
@@ -317,9 +289,7 @@ class GridManifold(Manifold):
             planes = pick(planes, cells)
             planes[:, part.geometry.atlas.kind == EMPTY] = 0
             scored = np.flatnonzero(core & (part.geometry.atlas.kind == OWNED))
-        drawn = perturbations(
-            wanted_probes(len(scored)), len(planes), part.geometry.atlas, self.noise.covariances
-        )
+        drawn = perturbations(wanted_probes(len(scored)), part.geometry.atlas, self.noise)
         signs = np.array(drawn, np.float32)
         return SampleTrial(part, planes, signs, scored, correlated=self.noise.is_shared)
 
@@ -385,9 +355,3 @@ def _split(planes: Float32s, like: Sequence[Float32s]) -> list[Float32s]:
 def _share(progress: Callable[[int], None] | None, before: int, share: float) -> Callable[[int], None] | None:
     """Add the work of earlier row blocks to the progress of one, of whose cells only a share is new."""
     return None if progress is None else lambda done: progress(before + int(done * share))
-
-
-def common_noise(noise: NoiseModel) -> FoundNoise:
-    """Return noise for other parts of the same surface: not its size where that differs from place to place."""
-    differs = noise.relative is not None and noise.covariances is None
-    return FoundNoise(noise.stabiliser, noise.covariances, noise.doubt, None if differs else noise.sigma)

@@ -5,26 +5,23 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.flow.chunks import Chunk, Figures, Neighbours, Work, chunk_of_run, chunking, runs
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
 from beltrami_cli.flow.mesh_geometry import MeshGeometry, coarse, rank_in
 from beltrami_cli.flow.moving_positions import GeometryParameters, MovingPositions
-from beltrami_cli.flow.noise.by_place import relative_to_mean
-from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.noise.estimate import NoiseByPlace, estimate_noise
-from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
-from beltrami_cli.flow.noise.mesh import estimate_sigma, find_mesh_noise, find_relative
-from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+from beltrami_cli.flow.noise.clusters import VertexClusters
+from beltrami_cli.flow.noise.given import relative_to_mean
+from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters
+from beltrami_cli.flow.noise.reading import estimate_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import (
     Averaged,
@@ -53,28 +50,6 @@ _STRETCH = 1.5
 _KNOWN = 5.0
 
 
-@dataclass(frozen=True)
-class NoisyVertices:
-    """Colours on a surface, as samples to estimate noise on."""
-
-    geometry: MeshGeometry
-    colours: Float32s
-
-    def noise_by_place(self) -> NoiseByPlace:
-        return NoiseByPlace(find_relative(self.colours, self.geometry.edges))
-
-    def noise_by_scale(self, relative: Float32s | None, *, by_level: bool) -> FoundNoise:
-        if not by_level or not len(self.geometry.edges):
-            return FoundNoise()
-        return find_mesh_noise(self.geometry.graph(self.colours), self.colours, relative)
-
-    def sigma(self, relative: Float32s | None) -> Float64s:
-        return estimate_sigma(self.colours, self.geometry.edges, relative)
-
-    def stabilise(self, stabiliser: VarianceStabiliser) -> None:
-        stabiliser.stabilise(self.colours.T)
-
-
 def mesh_manifold(
     surface: SampledSurface,
     parameters: KernelParameters,
@@ -88,7 +63,8 @@ def mesh_manifold(
     mesh = MeshGeometry.of(surface, parameters)
     colours = surface.colours[mesh.order]
     noise = estimate_noise(
-        NoisyVertices(mesh, colours),
+        colours.T,
+        VertexClusters(mesh.graph(colours)),
         parameters.given_noise,
         varies=parameters.evens_noise and geometry is None,
         least=parameters.least_noise,
@@ -233,13 +209,13 @@ class MeshManifold(Manifold):
 
     def _perturbations(self, colours: Float32s, around: NDArray[np.uint64], count: int) -> Float32s:
         """Return random stacks like the noise, by nearby colours: signs, or noise that neighbours share."""
-        covariances = self.noise.covariances
-        if covariances is None:
+        if self.noise.is_independent:
             return random_signs(colours, around, count)
+        covariances = self.noise.covariances
         levels = list(islice(levels_of(self.geometry.graph(self.colours)), len(covariances) + 1))
         signs = np.split(random_signs(colours, around, count * len(levels)), count)
         drawn = np.stack([draw_noise_of_clusters(covariances, levels, own) for own in signs])
-        drawn /= np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(covariances)))))
+        drawn /= np.float32(np.sqrt(np.mean(np.square(self.noise.sigma))))
         return drawn
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s
 from beltrami_cli.flow.embedding import choose_beta
-from beltrami_cli.flow.noise.mesh import residuals
+from beltrami_cli.flow.vertex_graph import sums_around
 from beltrami_cli.surface.geometry import normal_tensors, on_boundary, vertex_normals
 
 Average = Callable[[Float32s], Float32s]
@@ -107,6 +107,9 @@ _SIGMA_PER_MEDIAN_LENGTH = 1 / np.sqrt(2 * np.log(2))
 # optimum of the remaining noise in smooth parts and at creases.
 _NORMAL_BETA_SIGMA = 1.5
 
+# Neighbours of a normal whose residual counts; fewer: a border, where their mean leans to one side.
+_NEIGHBOURS = 3
+
 # Bound on the length, in sample spacings, of the usual turn of the normal from a vertex to the next: on a capped
 # cylinder and on a head, the value at which curved parts are still smoothed and creases still stay.
 _TURN_COUNTS = 0.8
@@ -115,10 +118,19 @@ _TURN_COUNTS = 0.8
 def estimate_normal_sigma(normals: Float32s, edges: Int32s) -> float:
     """Estimate the noise of unit normals, shape (S, 3): standard deviation about each of two axes, in radians."""
     # Lengths of the residuals, not components, so that rotating the surface changes nothing.
-    squares = sum(np.square(residual) for residual in residuals(normals, edges))
+    squares = sum(np.square(residual) for residual in _residuals(normals, edges))
     if not np.size(squares):
         return 0.0
     return float(_SIGMA_PER_MEDIAN_LENGTH * np.sqrt(np.median(squares)))
+
+
+def _residuals(normals: Float32s, edges: Int32s) -> list[Float64s]:
+    """Return by component how normals differ from the mean of their neighbours, in units of their noise."""
+    degree = np.bincount(edges.ravel(), minlength=len(normals))
+    inside = degree >= _NEIGHBOURS
+    means = sums_around(normals.astype(np.float64), edges)[inside] / degree[inside, None]
+    scale = np.sqrt(degree[inside] / (degree[inside] + 1.0))
+    return list(((normals[inside] - means) * scale[:, None]).T)
 
 
 def choose_normal_beta(normals: Float32s, edges: Int32s, sigma: float) -> float:

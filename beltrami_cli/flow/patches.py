@@ -26,6 +26,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.domain import CoarseLevel, Domain, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
-from beltrami_cli.flow.noise.by_level import OPPONENTS
+from beltrami_cli.flow.noise.features import COMPONENTS
 from beltrami_cli.flow.records import Mixing
 from beltrami_cli.surface import large_arrays
 
@@ -43,7 +44,7 @@ _COMPARED = np.array([1, 0.5, 0.5])
 # What the noise is multiplied by, once there is a pilot, where patches show no detail. In photographs most detail of
 # differences of channels is in their mean, too, and what remains of their noise is what people see. Noise that
 # neighbours share is known less well, and what exceeds it may be noise as well: it is never multiplied by less.
-_SHRINKAGE, _OF_DIFFERENCES, _IF_SHARED = 2.0, 6.0, 1.0
+_SHRINKAGE, _OF_DIFFERENCES, _LEAST_IF_SHARED = 2.0, 6.0, 1.0
 
 # Channels whose differences vary this much less than their mean are colours; so many steps are enough to decide.
 _COLOURED, _ENOUGH_STEPS = 0.7, 200_000
@@ -76,6 +77,10 @@ _LEAST_WITHIN, _ENOUGH_WITHIN = 0.64, 0.84
 # How many iterations of the kernel both steps of an estimate take as long as.
 _FIRST, _SECOND = 6, 20
 PASSES = _FIRST + _SECOND
+
+
+# Noisy colours, a perturbation of unit size, its size, and what it is divided by in the divergence.
+_Probed: TypeAlias = tuple[Float32s, Array, np.float32, Float32s]
 
 
 @dataclass(frozen=True)
@@ -123,10 +128,11 @@ def blend_with_patches(
     counted = np.sqrt(manifold.parameters.strength)
     model = _Model(sigma * np.sqrt(counted), clipped, threads)
     results, responses = (before, after), (disturbed, response)
-    share, gain = _mix(manifold, model, (noisy, signs, size), results, responses)
+    probes = noisy, signs, size, _divisors(manifold, size)
+    share, gain = _mix(manifold, model, probes, results, responses)
     del response, responses
     for level in _plain_levels(manifold):
-        means = _means(level, manifold, model, (noisy, signs, size), results)
+        means = _means(level, manifold, model, probes, results)
         gain += _improve_means(level, model, second, means, (before, disturbed))
     count = max(1, geometry.kernels)
     return Blend(before, share / count, manifold.noise.growth**2 * gain / count / len(sigma))
@@ -135,18 +141,18 @@ def blend_with_patches(
 def _mix(
     manifold: Manifold,
     model: _Model,
-    noisy: tuple[Float32s, Array, np.float32],
+    noisy: _Probed,
     results: tuple[Float32s, Float32s],
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
     from beltrami_cli._native import blend, blend_terms
 
-    geometry, (colours, signs, size) = manifold.geometry, noisy
+    geometry, (colours, signs, _, divisors) = manifold.geometry, noisy
     axis, sums = geometry.axis, geometry.planes(2)
     stacks = in_blocks(axis, colours, signs, *results, *responses, relative_variance(manifold))
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, in_blocks(0, sums), strict=True):
-        probe: Array = b / size
+        probe: Array = b / divisors
         blend_terms(z, probe, (p, q, near_p, near_q), (*model.noise, relative), own, model.threads)
     weights, share, gain = _weigh(geometry, sums, model.variance, _OF_SAMPLES)
     stacks = in_blocks(axis, *results, *responses)
@@ -154,6 +160,18 @@ def _mix(
         blend(p, q, own, geometry.threads)
         blend(near_p, near_q, own, geometry.threads)
     return share, gain
+
+
+def _divisors(manifold: Manifold, size: np.float32) -> Float32s:
+    """Return what perturbations of a size are divided by in the divergence, channels first.
+
+    Perturbations like the noise are stronger in channels that have more of it.
+    """
+    variances = np.square(manifold.noise.sigma)
+    if manifold.noise.is_independent:
+        variances = np.ones(len(variances))
+    power = np.maximum(variances / variances.mean(), _NOISELESS**2)
+    return np.asarray(size * power, np.float32).reshape(-1, *[1] * (manifold.colours.ndim - 1))
 
 
 def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
@@ -166,14 +184,14 @@ def _plain_levels(manifold: Manifold) -> Iterator[CoarseLevel]:
 
 @dataclass(frozen=True)
 class _NoisyMeans:
-    """Means of noisy colours, of what was added to them as a probe of a size, and of the residual of the estimate.
+    """Means of noisy colours, of a probe that was added to them, and of the residual of the estimate.
 
     `within` is the share of samples that are not cut off; the smallest shares count most.
     """
 
     colours: Float32s
     probe: Float32s
-    size: float
+    divisors: Float32s  # of the products of probes and responses
     residual: Float32s
     within: Float32s
 
@@ -182,14 +200,14 @@ def _means(
     level: CoarseLevel,
     manifold: Manifold,
     model: _Model,
-    noisy: tuple[Float32s, Array, np.float32],
+    noisy: _Probed,
     results: tuple[Float32s, Float32s],
 ) -> _NoisyMeans:
     """Take means of noisy colours, and compare them with the first of both results; the second is lost."""
     from beltrami_cli._native import blend_residual, blend_share_within
 
     axis, relatives = manifold.geometry.axis, relative_variance(manifold)
-    (colours, signs, size), (before, memory) = noisy, results
+    (colours, signs, size, divisors), (before, memory) = noisy, results
     means = level.means(colours)
     with _added(axis, colours, signs, size, model.threads):
         probe = level.means(colours) - means
@@ -202,7 +220,7 @@ def _means(
         own *= np.square(own)
     # A cubic mean: a residual found where most is cut off, as on white paper, would bleed into ink, too.
     within = 1 - np.cbrt(level.means(memory))
-    return _NoisyMeans(means, probe, float(size), residual, within)
+    return _NoisyMeans(means, probe, size * divisors, residual, within)
 
 
 def _improve_means(
@@ -227,7 +245,7 @@ def _improve_means(
         trusted = np.clip((within - _LEAST_WITHIN) / (_ENOUGH_WITHIN - _LEAST_WITHIN), 0, 1)
         d[:], near_d[:] = trusted * (d - b), trusted * (near_d - near_b)
         own[:] = model.terms(
-            residual, probe / noisy.size**2, within * d, within * near_d, within * relative[0]
+            residual, probe / noisy.divisors, within * d, within * near_d, within * relative[0]
         )
     weights, _, gain = _weigh(level, sums, model.variance * level.noise, _OF_MEANS)
     for stack, difference in zip(colours, differences, strict=True):
@@ -280,12 +298,11 @@ def mixing_of(manifold: Manifold, colours: Float32s, noise: Float64s) -> Mixing:
     """Return how channels with a covariance of noise are mixed: colours by their mean and differences."""
     count = len(noise)
     forth = np.eye(count)
-    # Where there is next to no noise, that little more is none that anyone sees.
-    least = _NOISELESS**2 * np.diag(noise).max(initial=0)
-    noise = noise + np.diag(np.maximum(least - np.diag(noise), 0))
-    if count >= len(OPPONENTS) and _is_coloured(manifold, colours):
-        forth[:3, :3] = _COMPARED[:, None] * OPPONENTS
+    if count >= len(COMPONENTS) and _is_coloured(manifold, colours):
+        forth[:3, :3] = _COMPARED[:, None] * COMPONENTS
     mixed = np.einsum("ki,ij,kj->k", forth, noise, forth)
+    # Where there is next to no noise, that little more is none that anyone sees.
+    np.maximum(mixed, _NOISELESS**2 * mixed.max(initial=0), out=mixed)
     parts = forth, np.linalg.inv(forth), mixed, np.ones(count)
     own, back, variances, shrinkage = (np.ascontiguousarray(part, np.float32) for part in parts)
     return Mixing(own, back, variances, shrinkage)
@@ -297,7 +314,7 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
     shrinkage, least = np.where(is_difference, _OF_DIFFERENCES, _SHRINKAGE), 0.0
     if manifold.noise.is_shared:
-        shrinkage, least = np.full(len(shrinkage), _IF_SHARED), _IF_SHARED
+        shrinkage, least = np.full(len(shrinkage), _SHRINKAGE), _LEAST_IF_SHARED
     return dataclasses.replace(
         mixing,
         shrinkage=shrinkage.astype(np.float32),
@@ -311,7 +328,7 @@ def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
     steps = manifold.geometry.steps(colours)
     some = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
-    mixed = np.square(np.einsum("kj,ij->ki", some, OPPONENTS)).sum(axis=0)
+    mixed = np.square(np.einsum("kj,ij->ki", some, COMPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
 
 

@@ -134,6 +134,14 @@ def all_known(numbers: Int32s) -> Bools:
     return known
 
 
+def sums_around(rows: Float64s, edges: Int32s) -> Float64s:
+    """Sum rows of samples, shape (S, K), over the neighbours of each."""
+    one, other = edges.T
+    count = len(rows)
+    sums = [np.bincount(one, own[other], count) + np.bincount(other, own[one], count) for own in rows.T]
+    return np.stack(sums, axis=1)
+
+
 def _independent(rank: Int64s, edges: Int32s) -> Bools:
     """Return a maximal independent set: samples of lower rank than all neighbours, round by round."""
     chosen = np.zeros(len(rank), bool)

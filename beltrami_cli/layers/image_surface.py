@@ -16,7 +16,7 @@ from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
-from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
@@ -163,7 +163,7 @@ def canvas_of_image(
     own = atlas.owned_texels
     unit = None if surface.heights is None else 1.0
 
-    def manifold(planes: NDArray[np.float32] | None, found: FoundNoise | None) -> GridManifold:
+    def manifold(planes: NDArray[np.float32] | None, found: NoiseModel | None) -> GridManifold:
         if planes is None:
             channels, texels = colours_of(atlas.owned_texels[:0]).shape[1], atlas.owned_texels
             planes = painted_by(atlas, channels, lambda block: colours_of(texels[block]), kernel.thread_count)

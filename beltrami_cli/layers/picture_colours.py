@@ -12,10 +12,10 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
 from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold
-from beltrami_cli.flow.noise.by_scale import FoundNoise
-from beltrami_cli.flow.noise.coded_picture import CodedPicture, decode
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.metadata import JpegTables
@@ -261,7 +261,7 @@ def _further_channels(picture: Picture, names: Sequence[str]) -> dict[str, int]:
     return {name: channel for name, channel in known.items() if channel >= 0}
 
 
-Make = Callable[[Float32s | None, FoundNoise | None], GridManifold]
+Make = Callable[[Float32s | None, NoiseModel | None], GridManifold]
 
 # How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
 # The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
@@ -283,14 +283,13 @@ def plan_on_pictures(
     all pictures as their files have them; none if the samples have other colours.
     """
     pictures = _coded(atlas, coded) if kernel.evens_noise and not kernel.fast else []
-    sigma = None
+    manifold, sigma = make(None, None), None
     if pictures:
-        from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
-
-        sigma = noise_before_jpeg(pictures) if kernel.given_noise is None else kernel.given_noise.sigma
-        sigma = sigma if sigma and is_changed(pictures, sigma) else None
-    if sigma is None:
-        return choose_parameters(make(None, None), kernel, tick, light_in=light_in)
+        given = kernel.given_noise
+        sigma = sigma_before(pictures, manifold.noise) if given is None else given.sigma
+    if not sigma or not is_changed(pictures, sigma):
+        return choose_parameters(manifold, kernel, tick, light_in=light_in)
+    del manifold
     planes, noise, before = None, None, None
     for _ in range(_PILOTS if kernel.takes_patches else 1):
         rows = _smoothed(make(planes, noise), kernel, tick)
@@ -330,10 +329,8 @@ def _coded(atlas: Atlas, coded: Sequence[tuple[Array, JpegTables | None]]) -> li
 
 def _decode(
     atlas: Atlas, pictures: Sequence[CodedPicture], rows: Float32s, sigma: float
-) -> tuple[FoundNoise, Float64s]:
+) -> tuple[NoiseModel, Float64s]:
     """Replace a pilot's colours of the owned cells by decoded ones; return their noise, and sigma of that stored."""
-    from beltrami_cli.flow.noise.after_jpeg import noise_after
-
     rasters = []
     for picture in pictures:
         raster = large_arrays.empty(picture.pixels.shape, np.float32)

@@ -14,7 +14,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.grid_manifold import Whole
-from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.layers.settings import SmoothSettings
@@ -57,7 +57,7 @@ class Common:
 
     settings: SmoothSettings
     unit: float
-    noise: FoundNoise | None
+    noise: NoiseModel | None
     names: tuple[str, ...]  # the channels that it is the noise of
     described: dict[str, Any] = field(default_factory=dict)  # by the names of the fields of reports
 

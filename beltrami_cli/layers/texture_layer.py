@@ -16,7 +16,7 @@ from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted, painted_by
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
-from beltrami_cli.flow.noise.by_scale import FoundNoise
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
@@ -132,7 +132,7 @@ class TextureLayer(layer.Layer):
         )
 
     def manifold(
-        self, planes: Float32s | None = None, noise: FoundNoise | None = None, *, guides: Sequence[Guide] = ()
+        self, planes: Float32s | None = None, noise: NoiseModel | None = None, *, guides: Sequence[Guide] = ()
     ) -> GridManifold:
         """Return the manifold of the texels, with the noise of their colours; or of others, with theirs."""
         whole = None if self.group is None else self.group.common.whole(self.names)

@@ -17,7 +17,6 @@ import numpy as np
 from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.flow.beltrami_flow import choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin
-from beltrami_cli.flow.grid_manifold import common_noise
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image.reading import ImageSize
 from beltrami_cli.layers import memory_check
@@ -59,7 +58,7 @@ class TileGroups:
         """Estimate noise and choose parameters on some of the textures, with nothing left to choose."""
         samples = TextureLayer.read(self.evenly_chosen(), slot, settings)
         manifold = samples.manifold()
-        noise, plan = common_noise(manifold.noise), choose_parameters(manifold, settings.kernel)
+        noise, plan = manifold.noise.with_relative(None), choose_parameters(manifold, settings.kernel)
         kernel = dataclasses.replace(
             plan.parameters,
             free=(),

@@ -11,6 +11,8 @@ from beltrami_cli.fields import Parameter, override, parameters
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, describe_settings
 
+NO_NOISE_FOUND = "no noise detected"
+
 _DECLARED = {each.name: each for each in parameters(SmoothSettings, deep=True)}
 _NAMES = ("strength", "patches", "noise", "iterations", "t", "beta", "window")
 
@@ -111,15 +113,26 @@ def _kernel(requested: dict[str, Any], done: dict[str, Any]) -> Iterator[list[st
             yield [_WORDS.get(name, name.replace("_", " ")), _in_words(used[name]), how]
 
 
+def noise_in_words(noise: dict[str, float], model: dict[str, float]) -> str:
+    """Describe the `noise` and `noise_model` of a report, of 255: the strongest channel first."""
+    strongest = max(noise.values(), default=0.0)
+    if not strongest:
+        return NO_NOISE_FOUND
+    parts = [f"{name} {255 * sigma:.1f}" for name, sigma in noise.items()] if len(noise) > 1 else []
+    words = f"{255 * strongest:.1f}/255" + (f" ({', '.join(parts)})" if parts else "")
+    names = {"quiet": "quiet places", "loud": "loud places"}
+    details = [
+        f"{names.get(name, name)} {255 * sigma:.1f}" for name, sigma in model.items() if name != "grain"
+    ]
+    if model.get("grain", 1.0) >= 1.05:  # rounds to more than one sample
+        details.append(f"shared over {model['grain']:.1f} samples")
+    return ", ".join([words, *details])
+
+
 def _measured(given: str | None, done: dict[str, Any]) -> Iterator[list[str]]:
     """Give the noise of a part, its mean change, and the estimated error by which its parameters were chosen."""
-    noise = ", ".join(f"{channel} {255 * share:.1f}/255" for channel, share in done["noise"].items())
-    yield ["noise", noise, "measured" if given is None else f"given as {given}"]
-    model = dict(done["noise_model"])
-    grain = model.pop("grain", 1.0)
-    grains = f"shared over {grain:.1f} samples" if grain > 1 else "of each sample by itself"
-    levels = [f"{name} {255 * sigma:.1f}/255" for name, sigma in model.items()]
-    yield ["noise model", ", ".join([*levels, grains]), "measured" if given is None else f"given as {given}"]
+    how = "measured" if given is None else f"given as {given}"
+    yield ["noise", noise_in_words(done["noise"], done["noise_model"]), how]
     if done["change"]:
         yield ["mean change", f"{255 * done['change']['mean']:.1f}/255", "measured"]
     choice = done["choice"]

@@ -330,15 +330,13 @@ def test_parameters_know_what_is_open():
 
 
 def test_the_interval_holds_the_estimate_and_widens_with_the_doubt_of_the_noise():
-    """Noise that neighbours share is doubted more, and towards larger errors."""
-    sure = Choice({}, 35.0, 0.2, 10.0, correlated=False)
-    shared = dataclasses.replace(sure, correlated=True)
-    noise = 10**-2.5  # 15 % of which is more than the error that was estimated
-    intervals = [choice.interval for choice in (sure, sure.doubted(noise), shared.doubted(noise))]
+    sure = Choice({}, 35.0, 0.2, 10.0)
+    doubts = (0.0, 0.0), (1e-4, 1e-5), (1e-3, 1e-3)
+    intervals = [dataclasses.replace(sure, doubt=doubt).interval for doubt in doubts]
     for least, most in intervals:
         assert least < 35
         assert most is None or most > 35
     assert [least for least, _ in intervals] == sorted((least for least, _ in intervals), reverse=True)
-    assert intervals[0][1] is not None  # and where the doubt is as large as the error, there is no limit
-    assert intervals[1][1] is None
+    assert intervals[1][1] is not None
+    assert intervals[2][1] is None  # where the doubt is as large as the error, there is no limit
     assert Choice({}).interval is None

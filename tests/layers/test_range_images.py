@@ -186,4 +186,4 @@ def test_what_is_not_done_on_grids_is_refused_and_info_describes_them(tmp_path):
     facts = inspect_file(tmp_path / "a.ply")
     assert facts["surface"]["range_image"] == [COLUMNS, ROWS]
     assert facts["surface"]["holes"] == np.count_nonzero(~scene()[2])
-    assert facts["noise"]["red"] == pytest.approx(12 / 255, rel=0.2)
+    assert facts["noise"]["red"] == pytest.approx(12 / 255, rel=0.4)  # of 520 samples

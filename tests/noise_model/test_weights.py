@@ -2,16 +2,20 @@
 
 from pathlib import Path
 
+import pytest
+
+from beltrami_cli.flow.noise import network
 from configuration import configuration
-from network import weights_of_grids
 
-FOLDER = Path(__file__).parents[2] / "noise_model"
-MOST_BYTES = 300 * 1024
+KINDS = "grid", "cluster"
+MOST_BYTES = 300 * 1024  # of all weights
 
 
-def test_weights_belong_to_the_configuration():
-    assert weights_of_grids().configuration == configuration(), "run `make noise-model`"
+@pytest.mark.parametrize("kind", KINDS)
+def test_weights_belong_to_the_configuration(kind):
+    assert network.weights_of(kind).configuration == configuration(), "run `make noise-model`"
 
 
 def test_weights_are_small():
-    assert (FOLDER / "grid_weights.npz").stat().st_size <= MOST_BYTES
+    paths = [Path(network.__file__).with_name(f"{kind}_weights.npz") for kind in KINDS]
+    assert sum(path.stat().st_size for path in paths) <= MOST_BYTES

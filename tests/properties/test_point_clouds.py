@@ -84,7 +84,7 @@ def test_constants_are_fixed_points_and_the_range_is_kept():
     flat = np.full((1500, 3), [0.2, 0.4, 0.9])
     assert np.array_equal(beltrami_cli.smooth(positions, None, flat).colours, flat)
     colours = np.random.default_rng(7).random((1500, 3)).astype(np.float32)
-    result = beltrami_cli.smooth(positions, None, colours, beta=1).colours
+    result = beltrami_cli.smooth(positions, None, colours, beta=1, noise=np.full((1500, 1), 0.3)).colours
     assert (result >= colours.min(axis=0)).all()
     assert (result <= colours.max(axis=0)).all()
     assert result.std() < 0.5 * colours.std()
@@ -119,11 +119,11 @@ def test_coincident_points_of_different_colours_are_averaged():
     twice = np.concatenate([places, places])
     clean = 0.5 + 0.3 * np.sin(twice[:, :1] / 8)
     colours = clean + 0.08 * np.random.default_rng(15).standard_normal((1800, 1))
-    result = beltrami_cli.smooth(twice, None, colours, beta=10)
+    result = beltrami_cli.smooth(twice, None, colours, beta=10, noise=np.full((1800, 1), 0.08))
     assert result.samples == 1800
     assert result.hard_edge_samples == 900
     error = np.sqrt(np.mean((result.colours - clean) ** 2))
-    single = beltrami_cli.smooth(places, None, colours[:900], beta=10)
+    single = beltrami_cli.smooth(places, None, colours[:900], beta=10, noise=np.full((900, 1), 0.08))
     assert error < np.sqrt(np.mean((single.colours - clean[:900]) ** 2))
     assert np.abs(result.colours[:900] - result.colours[900:]).mean() < 0.02
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from beltrami_cli.fields import number_in
 
 if TYPE_CHECKING:
-    from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+    from beltrami_cli.arrays import Float32s, Float64s
+    from beltrami_cli.flow.noise.model import VarianceStabiliser
 
 _CAMERA = re.compile(r"shot:([^,]+),read:([^,]+)")
 
@@ -18,6 +19,9 @@ _SOURCE = re.compile(r"(frame|attribute):(.+)|()(.+\.[A-Za-z]\w*)")
 
 # Levels at which the noise of a camera is tabulated.
 _LEVELS = 65
+
+# The least relative standard deviation of samples, so that colours can be divided by it.
+_LEAST_RELATIVE = 0.05
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class GivenNoise:
         """Return what makes the noise of a camera the same at all levels of sRGB colours."""
         import numpy as np
 
-        from beltrami_cli.flow.noise.stabilising import VarianceStabiliser
+        from beltrami_cli.flow.noise.model import VarianceStabiliser
         from beltrami_cli.surface.records import srgb_to_linear
 
         levels = np.linspace(0, 1, _LEVELS) ** 2  # denser where the encoding of colours is steep
@@ -75,3 +79,16 @@ def file_of_noise(text: str) -> str:
     """Return the file that a value of `noise` names; empty: none."""
     source = _SOURCE.fullmatch(text)
     return "" if source is None or source[1] == "attribute" else source[2] or source[4]
+
+
+def relative_to_mean(deviations: Float32s) -> tuple[Float32s, Float64s]:
+    """Return variances relative to their mean, shape (S, 1), and sigma by channel, of deviations of shape (S, K)."""
+    import numpy as np
+
+    variances = np.square(deviations, dtype=np.float64)
+    sigma = np.sqrt(variances.mean(axis=0))
+    mean = np.mean(np.square(sigma))
+    if not mean > 0:
+        return np.ones((len(deviations), 1), np.float32), sigma
+    relative = np.maximum(variances.mean(axis=1, keepdims=True) / mean, _LEAST_RELATIVE**2)
+    return relative.astype(np.float32), sigma

@@ -178,10 +178,6 @@ _SHARED_BY_NEIGHBOURS = 1.5
 # Standard deviations of a normal distribution on both sides within which 90 % are.
 _NINETY = 1.645
 
-# Of the variance of the noise, what may be missing in the estimated error, and what too much, so that nine of ten
-# results of benchmarks/bench_honesty.py are within: what neighbours share is rather found too small.
-_DOUBT, _DOUBT_IF_SHARED = (0.15, 0.15), (0.6, 0.15)
-
 
 @dataclass(frozen=True)
 class Choice:
@@ -210,13 +206,6 @@ class Choice:
         chance = _NINETY * self.error * found / _IN_DECIBELS
         most, least = found + math.hypot(chance, self.doubt[0]), found - math.hypot(chance, self.doubt[1])
         return -10 * math.log10(most), -10 * math.log10(least) if least > 0 else None
-
-    def doubted(self, noise: float, missing: float = 0.0) -> Choice:
-        """Return the same with the doubt that is due to noise of this variance, and to what else may be missing."""
-        if math.isinf(missing):
-            return dataclasses.replace(self, psnr=None, error=None, gain=None)
-        shares = _DOUBT_IF_SHARED if self.correlated else _DOUBT
-        return dataclasses.replace(self, doubt=(max(missing, shares[0] * noise), shares[1] * noise))
 
     def improved(self, gain: float) -> Choice:
         """Return the same with less mean square error, where it was estimated."""

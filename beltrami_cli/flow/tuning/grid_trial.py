@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float64s, Int64s
-from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
+from beltrami_cli.arrays import Array, Bools, Int64s
+from beltrami_cli.flow.noise.haar_noise import draw_haar_noise
+from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, OWNED, Atlas, Indices, refresh_halo
 
@@ -59,17 +60,17 @@ def with_halo(part: Atlas, whole: Atlas, cells: Int64s, core: Bools) -> Atlas:
     )
 
 
-def perturbations(count: int, channels: int, atlas: Atlas, noise_covariances: Float64s | None) -> list[Array]:
+def perturbations(count: int, atlas: Atlas, noise: NoiseModel) -> list[Array]:
     """Return stacks of random planes like the noise: independent signs in bytes, or correlated as the noise is."""
     random, shape = np.random.default_rng(_SEED), atlas.kind.shape
-    if noise_covariances is None:
-        drawn = [*large_arrays.random_signs((count, channels, *shape), random)]
+    if noise.is_independent:
+        drawn = [*large_arrays.random_signs((count, len(noise.sigma), *shape), random)]
     else:
-        size = np.float32(np.sqrt(np.mean(np.square(sigma_of_covariances(noise_covariances)))))
-        drawn = [draw_haar_noise(noise_covariances, shape, random) for _ in range(count)]
+        size = np.float32(np.sqrt(np.mean(np.square(noise.sigma))))
+        drawn = [draw_haar_noise(noise.covariances, shape, random) for _ in range(count)]
     for planes in drawn:
         for rows in large_arrays.blocks(len(atlas.kind), _ROWS):
-            if noise_covariances is not None:
+            if not noise.is_independent:
                 planes[:, rows] /= size
             planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
         refresh_halo(planes, atlas)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Bools, Float32s, Int32s, Int64s
-from beltrami_cli.flow.noise.mesh import detail_around
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.flow.vertex_graph import sums_around
 
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
 # iterations are tried, each two or three times. Fewer than the least are too uncertain; these take tenths of a second.
@@ -30,6 +30,9 @@ _PATCH = 3 * (_CORE + _RIM) ** 2
 # patches are added to reach it.
 _ENOUGH, _ROUNDS = 0.75, 3
 
+
+# Rings over which detail is averaged to rank patches.
+_RINGS_OF_DETAIL = 5
 
 # Odd numbers with their bits well mixed, to hash with.
 _MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -68,7 +71,7 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
 
 def _ranked(colours: Float32s, around: NDArray[np.uint64], edges: Int32s, connected: Int64s) -> Int64s:
     # A few patches at random may miss all detail, or hold nothing else; one from each part of this order does neither.
-    detail = detail_around(colours, edges)[connected]
+    detail = _detail_around(colours, edges)[connected]
     return connected[np.lexsort((around[connected], detail))]
 
 
@@ -84,6 +87,18 @@ def _grown(middles: Bools, edges: Int32s) -> TrialSamples:
             scored = reached.copy()
     samples = np.flatnonzero(reached)
     return TrialSamples(samples, scored[samples])
+
+
+def _detail_around(colours: Float32s, edges: Int32s) -> Float64s:
+    """Return how uneven colours are around each sample, beyond what noise makes of them."""
+    size = np.bincount(edges.ravel(), minlength=len(colours))[:, None] + 1.0
+    means = (colours + sums_around(colours.astype(np.float64), edges)) / size
+    steps = np.square(means[edges[:, 0]] - means[edges[:, 1]]).sum(axis=1)
+    ends = np.concatenate([edges[:, 0], edges[:, 1]])
+    detail: Float64s = np.bincount(ends, np.concatenate([steps, steps]), len(colours)).astype(float)[:, None]
+    for _ in range(_RINGS_OF_DETAIL):
+        detail = (detail + sums_around(detail, edges)) / size
+    return detail[:, 0]
 
 
 def fingerprints(colours: Float32s, edges: Int32s) -> NDArray[np.uint64]:

@@ -1,0 +1,198 @@
+"""Clusters of some 400 vertices as neighbourhoods: the fifth level of `vertex_graph`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice, pairwise
+from typing import ClassVar
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.noise.features import PAIRS, SCALES
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
+from beltrami_cli.flow.vertex_graph import Graph, levels_of
+
+# Blocks of consecutive samples that are read of a large surface, and samples of each.
+_MAX_BLOCKS, _BLOCK = 16, 4096
+
+# Samples of a neighbourhood that is read, unless all are smaller; and of the smallest that can be.
+_ENOUGH, _LEAST = 64, 16
+
+# Samples of the smallest surfaces of the training: with fewer, paint cannot be distinguished from noise.
+_FEWEST = 256
+
+# Scales whose residuals are described: at coarser ones, slopes are no larger than what else there is.
+_SCALES_OF_RESIDUALS = 2
+
+# Spacings over which the noise of neighbourhoods, some twenty across, is evened out at their borders.
+_SPREAD = 4.0
+
+# Neighbours of a part whose residual counts; fewer: a border, where their mean leans to one side.
+_NEIGHBOURS = 3
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """Pairs of neighbouring parts of a scale, shape (E, 2)."""
+
+    scale: Scale
+    pairs: Int64s
+
+    @cached_property
+    def across(self) -> tuple[Int64s, Int64s, Int64s]:
+        """Neighbouring parts in different cells, one and other, and the neighbourhood of one, in both directions."""
+        parents = self.scale.parents
+        one, other = self.pairs[parents[self.pairs[:, 0]] != parents[self.pairs[:, 1]]].T
+        ends = np.concatenate([one, other])
+        return ends, np.concatenate([other, one]), self.scale.tile[parents[ends]]
+
+    @cached_property
+    def degree(self) -> Int64s:
+        """How many neighbours each part has."""
+        return np.bincount(self.pairs.ravel(), minlength=len(self.scale.parents)).astype(np.int64)
+
+    @cached_property
+    def of_residuals(self) -> Float64s:
+        """The deviation of independent noise in what each part differs by from the mean of its neighbours."""
+        around = self.sums_around(1 / self.scale.counts) / np.maximum(self.degree, 1) ** 2
+        return np.asarray(np.sqrt(1 / self.scale.counts + around), np.float64)
+
+    def sums_around(self, values: Float64s) -> Float64s:
+        """Return the sums of values over the neighbours of each part."""
+        (one, other), count = self.pairs.T, len(values)
+        return np.asarray(np.bincount(one, values[other], count) + np.bincount(other, values[one], count))
+
+
+@dataclass(frozen=True)
+class VertexClusters(Neighbourhoods):
+    """Samples joined by edges; those that follow each other must lie together."""
+
+    graph: Graph
+    kind: ClassVar[str] = "cluster"
+
+    @cached_property
+    def chosen(self) -> Int64s:
+        """The samples that are read, ascending: blocks of a large surface, in neighbourhoods that are large enough."""
+        return self._cut[0]
+
+    @property
+    def scales(self) -> list[Scale]:
+        return [own.scale for own in self._cut[1]]
+
+    @property
+    def tiles(self) -> Int64s:
+        return self._cut[2]
+
+    def chosen_of(self, planes: Float32s) -> Float32s:
+        return planes[:, self.chosen]
+
+    @cached_property
+    def _cut(self) -> tuple[Int64s, list[_Edges], Int64s]:
+        chosen, graph = _some_samples(self.graph)
+        levels = list(islice(levels_of(graph), SCALES + 2))
+        counts = levels[-1].counts
+        kept = counts >= max(_LEAST, min(_ENOUGH, counts.max(initial=0) / 2))
+        kept &= counts[kept].sum() >= _FEWEST
+        number = np.where(kept, np.cumsum(kept) - 1, -1)
+        # Of each level, the clusters in neighbourhoods that are read, with new numbers.
+        tiles = [number[levels[-1].members[level.centres]] for level in levels]
+        renumbered = [np.where(own >= 0, np.cumsum(own >= 0) - 1, -1) for own in tiles]
+        found = []
+        for place, (fine, coarse) in enumerate(pairwise(levels)):
+            used, tile = tiles[place] >= 0, tiles[place + 1][tiles[place + 1] >= 0]
+            parents = renumbered[place + 1][coarse.members[fine.centres]][used]
+            edges = renumbered[place][fine.graph.edges]
+            freedom = (np.bincount(parents, minlength=len(tile)) - 1).astype(np.float64)
+            scale = Scale(
+                parents,
+                fine.counts[used].astype(np.float64),
+                freedom,
+                np.ones(len(tile), bool),
+                tile,
+                _ranks_within(tile),
+            )
+            found.append(_Edges(scale, edges[(edges >= 0).all(axis=1)]))
+        return chosen[tiles[0] >= 0], found, tiles[0][tiles[0] >= 0]
+
+    def energies_for_order(self, samples: Samples) -> Float32s:
+        finest = self.scales[0]
+        means = np.stack([finest.means(own)[finest.parents] for own in samples.colours])
+        return np.asarray(np.abs(samples.colours - means).sum(axis=1), np.float32)
+
+    def described(self, samples: Samples) -> list[Array]:
+        """Describe how many samples and neighbours there are."""
+        degree = np.bincount(self.graph.edges.ravel(), minlength=self.graph.size)[self.chosen]
+        return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
+
+    def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
+        edges = self._cut[1][number]
+        residuals = self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None
+        return (
+            self._mean_squares(samples, number),
+            self._neighbours(edges, samples.details(number)),
+            residuals,
+        )
+
+    def _mean_squares(self, samples: Samples, number: int) -> Float32s:
+        """Return the mean squares of the energies of cells in each neighbourhood, by component, shape (P, 3)."""
+        scale, energies = self.scales[number], samples.products_of(number)[:3]
+        used = scale.freedom > 0
+        sums = [np.bincount(scale.tile[used], own[used] ** 2, self.count) for own in energies]
+        cells = np.maximum(np.bincount(scale.tile[used], minlength=self.count), 1)
+        return (np.stack(sums, axis=1) / cells[:, None]).astype(np.float32)
+
+    def _neighbours(self, edges: _Edges, details: Float64s) -> Float32s:
+        """Return the correlation of neighbouring details in each neighbourhood, by component, shape (P, 3)."""
+        one, other, tile = edges.across
+        columns = []
+        for values in details:
+            both = np.bincount(tile, values[one] * values[other], self.count)
+            energy = np.bincount(tile, values[one] ** 2 + values[other] ** 2, self.count) / 2
+            columns.append(both / np.maximum(energy, 1e-9))
+        return np.stack(columns, axis=1).astype(np.float32)
+
+    def _residuals(self, samples: Samples, number: int) -> Float32s:
+        """Return mean products of the residuals of the parts of each cell; of details where there are none."""
+        edges, values = self._cut[1][number], samples.components(number)
+        scale, inside = edges.scale, edges.degree >= _NEIGHBOURS
+        differences = [own - edges.sums_around(own) / np.maximum(edges.degree, 1) for own in values]
+        residuals = np.stack(differences)[:, inside] / edges.of_residuals[inside]
+        parents, cells = scale.parents[inside], len(scale.tile)
+        sums = np.stack([np.bincount(parents, residuals[k] * residuals[m], cells) for k, m in PAIRS])
+        count = np.bincount(parents, minlength=cells)
+        products = samples.products_of(number)
+        return scale.padded(np.where(count > 0, sums / np.maximum(count, 1), products))
+
+    @cached_property
+    def centres(self) -> Float64s:
+        sums = [np.bincount(self.tiles, own) for own in self.graph.positions[self.chosen].T]
+        return np.stack(sums, axis=1) / self.counts[:, None]
+
+    def over_samples(self, variances: Float64s) -> Float32s:
+        nearest = variances[self.nearest(self.graph.positions)].astype(np.float32)
+        even = self.graph.smoothed(nearest, _SPREAD**2)
+        return np.asarray(even / even.mean(dtype=np.float64), np.float32)
+
+
+def _some_samples(graph: Graph) -> tuple[Int64s, Graph]:
+    """Choose blocks of samples, evenly spread, with the edges between them; all samples if there are no more."""
+    if graph.size <= _BLOCK * _MAX_BLOCKS:
+        return np.arange(graph.size), graph
+    first = np.linspace(0, graph.size - _BLOCK, _MAX_BLOCKS).astype(np.int64)
+    chosen = (first[:, None] + np.arange(_BLOCK)).ravel()
+    is_chosen: Bools = np.zeros(graph.size, bool)
+    is_chosen[chosen] = True
+    rank = np.cumsum(is_chosen, dtype=np.int32) - 1
+    edges = rank[graph.edges[is_chosen[graph.edges].all(axis=1)]]
+    return chosen, Graph(graph.positions[chosen], edges, graph.priorities[chosen])
+
+
+def _ranks_within(groups: Int64s) -> Int64s:
+    """Return the place of each item among those of its group."""
+    order = np.argsort(groups, kind="stable")
+    counts = np.bincount(groups)
+    ranks = np.empty(len(groups), np.int64)
+    ranks[order] = np.arange(len(groups)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return ranks

@@ -1,0 +1,246 @@
+"""The network that reads noise from features of squares, and its weights.
+
+Each square goes through two layers; their mean, largest and smallest outputs over all squares describe the picture,
+together with its most even cells. From this context the network reads the noise of the picture, of each square, and of
+each channel by level, each as quantiles of the logarithm of the deviation. The noise of the picture is a weighted
+mean of what its even cells show and of what the network reads by itself. The network chooses the weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from beltrami_cli.arrays import Array, Float32s, Int64s
+from beltrami_cli.flow.noise.features import (
+    COUNT_OF_LEVEL,
+    EVEN_SHARES,
+    FLOOR,
+    LEVEL_BINS,
+    LEVEL_OFFSET,
+    SCALES,
+)
+from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
+
+# Deviations are read as log2(deviation + this), both in steps of 8 bits: rounding to these has a deviation of 0.29.
+OFFSET = 0.3
+
+# Quantiles that are read of the noise of the picture, and of all other readings.
+TOTAL_QUANTILES = (0.05, 0.3, 0.5, 0.95)
+QUANTILES = (0.05, 0.5, 0.95)
+
+# Units of the layers. Clusters have fewer, so that the weights of both stay small.
+WIDTHS = {
+    "grid": {"square 1": 112, "square 2": 56, "whole 1": 112, "whole 2": 64, "place 1": 32, "level 1": 48},
+    "cluster": {"square 1": 88, "square 2": 44, "whole 1": 88, "whole 2": 56, "place 1": 24, "level 1": 32},
+}
+# Candidates, and the network's own reading.
+_MIXED = {"total": len(EVEN_SHARES) + 8, "deviations": len(EVEN_SHARES) + 10, "relative": 3}
+OUTPUTS = {
+    "total": len(TOTAL_QUANTILES) + _MIXED["total"],
+    "deviations": SCALES * 3 * (len(QUANTILES) + _MIXED["deviations"]),
+    "correlations": SCALES * 3,
+    "place 2": len(QUANTILES) + _MIXED["relative"],
+    "level 2": LEVEL_BINS * (len(QUANTILES) + _MIXED["relative"]),
+}
+
+# Features count by their standard deviations from the mean, up to this many.
+MAX_STANDARDISED = 6.0
+
+# Where the features of even cells have log2 of the deviations of components, by scale and by share of the cells.
+_FIRST_OF_EVEN = {
+    "grid": [[first + own for own in (0, 9, 18)] for first in (2, 30, 58, 86)],
+    "cluster": [[3, 17, 40], [68, 82, 105], [133, 147, 161], [189, 203, 217]],
+}
+
+# Where the features of neighbourhoods have log2 of the deviations of channels in the quieter half of the finest cells.
+_FIRST_OF_QUIET = {"grid": 57, "cluster": 62}
+
+Value = TypeVar("Value")
+
+
+class Layers(Generic[Value]):
+    """The operations of the network; training records them to find gradients."""
+
+    def __init__(self, weights: dict[str, Float32s]) -> None:
+        self.weights = weights
+
+    def dense(self, rows: Any, name: str, *, is_last: bool = False) -> Any:
+        """Multiply rows by a matrix, add a bias, and cut off below 0 unless the layer is the last."""
+        result = self.product(rows, self.weights[f"{name}.matrix"]) + self.weights[f"{name}.bias"]
+        return result if is_last else np.maximum(result, 0)
+
+    def product(self, rows: Any, matrix: Float32s) -> Any:
+        """Multiply rows by a matrix; not by BLAS, whose results depend on the processor and whose threads spin on."""
+        return np.einsum("ni,io->no", rows, matrix)
+
+    def pool(self, rows: Any, starts: Int64s) -> Any:
+        """Return the mean, largest and smallest of runs of rows."""
+        counts = np.diff(np.append(starts, len(rows)))[:, None]
+        least, most = np.minimum.reduceat(rows, starts), np.maximum.reduceat(rows, starts)
+        return np.concatenate([np.add.reduceat(rows, starts) / counts, most, least], axis=1)
+
+    def spread(self, rows: Any, counts: Int64s) -> Any:
+        """Repeat each row."""
+        return np.repeat(rows, counts, axis=0)
+
+    def join(self, parts: Sequence[Any]) -> Any:
+        """Put columns side by side."""
+        return np.concatenate(parts, axis=1)
+
+
+def read(
+    layers: Layers[Any], squares: Any, starts: Int64s, even: Any, levels: Any, channels: int = 3
+) -> dict[str, Any]:
+    """Read the noise of N pictures from standardised features of all their squares, one picture after the other.
+
+    `even` describes pictures, shape (N, F); `levels` their channels, shape (N * channels, F).
+    """
+    counts = np.diff(np.append(starts, len(getattr(squares, "value", squares))))
+    inner = layers.dense(layers.dense(squares, "square 1"), "square 2")
+    whole = layers.join([layers.pool(inner, starts), even])
+    context = layers.dense(layers.dense(whole, "whole 1"), "whole 2")
+    # Where noise is plain to see, readings are nearly linear in the features of even cells.
+    found = {
+        name: layers.dense(context, name, is_last=True) for name in ("total", "deviations", "correlations")
+    }
+    place = layers.dense(layers.join([inner, layers.spread(context, counts)]), "place 1")
+    by_channel = layers.spread(context, np.full(len(starts), channels))
+    level = layers.dense(layers.join([levels, by_channel]), "level 1")
+    found["places"] = layers.dense(place, "place 2", is_last=True)
+    found["levels"] = layers.dense(level, "level 2", is_last=True)
+    return found
+
+
+def mixed(outputs: Array, candidates: Array) -> Array:
+    """Return Q readings as means of M candidates and of the network's own readings, weighted as it says.
+
+    Outputs have the shape (..., Q + M + 1): own readings, and the logarithms of the weights, the last that of the own
+    ones. Candidates have the shape (..., M).
+    """
+    own, weights = split_mixture(outputs, candidates)
+    mean: Array = (weights[..., :-1] * candidates).sum(axis=-1)[..., None] + weights[..., -1:] * own
+    return mean
+
+
+def split_mixture(outputs: Array, candidates: Array) -> tuple[Array, Array]:
+    """Return own readings, shape (..., Q), and weights, shape (..., M + 1)."""
+    count = outputs.shape[-1] - candidates.shape[-1] - 1
+    weights = np.exp(outputs[..., count:] - outputs[..., count:].max(axis=-1, keepdims=True))
+    return outputs[..., :count], weights / weights.sum(axis=-1, keepdims=True)
+
+
+def readings(found: dict[str, Array], candidates: dict[str, Array]) -> dict[str, Array]:
+    """Return quantiles, and correlations, from the outputs of `read` and what `candidates_of` returns."""
+    read_as = {
+        name: mixed(found[name].reshape(*own.shape[:-1], -1), own).reshape(len(own), -1)
+        for name, own in candidates.items()
+    }
+    return {**found, **read_as}
+
+
+def candidates_of(
+    even: Float32s, squares: Float32s, starts: Int64s, levels: Float32s, kind: str
+) -> dict[str, Array]:
+    """Return what features show as log2(deviation + OFFSET), candidates along the last axis.
+
+    Of all even cells, shape (N, 1, M), and by scale and component, (N, 12, M); relative to the mean of a picture, by
+    neighbourhood, (P, 1, M), and by channel and level, (N * channels, LEVEL_BINS, M).
+    """
+    quiet = squares[:, _FIRST_OF_QUIET[kind] :][:, :3]
+    of_squares = _log_of_features(quiet).mean(axis=1)
+    counts = np.diff(np.append(starts, len(squares)))
+    of_squares -= np.repeat(np.add.reduceat(of_squares, starts) / counts, counts)
+    by_level = levels.reshape(len(levels), LEVEL_BINS, -1)
+    known = by_level[..., -1] >= COUNT_OF_LEVEL
+    of_levels = np.where(known, _log_of_features(by_level[..., 0] - LEVEL_OFFSET), 0)
+    of_levels -= of_levels.sum(axis=1, keepdims=True) / np.maximum(known.sum(axis=1, keepdims=True), 1)
+    relative = {"places": of_squares[:, None], "levels": of_levels * known}
+    return {
+        **_candidates_of_even(even, kind),
+        **{name: np.stack([own, np.zeros_like(own)], axis=-1) for name, own in relative.items()},
+    }
+
+
+def _log_of_features(logs: Array) -> Array:
+    """Return what is read of a deviation by what features say of it."""
+    return log_of(4.0**logs - FLOOR)
+
+
+def _candidates_of_even(even: Float32s, kind: str) -> dict[str, Array]:
+    """Return what even cells show as log2(deviation + OFFSET): of all, shape (N, 1, M), and by scale, (N, 12, M).
+
+    Each scale and component has its deviation by share of the cells, that of the finest scale, and those of the
+    differences of channels at its scale and at the finest: textures have the least of them, and independent noise is
+    the same in all.
+    """
+    columns = np.array(_FIRST_OF_EVEN[kind])
+    by_share = even[:, columns[..., None] + np.arange(3)]
+    by_place = even[:, -SCALES * 9 :].reshape(len(even), SCALES, 3, 3)
+    # Of all even cells, and of those of each neighbourhood; shape (N, SCALES, 6, 3).
+    variances = np.maximum(4.0 ** np.concatenate([by_share, by_place], axis=2) - FLOOR, 0)
+    total = covariance_of_cells(np.moveaxis(variances.mean(axis=3), 1, 0))
+    usual = variances[:, :, [len(EVEN_SHARES) - 1, len(EVEN_SHARES)]]
+    finest = np.broadcast_to(usual[:, :1], usual.shape)
+    of_differences = np.broadcast_to(usual[..., 1:].mean(axis=3, keepdims=True), usual.shape)
+    of_finest = np.broadcast_to(of_differences[:, :1], usual.shape)
+    deviations = np.concatenate([variances, finest, of_differences, of_finest], axis=2)
+    total = np.concatenate([total, of_differences[:, 0, :, 0], of_differences[:, 1, :, 0]], axis=1)
+    return {"total": log_of(total[:, None]), "deviations": log_of(_last(deviations))}
+
+
+def _last(values: Array) -> Array:
+    """Return values of the shape (N, SCALES, M, 3) as (N, SCALES * 3, M)."""
+    return np.moveaxis(values, 2, 3).reshape(len(values), SCALES * 3, -1)
+
+
+def log_of(variance: Array) -> Array:
+    """Return what is read of a variance in steps of 8 bits squared."""
+    return np.log2(np.sqrt(np.maximum(variance, 0)) + OFFSET)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The weights, how features are standardised, and the hash of the configuration that they were trained by."""
+
+    layers: dict[str, Float32s]
+    means: dict[str, Float32s]
+    scales: dict[str, Float32s]
+    configuration: str
+
+    def standardised(self, name: str, features: Array) -> Float32s:
+        """Standardise features of a kind: "squares", "even" or "levels"."""
+        result = (features - self.means[name]) / self.scales[name]
+        return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
+
+    def save(self, path: str) -> None:
+        """Write a file that `load` reads; eight binary digits are enough for weights, and compress better."""
+        arrays: dict[str, Any] = {}
+        for name, values in self.layers.items():
+            digits, exponents = np.frexp(values)
+            arrays[f"layer/{name}"] = np.ldexp(np.rint(digits * 256) / 256, exponents).astype(np.float16)
+        for kind, parts in (("mean", self.means), ("scale", self.scales)):
+            arrays |= {f"{kind}/{name}": values.astype(np.float32) for name, values in parts.items()}
+        np.savez_compressed(path, configuration=np.array(self.configuration), **arrays)
+
+    @classmethod
+    def load(cls, path: Any) -> Weights:
+        """Read the file that `save` wrote."""
+        parts: dict[str, dict[str, Float32s]] = {"layer": {}, "mean": {}, "scale": {}}
+        with path.open("rb") as stream, np.load(stream) as arrays:
+            for key in arrays.files:
+                kind, _, part = key.partition("/")
+                if part:
+                    parts[kind][part] = arrays[key].astype(np.float32)
+            return cls(parts["layer"], parts["mean"], parts["scale"], str(arrays["configuration"]))
+
+
+@cache
+def weights_of(kind: str) -> Weights:
+    """Return the weights for a kind of neighbourhoods: "grid" or "cluster"."""
+    return Weights.load(Path(__file__).with_name(f"{kind}_weights.npz"))

@@ -1,0 +1,121 @@
+"""Noisy colours of vertices to train on: pictures sampled at the vertices of flat meshes and point clouds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.spatial import Delaunay, cKDTree
+
+from beltrami_cli.flow.noise.clusters import VertexClusters
+from beltrami_cli.flow.vertex_graph import Graph
+from noises import Recipe, Sample, degrade, draw_recipe, of_one_channel
+from observations import ONE_CHANNEL, Observation, observed
+from pictures import Crop, drawn, varied
+
+SIZES = 250, 20_000  # samples of a surface
+SURFACES = 96  # that pictures are sampled on
+DENSITIES = 0.1, 3.0  # samples a texel
+SIDES = 12, 280  # texels of a picture
+STRETCHED, MOST_STRETCHED = 0.4, 5.0  # share of surfaces, and the ratio of the densities along their axes
+ON_VERTICES = 0.6  # share of surfaces whose noise was added to samples instead of pictures
+SEED = 51
+
+
+@cache
+def surface(number: int) -> tuple[VertexClusters, np.ndarray]:
+    """Return a surface, and where its samples are in a square of side 1, ascending along the first axis."""
+    rng = np.random.default_rng([SEED, number])
+    count = int(np.exp(rng.uniform(*np.log(SIZES))))
+    kind = rng.choice(["jittered", "jittered", "random", "triangles", "squares", "cloud"])
+    side = int(np.sqrt(count)) + 1
+    places = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2).astype(float)
+    if kind in ("random", "cloud"):
+        places = rng.uniform(0, side, places.shape)
+    elif kind == "triangles":
+        places[:, 1] += places[:, 0] % 2 / 2
+    elif kind == "jittered":
+        places += rng.uniform(-1, 1, places.shape) * rng.uniform(0.05, 0.5)
+    places += rng.normal(0, 1e-6, places.shape)
+    if kind != "triangles" and rng.random() < 0.3:  # denser on one side
+        places[:, 1] = side * (places[:, 1].clip(0) / side) ** rng.uniform(1, 2)
+    places = places[np.argsort(places[:, 0], kind="stable")]
+    if kind == "cloud":
+        nearest = cKDTree(places).query(places, k=int(rng.integers(6, 11)))[1]
+        pairs = np.stack([np.repeat(nearest[:, 0], nearest.shape[1] - 1), nearest[:, 1:].ravel()], axis=1)
+    else:
+        corners = Delaunay(places).simplices
+        pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    edges = np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
+    priorities = rng.integers(0, 2**63, len(places), dtype=np.uint64)
+    positions = np.column_stack([places, np.zeros(len(places))])
+    return VertexClusters(Graph(positions, edges, priorities)), (places / side).clip(0, 1)
+
+
+def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
+    """Make one for training."""
+    clusters, places = surface(int(rng.integers(SURFACES)))
+    density = np.exp(rng.uniform(*np.log(DENSITIES)))
+    pixels = crops[rng.integers(len(crops))].pixels
+    side = np.clip(np.sqrt(len(places) / density), SIDES[0], min(SIDES[1], *pixels.shape[:2]))
+    recipe, is_on_vertices = draw_recipe(rng), rng.random() < ON_VERTICES
+    # Samples may be denser along one axis than along the other, as on tubes and planks.
+    stretch = np.exp(rng.uniform(-1, 1) * np.log(MOST_STRETCHED)) if rng.random() < STRETCHED else 1.0
+    sides = np.ceil(
+        side * np.array([stretch, 1 / stretch]) ** 0.5 / min(1, recipe.resampled * recipe.after_codec)
+    )
+    height, width = (int(own) for own in np.minimum(sides + 8, pixels.shape[:2]))
+    top, left = int(rng.integers(len(pixels) - height + 1)), int(rng.integers(pixels.shape[1] - width + 1))
+    picture = varied(rng, drawn(rng, pixels[top : top + height, left : left + width]))
+    if rng.random() < ONE_CHANNEL:
+        picture, recipe = of_one_channel(picture, recipe)
+    return observe(sampled(rng, picture, places, recipe, is_on_vertices=is_on_vertices), clusters)
+
+
+def sampled(
+    rng: np.random.Generator,
+    picture: np.ndarray,
+    places: np.ndarray,
+    recipe: Recipe,
+    *,
+    is_on_vertices: bool,
+) -> Sample:
+    """Degrade a picture and sample it, at the nearest texels or between four, or add the noise to the samples."""
+    of_picture = replace(recipe, sigma=0.0, impulses=0.0) if is_on_vertices else recipe
+    sample, order = degrade(rng, picture, of_picture), int(rng.integers(2))
+    at = places.T * (np.array(sample.noisy.shape[:2])[:, None] - 1)
+    parts = [_sampled(own, at, order) for own in (sample.noisy, sample.noise, sample.loss)]
+    if not is_on_vertices:
+        if recipe.bits:
+            parts[0] = np.rint(parts[0] * 255) / np.float32(255)
+        return Sample(*parts)
+    return degrade(rng, parts[0][:, None], of_vertices(recipe))
+
+
+def _sampled(picture: np.ndarray, at: np.ndarray, order: int) -> np.ndarray:
+    if not picture.any():
+        return np.zeros((at.shape[1], 3), np.float32)
+    planes = np.moveaxis(picture, 2, 0)
+    return np.stack([map_coordinates(own, at, order=order, mode="nearest") for own in planes], axis=-1)
+
+
+def of_vertices(recipe: Recipe) -> Recipe:
+    """Return the steps that need no grid."""
+    return Recipe(
+        recipe.sigma, recipe.power, recipe.floor, recipe.correlation, recipe.gains, recipe.tail, recipe.shape,
+        recipe.is_linear, places=recipe.places, place_gain=recipe.place_gain, impulses=recipe.impulses,
+        bits=recipe.bits,
+    )  # fmt: skip
+
+
+def observe(sample: Sample, clusters: VertexClusters) -> Observation | None:
+    """Observe a surface, or return None where it is too small."""
+    noisy, noise, loss = (
+        own.reshape(-1, 3).T.astype(np.float32) for own in (sample.noisy, sample.noise, sample.loss)
+    )
+    if not clusters.count:
+        return None
+    seen = clusters.cut(noisy)
+    return observed(seen, *(clusters.cut(own, seen.order) if own.any() else None for own in (noise, loss)))
