@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,15 @@ from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.flow.clipping import ClippedChannels
 from beltrami_cli.flow.domain import CoarseLevel, Geometry, Stack, in_blocks
 from beltrami_cli.flow.embedding import Guide, choose_beta, choose_guide_beta, join_channels
-from beltrami_cli.flow.moving_positions import MovingPositions
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import Averaged, Mixing, NewColours, SampledKernel, Step
 from beltrami_cli.flow.regularisation import Gaussian
 from beltrami_cli.flow.search_range import Rule, SearchRange
 from beltrami_cli.surface.atlas import EMPTY
+
+if TYPE_CHECKING:
+    from beltrami_cli.flow.moving_positions import MovingPositions
 
 
 @dataclass(frozen=True)

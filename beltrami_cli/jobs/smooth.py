@@ -22,7 +22,6 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import write_textured
 from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
-from beltrami_cli.jobs.level import Levelling
 from beltrami_cli.jobs.recolour import Painter, paint, recolour
 from beltrami_cli.layers.layer import (
     Change,
@@ -39,10 +38,10 @@ from beltrami_cli.layers.memory_check import require_memory_for_textures
 from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import require_surface
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 if TYPE_CHECKING:
+    from beltrami_cli.jobs.level import Levelling
     from beltrami_cli.jobs.new_texture import NewTexture
 
 
@@ -125,7 +124,11 @@ class Smoothing(Painter[Smoothed]):
 
     @classmethod
     def of(cls, settings: SmoothSettings) -> Smoothing:
-        return cls(settings, Levelling(LevelSettings()) if settings.level_seams else None)
+        if not settings.level_seams:
+            return cls(settings)
+        from beltrami_cli.jobs.level import Levelling
+
+        return cls(settings, Levelling(LevelSettings()))
 
     @property
     def changes(self) -> bool:
@@ -324,6 +327,8 @@ def _selected(document: Document, settings: SmoothSettings) -> Selection:
 
 def _require_possible(file: FileJob, selection: Selection, settings: SmoothSettings) -> None:
     if selection.vertices:
+        from beltrami_cli.layers.vertex_layer import require_surface  # which textures do without
+
         require_surface(file.document.painted(), file.document.name)
         return
     if settings.embedding.guides:

@@ -19,8 +19,6 @@ from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_su
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, is_only_read
-from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.image_surface import options_of_meshes, refuse_options_of_meshes
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
@@ -63,6 +61,8 @@ class OutputFormat:
 def select(document: Document, settings: SmoothSettings) -> Selection:
     """Choose the painted parts by the settings and the document; errors if there are none, or for unfit options."""
     if document.kind == "image":
+        from beltrami_cli.layers.image_surface import refuse_options_of_meshes
+
         refuse_options_of_meshes(settings, document.name)
         return Selection(image=True)
     if wrong := given_options(settings.image):
@@ -108,6 +108,8 @@ def layers_of(
     # For the other parameters see `ImageLayer`.
     if document.kind == "image":
         if selection.image:
+            from beltrami_cli.layers.image_layer import ImageLayer
+
             yield ImageLayer.read(document, settings, access, suffix=suffix, colours_only=colours_only)
         return
     if selection.vertices:
@@ -153,6 +155,7 @@ def count_samples(document: Document, selection: Selection, wanted: TextureSetti
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
+    from beltrami_cli.layers.image_surface import options_of_meshes
     from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
 
     painted, grid = document.painted(), document.grid()

@@ -194,7 +194,7 @@ def _read_vertices(statements: Statements) -> Vertices:
     weighted = (sizes[coloured] == _BOTH) | ((sizes[coloured] == _ALPHA_OR_WEIGHT) & weights)
     colour_at = (offsets[coloured] + 3 + weighted)[:, None] + np.arange(3)
     known_at = np.column_stack([offsets[coloured, None] + np.arange(3), colour_at])
-    statements.require_finite(tokens, values, np.unique(colour_at))
+    statements.require_finite(tokens, values, colour_at.ravel())
     has_alpha = offsets[coloured + 1] - colour_at[:, 2] > 1
     return Vertices(
         positions=np.where(finite[:, None], positions, 0),
