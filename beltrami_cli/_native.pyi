@@ -267,7 +267,6 @@ def collaborate_on_grid(
     relative: NDArray[np.float32] | None,
     has_pilot: bool,
     estimates: NDArray[np.float32],
-    weights: NDArray[np.float32],
     threads: int,
     progress: Callable[[int], None] | None,
 ) -> None: ...

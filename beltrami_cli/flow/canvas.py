@@ -86,12 +86,13 @@ def collaborate_on_canvas(
     progress: Callable[[int], None] | None = None,
     *,
     relative: Float32s | None = None,
+    replaces_pilot: bool = False,
 ) -> Float32s:
     """Estimate the owned cells from similar patches, compared on the pilot; `relative`: variance by its mean."""
     stacks, wanted = [noisy, pilot, *([] if relative is None else [relative])], chunking()
     if wanted is None:
-        return _patches_on(kind, stacks, threads, mixing, progress)[0]
-    estimates: Float32s = large_arrays.zeros(noisy.shape, np.float32)
+        return _patches_on(kind, stacks, threads, mixing, progress, pilot if replaces_pilot else None)[0]
+    estimates: Float32s = large_arrays.empty(noisy.shape, np.float32)
     work, how = Work(_patches_on, (mixing,)), {"size": kind.size, "threads": threads}
     wanted.apply(_patch_chunks(kind, wanted.count), work, stacks, estimates, progress, **how)
     return estimates
@@ -120,11 +121,13 @@ def _patches_on(
     threads: int,
     mixing: Mixing,
     progress: Callable[[int], None] | None = None,
+    estimates: Float32s | None = None,
 ) -> tuple[Float32s, Figures]:
     from beltrami_cli._native import collaborate_on_grid
 
     noisy, pilot, *relative = stacks
-    estimates, weights = (large_arrays.zeros(noisy.shape, np.float32) for _ in range(2))
+    if estimates is None:
+        estimates = large_arrays.empty(noisy.shape, np.float32)
 
     def report(done: int) -> None:
         large_arrays.leave_memory()
@@ -133,7 +136,7 @@ def _patches_on(
 
     variances = relative[0][0] if relative else None
     collaborate_on_grid(
-        kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, weights, threads, report
+        kind, noisy, pilot, mixing.parts, variances, mixing.has_pilot, estimates, threads, report
     )
     return estimates, (0, 0)
 

@@ -130,20 +130,23 @@ class GridGeometry(Geometry):
         from beltrami_cli._native import convolve_to
 
         taps = gaussian_taps(_SPREAD)
-        reach, kind = len(taps) // 2, self.atlas.kind
-        before, after = self.planes(len(planes)), self.planes(len(planes))
-        for rows in self._blocks():
-            np.multiply(planes[:, rows], kind[rows] != EMPTY, out=before[:, rows])
-        for _ in range(round((self.width / _SPREAD) ** 2)):
+        reach, kind, threads = len(taps) // 2, self.atlas.kind, self.threads
+        means, other = self.planes(len(planes)), self.planes(1)
+        for plane, own in zip(planes[:, None], means[:, None], strict=True):
+            before, after = own, other
             for rows in self._blocks():
-                first = max(0, rows.start - reach)
-                around = slice(first, rows.stop + reach)
-                convolve_to(
-                    before[:, around], taps, rows.start - first, kind[around], after[:, rows], self.threads
-                )
-            self.refresh(after)
-            before, after = after, before
-        return before
+                np.multiply(plane[:, rows], kind[rows] != EMPTY, out=before[:, rows])
+            for _ in range(round((self.width / _SPREAD) ** 2)):
+                for rows in self._blocks():
+                    first = max(0, rows.start - reach)
+                    around = slice(first, rows.stop + reach)
+                    here, offset = before[:, around], rows.start - first
+                    convolve_to(here, taps, offset, kind[around], after[:, rows], threads)
+                self.refresh(after)
+                before, after = after, before
+            if before is not own:
+                own[:] = before
+        return means
 
     def _blocks(self) -> Iterator[slice]:
         """Go through the rows in blocks of `large_arrays.BLOCK` cells."""

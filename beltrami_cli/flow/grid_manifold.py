@@ -261,13 +261,14 @@ class GridManifold(Manifold):
         )  # fmt: skip
 
     def collaborate(
-        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
-    ) -> Stack:
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
+        replaces_pilot: bool = False,
+    ) -> Stack:  # fmt: skip
         """Estimate the colours of the owned cells from patches, and show them in the halo."""
         atlas, threads, relative = self.geometry.atlas, self.geometry.threads, self.noise.relative
         estimates = collaborate_on_canvas(
-            atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative
-        )
+            atlas.kind, noisy, pilot, mixing, threads, progress, relative=relative, replaces_pilot=replaces_pilot
+        )  # fmt: skip
         refresh_halo(estimates, atlas, threads)
         return estimates
 

@@ -116,9 +116,10 @@ class Manifold(ABC):
 
     @abstractmethod
     def collaborate(
-        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
-    ) -> Stack:
-        """Estimate colours from similar patches, compared on the pilot."""
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
+        replaces_pilot: bool = False,
+    ) -> Stack:  # fmt: skip
+        """Estimate colours from similar patches, compared on the pilot, whose memory they may replace."""
 
     @abstractmethod
     def perturbation(self) -> Float32s | NDArray[np.int8]:

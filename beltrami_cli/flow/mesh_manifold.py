@@ -158,8 +158,9 @@ class MeshManifold(Manifold):
         return SampledKernel(mesh.order[held].astype(np.int64), distances, weights, colours)
 
     def collaborate(
-        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None
-    ) -> Stack:
+        self, noisy: Stack, pilot: Stack, mixing: Mixing, progress: Callable[[int], None] | None, *,
+        replaces_pilot: bool = False,
+    ) -> Stack:  # fmt: skip
         """Estimate colours from patches in tangent planes."""
         relative = None if self.noise.relative is None else self.noise.relative[:, 0]
         graph = self.geometry.graph(self.colours)

@@ -119,7 +119,7 @@ def blend_with_patches(
         for own, kernels in in_blocks(axis, first, pilot):
             own += kernels
             own /= 2
-        return manifold.collaborate(colours, first, second, stage(_SECOND))
+        return manifold.collaborate(colours, first, second, stage(_SECOND), replaces_pilot=True)
 
     after = estimate(noisy, before)
     with _added(axis, noisy, signs, size, threads):

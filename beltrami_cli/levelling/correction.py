@@ -54,11 +54,15 @@ class Levelled:
     groups: Indices  # (charts,): charts that are joined by seams without paint
 
 
+def _without_seams(charts: int) -> Levelled:
+    return Levelled(None, None, SeamFacts(0, 0, 0, 0.0, 0.0), np.arange(charts))
+
+
 def find_exposures(steps: Steps, strength: float, fixed: Bools | None = None) -> Levelled:
     """Decide whether the charts differ in exposure, and find how; `fixed` charts stay as they are."""
     apart = np.arange(steps.charts)
     if not np.any(steps.ends[:, 0] != steps.ends[:, 1]):
-        return Levelled(None, None, SeamFacts(0, 0, 0, 0.0, 0.0), apart)
+        return _without_seams(steps.charts)
     verdict = judge(steps, fixed)
     found = fit_exposures(steps, verdict.spread, fixed)
     facts = _facts(steps, found, strength if verdict.is_sure else 0.0)
@@ -151,6 +155,8 @@ def level_canvas(
 
     `halved`: textures that store colour, red, green and blue, at half the resolution.
     """
+    if not atlas.seams:
+        return _without_seams(atlas.charts), 0.0
     places, columns = ChartPlaces.of(atlas), atlas.kind.shape[1]
     flat = planes.reshape(len(planes), -1)
     found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)

@@ -199,15 +199,15 @@ class Seen:
         kernels, estimates = [], []
 
         def seen(run, found):
-            def kept(*arguments):
-                found.append(run(*arguments).copy())
+            def kept(*arguments, **how):
+                found.append(run(*arguments, **how).copy())
                 return found[-1].copy()
 
             return kept
 
         collaborate = seen(manifold.collaborate, estimates)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(type(manifold), "collaborate", lambda _, *given: collaborate(*given))
+            patch.setattr(type(manifold), "collaborate", lambda _, *given, **how: collaborate(*given, **how))
             done = blend(manifold, noisy, seen(kernel, kernels), *others)
         self.kernel, self.patches = kernels[0], estimates[1]
         self.blend, self.gain = done.colours.copy(), done.gain

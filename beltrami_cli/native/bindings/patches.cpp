@@ -2,7 +2,6 @@
 #include <nanobind/stl/optional.h>
 
 #include <array>
-#include <initializer_list>
 #include <vector>
 
 #include "patches/blending.hpp"
@@ -20,10 +19,10 @@ using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cp
 
 using Output = nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
-void check_shape(const Stack& like, std::initializer_list<const Output*> stacks) {
-  for (const Output* stack : stacks)
-    for (std::size_t axis = 0; axis < 3; ++axis)
-      if (stack->shape(axis) != like.shape(axis)) throw nb::value_error("all stacks must have one shape");
+template <class Stacks>
+void check_shape(const Stack& like, const Stacks& other) {
+  for (std::size_t axis = 0; axis < 3; ++axis)
+    if (other.shape(axis) != like.shape(axis)) throw nb::value_error("all stacks must have one shape");
 }
 
 // How channels are mixed for the estimate, the variances of their noise, and what these are multiplied by, see groups.hpp.
@@ -44,14 +43,14 @@ Mixing mixing_of(const nb::tuple& parts, std::size_t channels) {
   return mixing;
 }
 
-// See collaborate; without a pilot, patches are compared on `pilot` all the same. The result goes to `estimates`.
+// See collaborate; without a pilot, patches are compared on `pilot` all the same. The result goes to `estimates`, which may
+// be the pilot.
 void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pilot, const nb::tuple& mixing,
-                         const std::optional<Plane>& relative, bool has_pilot, Output& estimates, Output& weights,
-                         unsigned threads, const nb::object& progress) {
+                         const std::optional<Plane>& relative, bool has_pilot, Output& estimates, unsigned threads,
+                         const nb::object& progress) {
   const std::size_t channels = noisy.shape(0), rows = kind.shape(0), columns = kind.shape(1);
-  for (std::size_t axis = 0; axis < 3; ++axis)
-    if (noisy.shape(axis) != pilot.shape(axis)) throw nb::value_error("all stacks must have one shape");
-  check_shape(noisy, {&estimates, &weights});
+  check_shape(noisy, pilot);
+  check_shape(noisy, estimates);
   if (noisy.shape(1) != rows || noisy.shape(2) != columns) throw nb::value_error("planes must have the grid's shape");
   if (relative && (relative->shape(0) != rows || relative->shape(1) != columns))
     throw nb::value_error("the relative variance must have the grid's shape");
@@ -60,7 +59,7 @@ void collaborate_on_grid(const Cells& kind, const Stack& noisy, const Stack& pil
                       own.variances.data(), own.shrinkage.data(), own.least_ratio, own.strength,
                       relative ? relative->data() : nullptr};
   run_polled(progress, [&](const Poll& poll) {
-    collaborate(canvas, has_pilot, {estimates.data(), weights.data()}, threads, poll);
+    collaborate(canvas, has_pilot, estimates.data(), threads, poll);
   });
 }
 
@@ -216,7 +215,7 @@ void bind_patches(nb::module_& module) {
              "threads"_a);
   module.def("blend", &blend_stacks, "first"_a.noconvert(), "second"_a, "weight"_a, "threads"_a);
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
-             "relative"_a.none(), "has_pilot"_a, "estimates"_a, "weights"_a, "threads"_a, "progress"_a.none());
+             "relative"_a.none(), "has_pilot"_a, "estimates"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")
       .def("__init__",
            [](SurfacePatches* self, const Matrix<double>& positions, const Matrix<std::int32_t>& edges,

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <utility>
 
 namespace beltrami::patches {
 namespace {
@@ -18,55 +19,97 @@ bool any_owned(const Canvas& canvas, std::size_t row, std::size_t column) {
   return false;
 }
 
-// Divides sums by weights, and mixes the channels back; cells without an estimate get the pilot.
-void finish(const Canvas& canvas, const Sums& sums, std::size_t first, std::size_t last) {
+// The tiles with owned cells of each row of tiles: those in even columns, and those in odd ones.
+std::vector<std::array<std::vector<Tile>, 2>> rows_of_tiles(const Canvas& canvas) {
+  std::vector<std::array<std::vector<Tile>, 2>> rows((canvas.rows + tile_side - 1) / tile_side);
+  for (std::size_t row = 0; row < canvas.rows; row += tile_side)
+    for (std::size_t column = 0; column < canvas.columns; column += tile_side)
+      if (any_owned(canvas, row, column))
+        rows[row / tile_side][column / tile_side % 2].push_back(
+            {static_cast<std::ptrdiff_t>(row), static_cast<std::ptrdiff_t>(column)});
+  return rows;
+}
+
+// Tiles of one colour in a band, by threads: at most one in as many waits at its end.
+constexpr std::size_t tiles_per_thread = 8;
+
+// How many rows of tiles are worked on together, an even number.
+std::size_t rows_at_once(const Canvas& canvas, unsigned threads) {
+  const std::size_t of_colour = std::max<std::size_t>(1, canvas.columns / tile_side / 2);
+  return 2 * ((tiles_per_thread * (threads - 1)) / of_colour + 1);
+}
+
+// Moves a band down to start at row `first`: rows that both hold keep their sums, new ones have none.
+void move_band(Band& band, const Canvas& canvas, std::size_t first, std::size_t end) {
+  const std::size_t columns = canvas.columns, kept = (std::max(first, band.first + band.rows) - first) * columns;
+  for (std::vector<float>* sums : {&band.estimates, &band.weights}) {
+    std::vector<float> moved(canvas.channels * (end - first) * columns, 0);
+    for (std::size_t channel = 0; channel < canvas.channels; ++channel)
+      std::copy_n(sums->end() - static_cast<std::ptrdiff_t>((canvas.channels - 1 - channel) * band.rows * columns + kept), kept,
+                  moved.begin() + static_cast<std::ptrdiff_t>(channel * (end - first) * columns));
+    *sums = std::move(moved);
+  }
+  band.first = first;
+  band.rows = end - first;
+}
+
+// Divides the sums of cells by their weights, and mixes the channels back; cells without an estimate get the pilot.
+void finish(const Canvas& canvas, const Band& band, std::size_t first, std::size_t last, float* estimates) {
   const std::size_t cells = canvas.rows * canvas.columns, n = canvas.channels;
   std::vector<float> mixed(n);
   for (std::size_t cell = first; cell < last; ++cell) {
-    const bool known = canvas.kind[cell] == grid::owned && sums.weights[cell] > 0;
-    for (std::size_t c = 0; known && c < n; ++c)
-      mixed[c] = sums.estimates[c * cells + cell] / sums.weights[c * cells + cell];
+    const std::size_t own = cell - band.first * canvas.columns, stride = band.rows * canvas.columns;
+    const bool known = canvas.kind[cell] == grid::owned && band.weights[own] > 0;
+    for (std::size_t c = 0; known && c < n; ++c) mixed[c] = band.estimates[c * stride + own] / band.weights[c * stride + own];
     for (std::size_t c = 0; c < n; ++c) {
       float value = known ? 0 : canvas.pilot[c * cells + cell];
       for (std::size_t from = 0; known && from < n; ++from) value += canvas.unmixing[c * n + from] * mixed[from];
-      sums.estimates[c * cells + cell] = value;
+      estimates[c * cells + cell] = value;
     }
   }
 }
 
 }  // namespace
 
-void collaborate(const Canvas& canvas, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll) {
+void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigned threads, const Poll& poll) {
   const auto add_tile_of = BELTRAMI_VARIANT_OF(add_tile, choose_instruction_set());
-  const std::size_t cells = canvas.rows * canvas.columns;
-  // Tiles of one colour lie so far apart that no two add to the same cell, and colours follow one another: the order in
-  // which a cell's estimates are added does not depend on the threads.
-  std::array<std::vector<Tile>, 4> colours;
-  std::size_t total = 0;
-  for (std::size_t row = 0; row < canvas.rows; row += tile_side)
-    for (std::size_t column = 0; column < canvas.columns; column += tile_side)
-      if (any_owned(canvas, row, column)) {
-        colours[row / tile_side % 2 * 2 + column / tile_side % 2].push_back(
-            {static_cast<std::ptrdiff_t>(row), static_cast<std::ptrdiff_t>(column)});
-        ++total;
-      }
+  const auto rows = rows_of_tiles(canvas);
+  std::size_t total = 0, before = 0;
+  for (const auto& row : rows) total += row[0].size() + row[1].size();
+  const auto counted = [&](std::size_t done) { return poll((before + done) * canvas.rows * canvas.columns / std::max<std::size_t>(1, total)); };
   std::vector<TileScratch> scratch(threads);
-  std::size_t before = 0;
-  for (const auto& tiles : colours) {
-    const Poll counted = poll ? Poll([&](std::size_t done) { return poll((before + done) * cells / total); }) : Poll();
-    parallel_chunks(
-        tiles.size(), 1, threads,
-        [&](std::size_t begin, std::size_t end, unsigned worker) {
-          for (std::size_t i = begin; i < end; ++i)
-            add_tile_of(canvas, tiles[i], has_pilot, sums, scratch[worker]);
-        },
-        counted);
-    before += tiles.size();
+  Band band{};
+  // The canvas is worked on from above. An odd row of tiles waits for the even ones above and below it, and tiles of one
+  // colour lie so far apart that no two add to the same cell: the order in which a cell's estimates are added depends
+  // neither on the band nor on the threads.
+  std::size_t finished = 0;
+  for (std::size_t row = 0, step = rows_at_once(canvas, threads); row < rows.size(); row += step) {
+    const bool is_last = row + step >= rows.size();
+    const std::size_t end = is_last ? rows.size() : row + step - 1;
+    std::array<std::vector<Tile>, 4> colours;
+    for (std::size_t own = row == 0 ? 0 : row - 1; own < end; ++own)
+      for (std::size_t side = 0; side < 2; ++side) {
+        auto& tiles = colours[own % 2 * 2 + side];
+        tiles.insert(tiles.end(), rows[own][side].begin(), rows[own][side].end());
+      }
+    move_band(band, canvas, finished, is_last ? canvas.rows : std::min(canvas.rows, end * tile_side + margin));
+    for (const auto& tiles : colours) {
+      parallel_chunks(
+          tiles.size(), 1, threads,
+          [&](std::size_t begin, std::size_t last, unsigned worker) {
+            for (std::size_t i = begin; i < last; ++i) add_tile_of(canvas, tiles[i], has_pilot, band, scratch[worker]);
+          },
+          poll ? Poll(counted) : Poll());
+      before += tiles.size();
+    }
+    finished = is_last ? canvas.rows : end * tile_side - margin;  // as far up as the next rows of tiles reach
+    const std::size_t first = band.first * canvas.columns;
+    parallel_chunks(finished * canvas.columns - first, finished_rows * canvas.columns, threads,
+                    [&](std::size_t begin, std::size_t last, unsigned) {
+                      finish(canvas, band, first + begin, first + last, estimates);
+                    });
+    if (poll && !counted(0)) throw Cancelled();
   }
-  parallel_chunks(
-      cells, finished_rows * canvas.columns, threads,
-      [&](std::size_t begin, std::size_t end, unsigned) { finish(canvas, sums, begin, end); },
-      poll ? Poll([&](std::size_t) { return poll(cells); }) : Poll());
 }
 
 }  // namespace beltrami::patches

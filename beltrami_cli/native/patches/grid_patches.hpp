@@ -55,12 +55,18 @@ struct TileScratch {
   Group group{};
 };
 
-// Adds the estimates of the groups that start in a tile to whole planes.
-BELTRAMI_DECLARE_VARIANTS(void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, const Sums& sums,
+// Sums of estimates and of their weights in some rows of a canvas, `channels` planes each.
+struct Band {
+  std::size_t first, rows;
+  std::vector<float> estimates, weights;
+};
+
+// Adds the estimates of the groups that start in a tile to a band that holds its surroundings.
+BELTRAMI_DECLARE_VARIANTS(void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, Band& band,
                                         TileScratch& scratch))
 
-// Writes estimates of the owned cells; other cells get the pilot. Both of `sums` have `channels` planes of zeros, of
-// which the estimates become the result, and the weights are memory to work with. Throws Cancelled if poll returned false.
-void collaborate(const Canvas& canvas, bool has_pilot, const Sums& sums, unsigned threads, const Poll& poll = {});
+// Writes estimates of the owned cells to `channels` planes; other cells get the pilot, whose planes the estimates may
+// replace. Throws Cancelled if poll returned false.
+void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigned threads, const Poll& poll = {});
 
 }  // namespace beltrami::patches

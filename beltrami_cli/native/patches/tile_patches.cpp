@@ -46,14 +46,14 @@ class TilePlanes {
 
   Sums sums() const { return {own_.estimates.data(), own_.weights.data()}; }
 
-  void add_to(const Sums& whole) const {
+  void add_to(Band& band) const {
     each_row([&](Index local, Index cell, Index count) {
       for (std::size_t channel = 0; channel < canvas_.channels; ++channel) {
         const Index from = local + static_cast<Index>(channel) * area;
-        const std::size_t to = static_cast<std::size_t>(cell) + channel * canvas_.rows * canvas_.columns;
+        const std::size_t to = static_cast<std::size_t>(cell) + (channel * band.rows - band.first) * canvas_.columns;
         for (Index i = 0; i < count; ++i) {
-          whole.estimates[to + static_cast<std::size_t>(i)] += own_.estimates[static_cast<std::size_t>(from + i)];
-          whole.weights[to + static_cast<std::size_t>(i)] += own_.weights[static_cast<std::size_t>(from + i)];
+          band.estimates[to + static_cast<std::size_t>(i)] += own_.estimates[static_cast<std::size_t>(from + i)];
+          band.weights[to + static_cast<std::size_t>(i)] += own_.weights[static_cast<std::size_t>(from + i)];
         }
       }
     });
@@ -333,13 +333,13 @@ void each_centre(const std::uint8_t* kind, Index first, F f) {
 
 }  // namespace
 
-void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, const Sums& sums, TileScratch& scratch) {
+void add_tile(const Canvas& canvas, const Tile& tile, bool has_pilot, Band& band, TileScratch& scratch) {
   const TilePlanes planes(canvas, tile, scratch);
   for (Index y = 0; y < tile_side; y += spacing)
     for (Index x = 0; x < tile_side; x += spacing)
       each_centre(scratch.kind.data(), (margin + y) * side + margin + x,
                   [&](Index centre) { add_one(planes.channels(), centre, has_pilot, planes.sums(), scratch); });
-  planes.add_to(sums);
+  planes.add_to(band);
 }
 
 }  // namespace beltrami::patches::BELTRAMI_VARIANT
