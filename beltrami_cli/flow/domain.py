@@ -101,6 +101,9 @@ class Geometry(Domain):
     def refresh(self, stack: Stack) -> None:
         """Copy samples to where a stack shows them again, as beyond seams."""
 
+    def drop_distances(self) -> None:
+        """Free the memory of what only kernels need; it is computed again if more of them are run."""
+
     def for_kernels(self) -> Geometry:
         """Return the geometry without what only parts that are cut from it need."""
         return self

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -42,19 +43,30 @@ class GridGeometry(Geometry):
 
     atlas: Atlas
     spacing: float
-    scale: Float32s | None  # factors of squared lengths that make the spacing around each cell 1
+    # Factors of squared lengths that make the spacing around each cell 1
+    scales: large_arrays.Droppable | None
     repeats: Uint8s | None  # how often each cell's texel is shown
     stops_at_holes: bool
     threads: int
 
     @classmethod
     def of(cls, atlas: Atlas, parameters: KernelParameters, *, stop_at_holes: bool) -> GridGeometry:
-        scale, threads = local_scales(atlas, parameters.window), parameters.thread_count
+        measure, threads = partial(local_scales, atlas, parameters.window), parameters.thread_count
+        scales = large_arrays.Droppable(measure(), measure)
         return cls(
-            atlas=atlas, spacing=mean_spacing(atlas, scale),
-            scale=scale if parameters.units == "spacing" else None, repeats=halo_repeats(atlas, threads),
+            atlas=atlas, spacing=mean_spacing(atlas, scales.get()),
+            scales=scales if parameters.units == "spacing" else None, repeats=halo_repeats(atlas, threads),
             stops_at_holes=stop_at_holes, threads=threads,
         )  # fmt: skip
+
+    @property
+    def scale(self) -> Float32s | None:
+        return None if self.scales is None else self.scales.get()
+
+    def drop_distances(self) -> None:
+        self.atlas.lengths.drop()
+        if self.scales is not None:
+            self.scales.drop()
 
     @property
     def size(self) -> int:
@@ -72,16 +84,16 @@ class GridGeometry(Geometry):
         """Return a part, shape (R', C'); `inside`: mask of cells that have a kernel."""
         kind = pick(self.atlas.kind, samples).copy()
         kind[(kind == OWNED) & ~inside] = HALO
-        lengths = pick(self.atlas.squared_lengths, samples)
-        atlas = dataclasses.replace(self.atlas, kind=kind, squared_lengths=lengths)
+        lengths = large_arrays.Droppable(pick(self.atlas.squared_lengths, samples))
+        atlas = dataclasses.replace(self.atlas, kind=kind, lengths=lengths)
         if isinstance(samples, Rectangle):
             rows = np.arange(samples.top, samples.bottom)[:, None] * self.atlas.kind.shape[1]
             atlas = without_references(atlas, self.atlas, rows + np.arange(samples.left, samples.right))
         elif not isinstance(samples, slice):
             atlas = without_references(atlas, self.atlas, samples)
-        scale = None if self.scale is None else pick(self.scale, samples)
+        scales = None if self.scale is None else large_arrays.Droppable(pick(self.scale, samples))
         repeats = None if self.repeats is None else pick(self.repeats, samples)
-        return dataclasses.replace(self, atlas=atlas, scale=scale, repeats=repeats)
+        return dataclasses.replace(self, atlas=atlas, scales=scales, repeats=repeats)
 
     def work(self, unit: float) -> KernelWork:
         return KernelWork(self.kernels, unit)

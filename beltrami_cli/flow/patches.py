@@ -108,6 +108,7 @@ def blend_with_patches(
     disturbed = large_arrays.copy_of(noisy)
     _add(axis, disturbed, signs, size, threads)
     disturbed = kernel(disturbed)
+    geometry.drop_distances()
     if clipped is not None:
         for own, pilot, relative in in_blocks(axis, noisy, before, relative_variance(manifold)):
             clipped.impute(own, pilot, relative[0], threads)

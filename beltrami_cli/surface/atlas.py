@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -48,7 +48,7 @@ class Atlas:
     # on the right, below, below right, and below left. Infinite where the neighbour lies outside, and where
     # the surface ends between the two (at an open edge, or between two parts of a chart that only touch in
     # the image); without meaning where either is EMPTY.
-    squared_lengths: Float32s
+    lengths: large_arrays.Droppable
     # Shape (K,): flat indices, ascending, of the cells between which and a neighbour, not EMPTY, the
     # surface ends at an edge.
     cut_cells: Indices
@@ -70,13 +70,17 @@ class Atlas:
     # part of the surface that may lie far from the charts around them.
     border_texels: Indices
     lone_texels: Indices
-    chart_of: Int32s  # (T,): chart of each owned cell
+    chart_of: Indices  # (T,): chart of each owned cell
     # How many; a seam is a run of seam edges between the same two charts (or of a chart with itself).
     charts: int
     seams: int
     seam_edges: int
     covered: int  # texels covered by the surface, and of these the texels covered more than once
     overlapped: int
+
+    @property
+    def squared_lengths(self) -> Float32s:
+        return self.lengths.get()
 
     @property
     def counts(self) -> dict[str, int]:
@@ -163,12 +167,29 @@ def build_atlas(
     surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int = 1
 ) -> Atlas:
     """Lay out the charts of a textured surface, and continue each by `margin` cells over its seams."""
+    build = partial(_build, surface, sizes, margin, threads)
+    made = build()
+    lengths = large_arrays.Droppable(made.pop("squared_lengths"), lambda: build()["squared_lengths"])
+    made["chart_of"] = _narrowed(made["chart_of"], made["charts"])
+    texels = np.array([width * height for width, height in sizes], np.int64)
+    return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]), lengths=lengths, **made)
+
+
+def _narrowed(numbers: Int32s, count: int) -> Indices:
+    """Keep numbers from 0 to a count in as few bytes as they need."""
+    kept = large_arrays.empty(len(numbers), np.min_scalar_type(-count - 1))
+    for block in large_arrays.blocks(len(numbers)):
+        kept[block] = numbers[block]
+    return kept
+
+
+def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int) -> Any:
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
     wraps = ([_WRAP_CODES[mode] for mode in texture.wrap] for texture in surface.textures)
     rows = [(*size, *wrap) for size, wrap in zip(sizes, wraps, strict=True)]
     grids = np.array(rows, np.int32).reshape(-1, 4)
     try:
-        made = build_native_atlas(
+        return build_native_atlas(
             np.ascontiguousarray(surface.positions[first], np.float64),
             np.ascontiguousarray(place_of[surface.faces], np.int32).reshape(-1, 3),
             np.ascontiguousarray(surface.uv, np.float64).reshape(-1, 3, 2),
@@ -181,8 +202,6 @@ def build_atlas(
         )
     except ValueError as error:  # what the core's length errors become
         raise ProcessingError(f"{error}; use smaller textures") from error
-    texels = grids[:, 0].astype(np.int64) * grids[:, 1]
-    return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]).astype(np.int64), **made)
 
 
 _ROWS = 256  # of an image, laid out at a time
@@ -198,21 +217,15 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
     # pixels lie on the plane, 1 apart. Nothing crosses a hole, and holes that touch at corners are a closed barrier.
     filled = valid if positions is None else valid & np.isfinite(positions).all(axis=2)
     kind = large_arrays.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin), np.uint8)
-    lengths = large_arrays.empty((len(STEPS), *kind.shape), np.float32)
-    for rows in large_arrays.blocks(len(kind), _ROWS):
-        lengths[:, rows] = np.inf
     inside = slice(margin, margin + shape[0]), slice(margin, margin + shape[1])
     for rows in large_arrays.blocks(shape[0], _ROWS):
         kind[inside][rows][filled[rows]] = OWNED
-        below = slice(rows.start, rows.stop + 1)  # the row that edges of the last one end in
-        places = None if positions is None else positions[below]
-        for plane, step in zip(lengths[:, *inside][:, below], STEPS, strict=True):
-            _measure(plane, step, filled[below], places)
+    measure = partial(_measure_grid, filled, margin, positions)
     owned = large_arrays.flatnonzero(kind)
     nothing = np.zeros(0, np.int64)
     return Atlas(
         kind=kind,
-        squared_lengths=lengths,
+        lengths=large_arrays.Droppable(measure(), measure),
         owned_cells=owned,
         owned_texels=large_arrays.flatnonzero(filled),
         texture_offsets=np.array([0, shape[0] * shape[1]], np.int64),
@@ -221,9 +234,23 @@ def grid_atlas(shape: tuple[int, int], margin: int, positions: Float64s | None, 
         halo_taps=np.zeros((0, 4), np.int64),
         halo_weights=np.zeros((0, 4), np.float32),
         halo_seams=np.zeros(0, np.int32),
-        chart_of=large_arrays.zeros(len(owned), np.int32),
+        chart_of=large_arrays.zeros(len(owned), np.int8),
         charts=1, seams=0, seam_edges=0, covered=len(owned), overlapped=0,
     )  # fmt: skip
+
+
+def _measure_grid(filled: Bools, margin: int, positions: Float64s | None) -> Float32s:
+    height, width = filled.shape
+    lengths: Float32s = large_arrays.empty((len(STEPS), height + 2 * margin, width + 2 * margin), np.float32)
+    for rows in large_arrays.blocks(lengths.shape[1], _ROWS):
+        lengths[:, rows] = np.inf
+    inside = lengths[:, margin : margin + height, margin : margin + width]
+    for rows in large_arrays.blocks(height, _ROWS):
+        below = slice(rows.start, rows.stop + 1)  # the row that edges of the last one end in
+        places = None if positions is None else positions[below]
+        for plane, step in zip(inside[:, below], STEPS, strict=True):
+            _measure(plane, step, filled[below], places)
+    return lengths
 
 
 def _measure(plane: Float32s, step: tuple[int, int], filled: Bools, positions: Float64s | None) -> None:

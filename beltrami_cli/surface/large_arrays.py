@@ -12,7 +12,7 @@ import mmap
 import os
 import shutil
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
-from beltrami_cli.arrays import Array, Int8s, Int64s
+from beltrami_cli.arrays import Array, Float32s, Int8s, Int64s
 from beltrami_cli.errors import ProcessingError
 
 BLOCK = 1 << 20
@@ -95,6 +95,24 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None 
         ) from error
     disk.maps.add(pages)
     return np.frombuffer(pages, dtype).reshape(shape)
+
+
+@dataclass
+class Droppable:
+    """A large array that is computed again if it is needed after it was dropped."""
+
+    array: Float32s | None
+    compute: Callable[[], Float32s] | None = None  # None: it is never dropped
+
+    def get(self) -> Float32s:
+        if self.array is None:
+            assert self.compute is not None
+            self.array = self.compute()
+        return self.array
+
+    def drop(self) -> None:
+        if self.compute is not None:
+            self.array = None
 
 
 def copy_of(array: Array, smallest: int | None = None) -> Array:

@@ -286,6 +286,40 @@ def plan_with_patches(side):
     return plan_on_image(surface, colours.__getitem__, kernel)
 
 
+def planned_image():
+    return plan_with_patches(64)
+
+
+def planned_textures():
+    settings = SmoothSettings(kernel=KernelParameters(iterations=1, beta=20, t=2.4, patches="on", threads=1))
+    surface = open_document(str(SAMPLES / "mirrored-noisy.obj")).textured("baseColor")
+    return TextureLayer.read(surface, "baseColor", settings).plan()
+
+
+@pytest.mark.parametrize("planned", [planned_image, planned_textures])
+def test_distances_are_no_longer_in_memory_with_patches_but_can_be_measured_again(planned):
+    plan = planned()
+    assert plan.takes_patches
+    geometry = plan.manifold.geometry
+    before = geometry.atlas.squared_lengths.copy(), geometry.scale.copy()
+    smooth(plan)
+    assert geometry.atlas.lengths.array is None
+    assert geometry.scales.array is None
+    for old, new in zip(before, (geometry.atlas.squared_lengths, geometry.scale), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
+def test_estimates_may_take_the_memory_of_their_pilot():
+    manifold = plan_with_patches(160).manifold
+    mixing = patches.mixing_of(manifold, manifold.colours, manifold.noise.covariance)
+    second, pilot = patches.with_pilot(mixing, manifold), manifold.colours.copy()
+    found = manifold.collaborate(manifold.colours, pilot, second, None)
+    np.testing.assert_array_equal(pilot, manifold.colours)
+    again = manifold.collaborate(manifold.colours, pilot, second, None, replaces_pilot=True)
+    np.testing.assert_array_equal(again, found)
+    assert np.shares_memory(again, pilot)
+
+
 @pytest.mark.slow
 def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
     """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""

@@ -149,8 +149,8 @@ def test_faces_given_twice_count_once():
         texture_of=np.zeros(4, np.int32),
     )
     once, again = build_atlas(surface, [(32, 32)], 3), build_atlas(twice, [(32, 32)], 3)
-    for name, value in vars(once).items():
-        assert np.array_equal(value, getattr(again, name)), name
+    for name in vars(once).keys() - {"lengths"} | {"squared_lengths"}:
+        assert np.array_equal(getattr(once, name), getattr(again, name)), name
 
 
 def test_vertices_are_joined_in_one_space_only():

@@ -63,8 +63,8 @@ def test_lengths_are_those_of_the_plane(plane):
 def test_the_result_does_not_depend_on_threads_and_lists_are_sound(plane, margin):
     atlas = build_atlas(plane.surface, plane.sizes, margin, 1)
     again = build_atlas(plane.surface, plane.sizes, margin, 4)
-    for name, value in vars(atlas).items():
-        assert np.array_equal(value, getattr(again, name)), name
+    for name in vars(atlas).keys() - {"lengths"} | {"squared_lengths"}:
+        assert np.array_equal(getattr(atlas, name), getattr(again, name)), name
     assert_sound(atlas, margin)
     assert (atlas.kind.reshape(-1)[atlas.gutter_cells] == HALO).all()
     assert not np.isin(atlas.gutter_texels, atlas.owned_texels).any()
