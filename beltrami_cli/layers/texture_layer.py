@@ -25,7 +25,6 @@ from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
-from beltrami_cli.layers.levelled_charts import TextureCharts, level_charts
 from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import (
@@ -243,6 +242,8 @@ class TextureLayer(layer.Layer):
         return grid_manifold(self.atlas, on_canvas(self), still, metric_channels=metric).new_colours()
 
     def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> TextureLayer:
+        from beltrami_cli.layers.levelled_charts import TextureCharts, level_charts
+
         del photographs
         if self.slot not in COLOUR_SLOTS:
             cause = "they are data, which no camera exposed; leave them out of --slots"
