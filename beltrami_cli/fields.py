@@ -21,6 +21,9 @@ Record = TypeVar("Record")
 
 REQUIRED = dataclasses.MISSING  # as a default
 
+BYTE_STEP = 1 / 255
+"""The step of colours in files of 8 bits, where full scale is 1."""
+
 _PARAMETER, _PART = "parameter", "part"
 _TYPES: dict[type, tuple[type, ...]] = {int: (Integral,), float: (Real,), str: (str, os.PathLike)}
 _NOUNS = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}

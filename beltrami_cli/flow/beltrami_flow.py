@@ -142,7 +142,7 @@ def smooth(
     """
     manifold, choice, share, run = plan.manifold, plan.choice, None, Averaged([], 0.0)
     iterations = plan.parameters.iterations
-    passes = 2 * (iterations + PASSES) if plan.takes_patches else iterations
+    passes = 2 * (iterations + sum(PASSES)) if plan.takes_patches else iterations
     stages = _Stages(progress, passes, manifold.geometry.size)
     is_clipped = plan.parameters.clipping == "restore" and manifold.beta > 0 and iterations
     clipped = manifold.geometry.find_clipped(manifold.colours, manifold.noise.sigma) if is_clipped else None

@@ -21,17 +21,11 @@ from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refre
 # seven times as fine as the one beyond the seam.
 _REPEATS_REACH = 3
 
-# Rows that are processed together.
-_ROWS = 256
-
-# Rows whose lengths are added at a time: the rounding of a sum depends on it.
-_ROWS_OF_A_SUM = 64
-
-# Cells whose colours are put on the canvas at a time: few enough to stay in the cache.
-_BLOCK = 1 << 16
+# Rows that are processed together, where each needs memory; the rounding of sums depends on it.
+ROWS = 64
 
 # The paper's scheme searches the support of an obtuse quadrant up to this many cells away.
-_FURTHEST_SUPPORT = 10
+FURTHEST_SUPPORT = 10
 
 
 def painted(atlas: Atlas, colours: Float32s, threads: int) -> Float32s:
@@ -46,7 +40,7 @@ def painted_by(
     from beltrami_cli._native import scatter_colours
 
     planes = large_arrays.zeros((channels, *atlas.kind.shape), np.float32)
-    for block in large_arrays.blocks(len(atlas.owned_cells), _BLOCK):
+    for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.CACHED):
         scatter_colours(planes, atlas.owned_cells[block], colours_of(block), threads)
     refresh_halo(planes, atlas, threads)
     return planes
@@ -151,7 +145,7 @@ def canvas_margin(parameters: KernelParameters) -> int:
 
 def kernel_margin(parameters: KernelParameters) -> int:
     """Return how many cells around a cell its result in one iteration depends on."""
-    support = _FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
+    support = FURTHEST_SUPPORT if parameters.scheme == "metric" else 0
     blurred = guide_radius(parameters.metric_scale) if parameters.metric_steps else 0
     return parameters.window // 2 + 1 + support + blurred
 
@@ -162,7 +156,7 @@ def local_scales(atlas: Atlas, window: int) -> Float32s:
 
     rows, reach = atlas.kind.shape[0], window // 2
     scales = large_arrays.empty(atlas.kind.shape, np.float32)
-    for band in large_arrays.blocks(rows, _ROWS):
+    for band in large_arrays.blocks(rows, ROWS):
         first = max(0, band.start - reach)
         right, below = atlas.squared_lengths[:2, first : band.stop + reach]
         scales[band] = local_scale(right, below, reach)[band.start - first : band.stop - first]
@@ -172,7 +166,7 @@ def local_scales(atlas: Atlas, window: int) -> Float32s:
 def mean_spacing(atlas: Atlas, scale: Float32s) -> float:
     """Return the mean length that is 1 in local units, over the owned cells; 0 without any."""
     total, count = 0.0, 0
-    for rows in large_arrays.blocks(len(atlas.kind), _ROWS_OF_A_SUM):
+    for rows in large_arrays.blocks(len(atlas.kind), ROWS):
         spacing = 1 / np.sqrt(scale[rows][atlas.kind[rows] == OWNED])
         total, count = total + float(spacing.sum(dtype=np.float64)), count + len(spacing)
     return total / count if count else 0.0

@@ -204,9 +204,6 @@ def _even(counts: Int64s, shares: Float64s, unit: int) -> list[int]:
 # Samples of a chunk at least, as above.
 LEAST_SAMPLES = 1 << 14
 
-# The core works on blocks of this many samples, within which the order of sums depends on their members.
-BLOCK = 4096
-
 
 class Neighbours:
     """The neighbours of every sample, from edges of shape (E, 2) and their lengths."""
@@ -240,16 +237,20 @@ class Neighbours:
 
 def runs(size: int, count: int) -> list[tuple[int, int]]:
     """Cut samples, in an order in which neighbours are near each other, into runs of whole blocks."""
-    blocks = -(-size // BLOCK)
+    from beltrami_cli._native import PATCH_BLOCK_SIZE
+
+    blocks = -(-size // PATCH_BLOCK_SIZE)
     count = min(count, max(1, size // LEAST_SAMPLES), blocks)
-    borders = np.linspace(0, blocks, count + 1).round().astype(int) * BLOCK
+    borders = np.linspace(0, blocks, count + 1).round().astype(int) * PATCH_BLOCK_SIZE
     return list(pairwise(np.minimum(borders, size).tolist()))
 
 
 def chunk_of_run(part_of: Callable[[Int64s], Any], near: Bools, first: int, last: int) -> Chunk:
     """Return the chunk of a run of samples, with the samples near it, marked in an array of all."""
+    from beltrami_cli._native import PATCH_BLOCK_SIZE
+
     # Samples from anywhere before, so that the blocks of the part begin where blocks of the whole do.
-    missing = -int(np.count_nonzero(near[:first])) % BLOCK
+    missing = -int(np.count_nonzero(near[:first])) % PATCH_BLOCK_SIZE
     near[np.flatnonzero(~near[:first])[:missing]] = True
     samples = np.flatnonzero(near)
     begin, end = np.searchsorted(samples, [first, last]).tolist()

@@ -27,19 +27,18 @@ from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.domain import CoarseLevel, Geometry, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.haar_noise import sigma_of_covariances
-from beltrami_cli.flow.patches import mixing_of, with_pilot
+from beltrami_cli.flow.patches import PERTURBATION, mixing_of, with_pilot
 
 AnyManifold = TypeVar("AnyManifold", bound=Manifold)
 
-# Of the noise of a level, what its own details hold; the rest is in its means, which coarser levels estimate: but for
-# the share that they leave, and at the coarsest level all.
-_OWN, _LEFT, _ALL = 0.75, 0.1, 0.25
+# Share of the noise of a level in the means of four of its samples, which coarser levels estimate; its details hold the
+# rest.
+_IN_MEANS = 0.25
+# What coarser levels leave of that, in the same units.
+_LEFT = 0.1
 
 # The scale from which on noise grows no more than this is the coarsest.
 _GROWS = 1.1
-
-# The perturbation, in units of the noise.
-_PERTURBATION = 0.2
 
 # Outliers are this many standard deviations below the mean around; places are plain where the variance around is less
 # than this factor of that of noise; and how often outliers are looked for, which add to that variance themselves.
@@ -147,7 +146,7 @@ def _estimate(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
 
     after = estimate(means)
     probe = level.probe(means, noise)
-    size = np.float32(_PERTURBATION)
+    size = np.float32(PERTURBATION)
     response = estimate(means + size * probe)
     response -= after
     response *= probe / size
@@ -164,8 +163,8 @@ def _estimate(level: CoarseLevel, manifold: Manifold, noise: Float64s) -> float:
 def _noise_of_level(covariances: Float64s, level: int, *, is_coarsest: bool) -> Float64s:
     """Return the covariance of noise, shape (N, N), that is left in the means of a level, in units of that of cells."""
     above = covariances[min(level + 1, len(covariances) - 1)]
-    shared = _ALL if is_coarsest else _LEFT
-    own: Float64s = _OWN * covariances[level] + shared * above
+    shared = _IN_MEANS if is_coarsest else _LEFT
+    own: Float64s = (1 - _IN_MEANS) * covariances[level] + shared * above
     return own
 
 
@@ -173,5 +172,5 @@ def _left_for_samples(covariances: Float64s) -> Float64s:
     """Return the covariances of noise that coarser levels leave, shape (L, N, N), see `haar_noise`."""
     left = np.zeros_like(covariances)
     left[0] = covariances[0]
-    left[1:] = _LEFT * covariances[1] / _ALL / 4 ** np.arange(len(covariances) - 1)[:, None, None]
+    left[1:] = _LEFT * covariances[1] / _IN_MEANS / 4 ** np.arange(len(covariances) - 1)[:, None, None]
     return left

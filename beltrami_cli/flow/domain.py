@@ -17,8 +17,8 @@ from beltrami_cli.surface.atlas import Indices
 
 Stack = Float32s
 
-# Values that are worked on at a time.
-_AT_ONCE = 1 << 16
+# The median of this many steps between neighbours is within 0.3 % of that of all.
+ENOUGH_STEPS = 200_000
 
 
 class Domain(ABC):
@@ -138,6 +138,6 @@ class CoarseLevel(Domain):
 def in_blocks(axis: int, *stacks: Array) -> Iterator[tuple[Array, ...]]:
     """Go through stacks together in blocks, with the channels, which are at `axis`, first."""
     whole = [np.moveaxis(stack, axis, 0) for stack in stacks]
-    size = max(1, _AT_ONCE // max(1, whole[0][0, :1].size))
+    size = max(1, large_arrays.CACHED // max(1, whole[0][0, :1].size))
     for rows in large_arrays.blocks(whole[0].shape[1], size):
         yield tuple(stack[:, rows] for stack in whole)

@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,11 +21,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import UsageError
+from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.surface.records import Encoding, linear_to_srgb, srgb_to_linear
-
-# One level of an 8-bit file, spread evenly, has the deviation 1 / (255 sqrt(12)). Noise below that cannot be measured.
-_QUANTISATION = 1 / (255 * np.sqrt(12))
 
 # Colour distance at which the first kernel should fall off, in units of the noise: beta sigma. A search over vertex
 # colours and textures at sigma 20 of 255, with t = 2.4, a growth of 2, two regularised and three plain iterations,
@@ -99,7 +98,9 @@ def join_channels(parts: Sequence[tuple[Float32s, float]], axis: int) -> tuple[F
 
 def choose_beta(sigma: Float64s, contrast: float = _BETA_SIGMA) -> float:
     """Choose beta, in spacings per unit of colour, so that noise has a length of `contrast` spacings."""
-    return contrast / max(overall_noise(sigma), float(_QUANTISATION))
+    # The deviation of an even distribution over a step; less noise cannot be measured.
+    rounding = BYTE_STEP / math.sqrt(12)
+    return contrast / max(overall_noise(sigma), rounding)
 
 
 def overall_noise(sigma: Float64s) -> float:

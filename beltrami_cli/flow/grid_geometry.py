@@ -11,27 +11,25 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
-from beltrami_cli.flow.canvas import colours_at, halo_repeats, local_scales, mean_spacing, without_references
+from beltrami_cli.flow.canvas import (
+    ROWS,
+    colours_at,
+    halo_repeats,
+    local_scales,
+    mean_spacing,
+    without_references,
+)
 from beltrami_cli.flow.chunks import Rectangle
 from beltrami_cli.flow.clipping import ClippedChannels, find_clipped
-from beltrami_cli.flow.domain import Geometry, Stack
+from beltrami_cli.flow.domain import ENOUGH_STEPS, Geometry, Stack
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import KernelWork
 from beltrami_cli.flow.regularisation import GridGaussian, gaussian_taps
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, Atlas, Indices, refresh_halo
 
-# Rows of a canvas that are processed together, where each needs memory.
-ROWS = 64
-
-# Rows of cut out blocks, which lie all over a canvas, that are picked at a time.
-_PICKED_ROWS = 256
-
 # Standard deviation of one pass of a wide Gaussian, in cells, whose window the halo fills.
 _SPREAD = 1.6
-
-# The median of this many steps is within 0.3 % of that of all.
-_ENOUGH_STEPS = 200_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +103,7 @@ class GridGeometry(Geometry):
     def steps(self, stack: Stack) -> Float32s:
         """Return differences between neighbours along rows, in evenly spread rows, shape (K, G)."""
         owned = self.atlas.kind == OWNED
-        rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // _ENOUGH_STEPS))
+        rows = np.arange(0, len(owned), max(1, int(np.count_nonzero(owned)) // ENOUGH_STEPS))
         both = owned[rows, :-1] & owned[rows, 1:]
         return (stack[:, rows, 1:] - stack[:, rows, :-1])[:, both].T
 
@@ -178,6 +176,6 @@ def pick(planes: Array, samples: Cells) -> Array:
         return np.ascontiguousarray(planes[samples.index])
     flat = planes.reshape(*planes.shape[:-2], -1)
     picked = np.empty((*flat.shape[:-1], *samples.shape), planes.dtype)
-    for rows in large_arrays.blocks(len(samples), _PICKED_ROWS):
+    for rows in large_arrays.blocks(len(samples), ROWS):
         picked[..., rows, :] = flat[..., samples[rows]]
     return picked

@@ -15,6 +15,8 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Int64s
 from beltrami_cli.flow.canvas import (
+    FURTHEST_SUPPORT,
+    ROWS,
     canvas_colours,
     collaborate_on_canvas,
     end_at_seams,
@@ -27,7 +29,7 @@ from beltrami_cli.flow.cell_squares import Squares, squares_for
 from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, Work, chunk_of, chunking, rectangles
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_geometry import ROWS, Cells, GridGeometry, pick
+from beltrami_cli.flow.grid_geometry import Cells, GridGeometry, pick
 from beltrami_cli.flow.manifold import GuideStack, Manifold, Metric, SampleTrial
 from beltrami_cli.flow.noise.given import relative_to_mean
 from beltrami_cli.flow.noise.grid_squares import Grid
@@ -56,9 +58,6 @@ CELLS_PER_THREAD = 1 << 16
 
 # Row blocks end where the tiles of the core end, so that no tile is cut.
 TILE_ROWS = 32
-
-# The paper's scheme takes supports up to ten cells away, and the metric from their neighbours.
-_BEYOND_WINDOW = 12
 
 # The widest window that the sweeps support; wider ones are marched through with a heap.
 _WIDEST_SWEEP = 15
@@ -248,8 +247,8 @@ class GridManifold(Manifold):
         from beltrami_cli._native import grid_distances
 
         grid, reach = self.geometry, own.window // 2
-        # Nothing further away has an effect, and stencils of a whole canvas take long.
-        around = reach + _BEYOND_WINDOW
+        # Supports, and the neighbours that their metric and its scale are from; stencils of a whole canvas take long.
+        around = reach + FURTHEST_SUPPORT + 2
         top, left = (max(0, place - around) for place in centre)
         part = np.s_[..., top : centre[0] + around + 1, left : centre[1] + around + 1]
         kind = np.ascontiguousarray(grid.atlas.kind[part])

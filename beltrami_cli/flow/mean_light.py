@@ -38,9 +38,6 @@ _BAND_FACTOR = 16.0
 # Bands below and above full scale. Light beyond them, such as black, belongs to the last ones.
 _MOST_BANDS = 4
 
-# Less than any sum of light, against a division by 0.
-_NO_LIGHT = np.float32(1e-30)
-
 
 @dataclass(frozen=True)
 class MeanLight:
@@ -77,7 +74,7 @@ def _give_back(geometry: Geometry, before: Float32s, after: Float32s) -> None:
             lost[:], size[:] = weighted * (z[0] - u[0]), weighted * np.abs(u[0])
         sums = geometry.spread(sums)
         for u, own, (lost, size) in in_blocks(0, smoothed, after, sums):
-            own[0] += _weights(u[0], band) * np.abs(u[0]) * lost / np.maximum(size, _NO_LIGHT)
+            own[0] += _weights(u[0], band) * np.abs(u[0]) * lost / np.maximum(size, np.finfo(np.float32).tiny)
 
 
 def _light_of(manifold: Manifold, space: Space) -> Float32s:

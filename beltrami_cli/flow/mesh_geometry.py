@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,14 +17,10 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import MeshWork
 from beltrami_cli.flow.regularisation import MeshGaussian
 from beltrami_cli.flow.tuning.mesh_trial import fingerprints
-from beltrami_cli.flow.vertex_graph import Graph, all_known
+from beltrami_cli.flow.vertex_graph import PASS_SCALE, PASS_VARIANCE, Graph, all_known
 from beltrami_cli.surface.atlas import OWNED, Indices
 from beltrami_cli.surface.geometry import edges_in_space, local_spacing, mean_side, vertex_areas
 from beltrami_cli.surface.records import SampledSurface
-
-# Sums of the blend are taken by passes over neighbours. On a triangle lattice each pass adds 0.43 squared spacings to
-# the variance: as many passes as `MeshGeometry.width` needs.
-_SPREAD, _PASSES = 3.0, 38
 
 # Steps of colours, far above their rounding, by which signs and the patches that start groups are chosen.
 _COARSE = np.float32(256)
@@ -169,9 +166,9 @@ class MeshGeometry(Geometry):
 
     def spread(self, planes: Float32s) -> Float32s:
         """Average rows over the surface, in passes over the neighbours of each sample."""
-        means = MeshGaussian.of(self.size, self.edges, self.lengths, _SPREAD, gain=1.0)
+        means = MeshGaussian.of(self.size, self.edges, self.lengths, PASS_SCALE, gain=1.0)
         rows = np.ascontiguousarray(planes.T)
-        for _ in range(_PASSES):
+        for _ in range(math.ceil(self.width**2 / PASS_VARIANCE)):
             rows = means.smooth(rows)
         return np.ascontiguousarray(rows.T)
 

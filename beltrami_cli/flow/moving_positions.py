@@ -18,6 +18,7 @@ References
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -100,9 +101,6 @@ class MovingPositions:
         return dataclasses.replace(self, positions=positions, normals=normals)
 
 
-# The length of a vector of two independent normal numbers has the median sqrt(2 ln 2).
-_SIGMA_PER_MEDIAN_LENGTH = 1 / np.sqrt(2 * np.log(2))
-
 # Length of the noise of normals in sample spacings: beta sigma. On noisy cubes, cylinders, spheres and a head, the flat
 # optimum of the remaining noise in smooth parts and at creases.
 _NORMAL_BETA_SIGMA = 1.5
@@ -121,7 +119,7 @@ def estimate_normal_sigma(normals: Float32s, edges: Int32s) -> float:
     squares = sum(np.square(residual) for residual in _residuals(normals, edges))
     if not np.size(squares):
         return 0.0
-    return float(_SIGMA_PER_MEDIAN_LENGTH * np.sqrt(np.median(squares)))
+    return float(np.sqrt(np.median(squares)) / _median_length())
 
 
 def _residuals(normals: Float32s, edges: Int32s) -> list[Float64s]:
@@ -140,5 +138,10 @@ def choose_normal_beta(normals: Float32s, edges: Int32s, sigma: float) -> float:
         return by_noise
     median = float(np.median(np.linalg.norm(normals[edges[:, 0]] - normals[edges[:, 1]], axis=1)))
     # Of two noisy normals, the difference has twice the variance of one about each axis.
-    turn = np.sqrt(max(0.0, median**2 - 2 * (sigma / _SIGMA_PER_MEDIAN_LENGTH) ** 2))
+    turn = np.sqrt(max(0.0, median**2 - 2 * (sigma * _median_length()) ** 2))
     return min(by_noise, _TURN_COUNTS / turn) if turn > 0 else by_noise
+
+
+def _median_length() -> float:
+    """Return the median length of a vector of two independent normal numbers of deviation 1."""
+    return math.sqrt(2 * math.log(2))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import check, described, parameter
+from beltrami_cli.fields import BYTE_STEP, check, described, parameter
 from beltrami_cli.flow.noise.given import GivenNoise, file_of_noise, given_noise
 
 Weights = Literal["uniform", "area"]
@@ -36,9 +36,6 @@ _SEGMENTS_REACH = 14
 
 # A Gaussian of a smaller standard deviation, in sample spacings, has no weight beyond its own sample.
 _SMALLEST_SCALE = 0.05
-
-# Least noise that is assumed at the strength "strong": a step of an 8-bit file. It falls to 0 at "normal".
-_LEAST_STRONG = 1 / 255
 
 _CHOSEN = "chosen from the data, else {default}"
 
@@ -235,7 +232,8 @@ class KernelParameters:
     def least_noise(self) -> float:
         """Lower bound of the standard deviation of estimated noise."""
         normal, strong = STRENGTHS["normal"], STRENGTHS["strong"]
-        return _LEAST_STRONG * max(0.0, self.strength - normal) / (strong - normal)
+        # A step of an 8-bit file at the strength "strong".
+        return BYTE_STEP * max(0.0, self.strength - normal) / (strong - normal)
 
     @property
     def takes_patches(self) -> bool:

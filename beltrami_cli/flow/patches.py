@@ -32,7 +32,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Float32s, Float64s
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
-from beltrami_cli.flow.domain import CoarseLevel, Domain, in_blocks
+from beltrami_cli.flow.domain import ENOUGH_STEPS, CoarseLevel, Domain, in_blocks
 from beltrami_cli.flow.manifold import Manifold, relative_variance
 from beltrami_cli.flow.noise.features import COMPONENTS
 from beltrami_cli.flow.records import Mixing
@@ -44,17 +44,17 @@ _COMPARED = np.array([1, 0.5, 0.5])
 # What the noise is multiplied by, once there is a pilot, where patches show no detail. In photographs most detail of
 # differences of channels is in their mean, too, and what remains of their noise is what people see. Noise that
 # neighbours share is known less well, and what exceeds it may be noise as well: it is never multiplied by less.
-_SHRINKAGE, _OF_DIFFERENCES, _LEAST_IF_SHARED = 2.0, 6.0, 1.0
+_SHRINKAGE = {"mean": 2.0, "difference": 6.0, "shared by neighbours": 1.0}
 
-# Channels whose differences vary this much less than their mean are colours; so many steps are enough to decide.
-_COLOURED, _ENOUGH_STEPS = 0.7, 200_000
+# Channels whose differences vary this much less than their mean are colours.
+_COLOURED = 0.7
 
 # Noise of a channel, as a share of the largest, below which there is nothing to estimate.
 _NOISELESS = 0.01
 
 # The perturbation, in units of the noise. Groups change with the colours in steps, which a smaller one does not see, so
 # that patches are trusted too much where noise is underestimated; a larger one sees too much of them.
-_PERTURBATION = 0.2
+PERTURBATION = 0.2
 
 
 @dataclass(frozen=True)
@@ -68,15 +68,14 @@ class _Prior:
 # Regions with small sums are plain, and there means of many samples are at home. Their weights differ between
 # regions by a variance of 0.02 to 0.45, as measured on eight textures with noise of 10, 20 and 40 of 255: a prior
 # narrower than the least of these would spread over plain textures what patches do for others.
-_OF_SAMPLES, _OF_MEANS = _Prior(1.0, 0.025), _Prior(0.5, 0.02)
+_PRIORS = {"samples": _Prior(1.0, 0.025), "means": _Prior(0.5, 0.02)}
 
 # Shares of samples that are not cut off, from which on means of them are trusted, and fully. What lies at a limit, as
 # black and white do, errs to one side only, and the kernel does not err there.
-_LEAST_WITHIN, _ENOUGH_WITHIN = 0.64, 0.84
+_TRUSTED_WITHIN = (0.64, 0.84)
 
-# How many iterations of the kernel both steps of an estimate take as long as.
-_FIRST, _SECOND = 6, 20
-PASSES = _FIRST + _SECOND
+# How many iterations of the kernel the two steps of an estimate take as long as.
+PASSES = (6, 20)
 
 
 # Noisy colours, a perturbation of unit size, its size, and what it is divided by in the divergence.
@@ -104,7 +103,7 @@ def blend_with_patches(
     axis, threads = geometry.axis, geometry.threads
     before = kernel(large_arrays.copy_of(noisy))
     signs = manifold.perturbation()
-    size = np.float32(_PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
+    size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
     _add(axis, disturbed, signs, size, threads)
     disturbed = kernel(disturbed)
@@ -116,11 +115,11 @@ def blend_with_patches(
     second = with_pilot(mixing, manifold)
 
     def estimate(colours: Float32s, pilot: Float32s) -> Float32s:
-        first = manifold.collaborate(colours, pilot, mixing, stage(_FIRST))
+        first = manifold.collaborate(colours, pilot, mixing, stage(PASSES[0]))
         for own, kernels in in_blocks(axis, first, pilot):
             own += kernels
             own /= 2
-        return manifold.collaborate(colours, first, second, stage(_SECOND), replaces_pilot=True)
+        return manifold.collaborate(colours, first, second, stage(PASSES[1]), replaces_pilot=True)
 
     after = estimate(noisy, before)
     with _added(axis, noisy, signs, size, threads):
@@ -155,7 +154,7 @@ def _mix(
     for (z, b, p, q, near_p, near_q, relative), (own,) in zip(stacks, in_blocks(0, sums), strict=True):
         probe: Array = b / divisors
         blend_terms(z, probe, (p, q, near_p, near_q), (*model.noise, relative), own, model.threads)
-    weights, share, gain = _weigh(geometry, sums, model.variance, _OF_SAMPLES)
+    weights, share, gain = _weigh(geometry, sums, model.variance, _PRIORS["samples"])
     stacks = in_blocks(axis, *results, *responses)
     for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
         blend(p, q, own, geometry.threads)
@@ -243,12 +242,13 @@ def _improve_means(
     for (d, near_d, b, near_b, residual, probe, within, relative), (own,) in zip(
         stacks, in_blocks(0, sums), strict=True
     ):
-        trusted = np.clip((within - _LEAST_WITHIN) / (_ENOUGH_WITHIN - _LEAST_WITHIN), 0, 1)
+        least, enough = _TRUSTED_WITHIN
+        trusted = np.clip((within - least) / (enough - least), 0, 1)
         d[:], near_d[:] = trusted * (d - b), trusted * (near_d - near_b)
         own[:] = model.terms(
             residual, probe / noisy.divisors, within * d, within * near_d, within * relative[0]
         )
-    weights, _, gain = _weigh(level, sums, model.variance * level.noise, _OF_MEANS)
+    weights, _, gain = _weigh(level, sums, model.variance * level.noise, _PRIORS["means"])
     for stack, difference in zip(colours, differences, strict=True):
         for (change,), (weight,) in zip(in_blocks(axis, difference), in_blocks(0, weights), strict=True):
             change *= weight[0]
@@ -313,9 +313,10 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
     """Return the same for estimates with a pilot."""
     is_mixed = np.count_nonzero(mixing.forth, axis=1) > 1
     is_difference = is_mixed & (mixing.forth.sum(axis=1) < mixing.forth.max(axis=1))
-    shrinkage, least = np.where(is_difference, _OF_DIFFERENCES, _SHRINKAGE), 0.0
+    shrinkage, least = np.where(is_difference, _SHRINKAGE["difference"], _SHRINKAGE["mean"]), 0.0
     if manifold.noise.is_shared:
-        shrinkage, least = np.full(len(shrinkage), _SHRINKAGE), _LEAST_IF_SHARED
+        least = _SHRINKAGE["shared by neighbours"]
+        shrinkage = np.full(len(shrinkage), least)
     return dataclasses.replace(
         mixing,
         shrinkage=shrinkage.astype(np.float32),
@@ -328,7 +329,7 @@ def with_pilot(mixing: Mixing, manifold: Manifold) -> Mixing:
 def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
     """Whether the first three channels vary mostly together."""
     steps = manifold.geometry.steps(colours)
-    some = steps[:: 1 + len(steps) // _ENOUGH_STEPS, :3].astype(np.float64)
+    some = steps[:: 1 + len(steps) // ENOUGH_STEPS, :3].astype(np.float64)
     mixed = np.square(np.einsum("kj,ij->ki", some, COMPONENTS)).sum(axis=0)
     return bool(mixed[1:].sum() <= 2 * _COLOURED * mixed[0])
 

@@ -35,9 +35,6 @@ _MOST_NEAR_HUBS = 1_000_000
 # A small tangle takes no time. On surfaces V - E + F is about 0, whatever their handles and borders are.
 _SMALL, _TANGLED = 1_000, -1 / 4
 
-# Samples in a circle of radius 1 where triangles are equilateral, with sides of 1.
-_DENSITY = 2 * math.pi / math.sqrt(3)
-
 # Samples of the largest kernels there, as a multiple of what they would hold on an even surface.
 _LARGEST = 2
 
@@ -176,7 +173,9 @@ class KernelWork:
         )  # fmt: skip
 
     def _on_even_surface(self, parameters: KernelParameters) -> float:
-        return 1 + _DENSITY * (parameters.radius / self._unit) ** 2
+        """Return how many samples a kernel holds where triangles are equilateral, with an area of sqrt(3) / 4."""
+        circle, of_sample = math.pi * (parameters.radius / self._unit) ** 2, math.sqrt(3) / 2
+        return 1 + circle / of_sample
 
 
 class MeshWork(KernelWork):

@@ -15,9 +15,8 @@ from typing import TypeAlias
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from beltrami_cli.surface.atlas import EMPTY, STEPS, Atlas, ends_of
-
-_ROWS = 256  # of a grid that are processed together
+from beltrami_cli.surface import large_arrays
+from beltrami_cli.surface.atlas import EMPTY, ROWS, STEPS, Atlas, ends_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +108,14 @@ def _partial_totals(
     # Most cells have all neighbours: weights sum to 1 but for rounding. The lightest neighbour is in a corner.
     enough = 1 - taps[0] ** 2 / 2
     cells, totals = [np.zeros(0, np.int32)], [np.zeros(0, np.float32)]
-    for first in range(0, len(filled), _ROWS):  # whole planes would take the memory that this saves
+    for first in range(0, len(filled), ROWS):  # whole planes would take the memory that this saves
         above = min(first, reach)
-        band = filled[first - above : first + _ROWS + reach]
+        band = filled[first - above : first + ROWS + reach]
         total = _convolved(band[None].astype(np.float32), taps, None if reachable is None else band, threads)[
             0
         ]
-        total = total[above : above + _ROWS]
-        lacking = np.flatnonzero((total < enough) & filled[first : first + _ROWS])
+        total = total[above : above + ROWS]
+        lacking = np.flatnonzero((total < enough) & filled[first : first + ROWS])
         cells.append((lacking + first * filled.shape[1]).astype(np.int32))
         totals.append(total.reshape(-1)[lacking])
     return np.concatenate(cells), np.concatenate(totals)
@@ -165,10 +164,6 @@ def gaussian_taps(scale: float) -> Float32s:
     return np.asarray(taps / taps.sum(), np.float32)
 
 
-# Window cells that are processed together: some tens of megabytes.
-_AT_ONCE = 1 << 20
-
-
 @dataclass(frozen=True, eq=False)
 class CutMeans:
     """Means over the cells of a square window that can be reached from its centre inside the window."""
@@ -205,7 +200,7 @@ class CutMeans:
 
 
 def _chunks(begin: int, end: int, window: int) -> Iterator[slice]:
-    size = max(1, _AT_ONCE // window)
+    size = max(1, large_arrays.BLOCK // window)
     for first in range(begin, end, size):
         yield slice(first, min(first + size, end))
 

@@ -25,17 +25,14 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.flow.chunks import Chunk, Neighbours, chunk_of_run, chunking, runs
 from beltrami_cli.flow.regularisation import MeshGaussian
 
-# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally. On a triangle
-# lattice a pass adds so many squared spacings to the variance.
-_FLAT, _PASS = 3.0, 0.43
+# Standard deviation of the Gaussian of one pass over neighbours, in spacings: all count about equally.
+PASS_SCALE = 3.0
+# Squared spacings that a pass adds to the variance on a triangle lattice.
+PASS_VARIANCE = 0.43
 
 # Edges from the start of a group to the samples that it estimates: 200 candidates lie within eight, or twelve at the
 # border of a surface, and the nodes of their patches within four more.
 _RINGS_OF_GROUP = 16
-
-# Edges from the samples of a chunk to the last one that it has: a group reads as far as it estimates, and which samples
-# start groups depends on the starts around these.
-_RINGS = 2 * _RINGS_OF_GROUP + 2
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class Graph:
 
     @cached_property
     def _means(self) -> MeshGaussian:
-        return MeshGaussian.of(self.size, self.edges, np.ones(len(self.edges)), _FLAT, gain=1.0)
+        return MeshGaussian.of(self.size, self.edges, np.ones(len(self.edges)), PASS_SCALE, gain=1.0)
 
     @cached_property
     def patches(self) -> SurfacePatches:
@@ -78,7 +75,8 @@ class Graph:
     def _chunk(self, neighbours: Neighbours, first: int, last: int) -> Chunk:
         from beltrami_cli._native import PATCH_BLOCK_SIZE
 
-        rings = neighbours.distances(first, last, _RINGS)
+        # A group reads as far as it estimates, and which samples start groups depends on the starts around these.
+        rings = neighbours.distances(first, last, 2 * _RINGS_OF_GROUP + 2)
 
         def part_of(samples: Int64s) -> Graph:
             rank = np.full(self.size, -1, np.int32)
@@ -94,7 +92,7 @@ class Graph:
 
     def smoothed(self, rows: Float32s, variance: float) -> Float32s:
         """Smooth rows of samples over their neighbours; `variance` in squared spacings."""
-        for _ in range(max(1, round(variance / _PASS))):
+        for _ in range(max(1, round(variance / PASS_VARIANCE))):
             rows = self._means.smooth(rows)
         return rows
 

@@ -68,7 +68,7 @@ class ImageLayer(Layer):
         """
         refuse_options_of_meshes(settings, document.name)
         if not large_arrays.is_on_disk():  # for which `checked_memory` has seen to it
-            require_memory([(document.name, document.data)], access, PIXEL_BYTES)
+            require_memory([(document.name, document.data)], access, PIXEL_BYTES["smoothed"])
         picture, chosen = with_chosen_layer(document.picture(), settings)
         only = colours_only or picture.is_layered
         colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)

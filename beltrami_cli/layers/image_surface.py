@@ -22,7 +22,7 @@ from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import require_size
-from beltrami_cli.layers.memory_check import MAPPED_PIXEL_BYTES, require_memory
+from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import Make, plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, grid_atlas
@@ -32,7 +32,6 @@ Pixels = NDArray[np.int64]
 
 # Channels that hold a depth or height, as renderers and cameras call them.
 _HEIGHTS = ("z", "depth", "height", "depth.z", "y")
-_COARSE = "uint8"
 
 
 @dataclass(frozen=True)
@@ -88,11 +87,11 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
 def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Picture:
     """Read an image of the size of the picture, and add notices about it as a map."""
     data = read_source(path, access)
-    require_memory([(path, data)], access, MAPPED_PIXEL_BYTES)
+    require_memory([(path, data)], access, PIXEL_BYTES["mapped"])
     read = read_image(data, path, finite=False)
     require_size(read.pixels, picture.pixels.shape[:2], path, picture.name)
     notices += read.notices
-    if read.stored == _COARSE:
+    if read.stored == "uint8":
         notices.append(
             f"{path} has 8 bits only, so that its surface has steps; 16 bits or floats are better."
         )

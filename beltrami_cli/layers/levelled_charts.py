@@ -15,7 +15,7 @@ from beltrami_cli.formats.image import Picture
 from beltrami_cli.layers.layer import LevelReport
 from beltrami_cli.layers.settings import LevelSettings
 from beltrami_cli.levelling.correction import Levelled, level_canvas, level_mesh
-from beltrami_cli.levelling.verdict import CONFIDENCE, Verdict
+from beltrami_cli.levelling.exposures import CONFIDENCE, Verdict
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.records import SampledSurface, Texture
@@ -26,10 +26,10 @@ _TOO_SMALL = "the change would be too small to be seen"
 
 
 def level_charts(
-    what: str, planes: Float32s, atlas: Atlas, charts: TextureCharts, wanted: LevelSettings, halved: Sequence[bool]
+    what: str, planes: Float32s, atlas: Atlas, charts: TextureCharts, wanted: LevelSettings, spans: Sequence[int]
 ) -> LevelReport:  # fmt: skip
-    """Take exposure steps out of colours on a canvas, in place; `halved`: whether textures have halved colour."""
-    found, change = level_canvas(atlas, planes, wanted.strength, charts.matching(wanted.reference), halved)
+    """Take exposure steps out of colours on a canvas, in place; `spans` as in `level_canvas`."""
+    found, change = level_canvas(atlas, planes, wanted.strength, charts.matching(wanted.reference), spans)
     return _report(what, found, change, charts.facts())
 
 
@@ -128,12 +128,12 @@ def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str
 
 def _why_not(verdict: Verdict) -> str:
     share = f"{100 * verdict.share:.0f} %"
-    if verdict.confidence < CONFIDENCE:
-        return f"the seam steps do not agree with one exposure per chart, which explains {share} of them"
     explained = f"one exposure per chart explains {share} of the steps"
-    if verdict.is_flat:
+    if verdict.confidence >= CONFIDENCE:
+        return f"{explained}, but they are paint: the pattern does not continue across the seams"
+    if verdict.is_flat and verdict.share > 0:
         return f"{explained}, which could be paint: no pattern crosses the seams"
-    return f"{explained}, but they are paint: the pattern does not continue across the seams"
+    return f"the seam steps do not agree with one exposure per chart, which explains {share} of them"
 
 
 def photograph_attribute(document: Document, wanted: str | None = None) -> str | None:

@@ -16,18 +16,11 @@ from beltrami_cli.surface.large_arrays import kept_on_disk
 from beltrami_cli.surface.records import Slot, Texture
 from beltrami_cli.surface.worker_process import temporary_folder
 
-_FLOATS = 2 * 4  # the old and the new colours of one image at a time, in single precision
-
-# Bytes per pixel and per sample that a job on an image needs in memory at least, besides the decoded image: the least
-# of `beltrami info` and `beltrami noise`, from their peaks on noise of 1536 x 1536 pixels with one channel and three
-# (41 + 13, 40 + 15).
-PIXEL_BYTES = 40, 13
-
-# The same of comparing two images (30 + 1).
-COMPARED_PIXEL_BYTES = 30, 1
-
-# The same of an image with heights or positions: coordinates in double precision, as read and for each pixel.
-MAPPED_PIXEL_BYTES = 3 * 8, 8
+# Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
+# at a time, its old and new colours in single precision; to smooth an image, the least of `beltrami info` and
+# `beltrami noise`, from their peaks on noise of 1536 x 1536 pixels with one channel and three (41 + 13, 40 + 15); to
+# compare two (30 + 1); to read heights or positions, as coordinates in double precision, as read and for each pixel.
+PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (30, 1), "mapped": (3 * 8, 8)}
 
 # Image files that are not read again stay in memory as they are, and as they are written.
 _FILES = 2
@@ -39,7 +32,7 @@ _CHANNELS = 4
 
 
 def require_memory(
-    images: Iterable[tuple[str, bytes]], access: Access, pixel_bytes: tuple[int, int] = (0, _FLOATS)
+    images: Iterable[tuple[str, bytes]], access: Access, pixel_bytes: tuple[int, int] = PIXEL_BYTES["painted"]
 ) -> None:
     """Raise InputError if images cannot fit into memory: all as stored, and one of them as it is worked on.
 

@@ -86,7 +86,6 @@ def without_transparent(
     return without_owned(atlas, hidden) if hidden.any() else atlas
 
 
-_BLOCK = 1 << 16  # texels painted at a time, which bounds the memory for them in floats
 # A step between two texels has the noise of both; beyond this many deviations of what smoothing took away it is real.
 _REAL_STEP = 3.0
 
@@ -145,7 +144,7 @@ class Repainting:
         """Write samples into pixels like a picture's own, in place, and return how these change."""
         picture, colours = self.pictures[index], self.colours
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
-        for block in large_arrays.blocks(len(texels), _BLOCK):
+        for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
             inside, here = self.of_texture(texels[block], index)
             if not len(here):
                 continue
@@ -189,7 +188,7 @@ def keep_others(
     limit = _REAL_STEP * _taken_away(rows, new_rows, covered, shown)
     painted, continues = np.flatnonzero(is_known), np.zeros(covered.shape, bool)
     for texels, nearest in nearest_covered(covered, width + 1 if width else 0, threads=threads):
-        for block in large_arrays.blocks(len(texels), _BLOCK):
+        for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
             here, there = texels[block], nearest[block]
             step = shown(rows[here]) - shown(rows[there])
             is_halo = is_known[here]
@@ -227,7 +226,7 @@ def _taken_away(old: Array, new: Array, covered: Bools, shown: Callable[[Array],
     """Return the root mean square by which the texels at the borders of charts changed."""
     edge = np.flatnonzero(covered & within(~covered, 1))
     total = 0.0
-    for block in large_arrays.blocks(len(edge), _BLOCK):
+    for block in large_arrays.blocks(len(edge), large_arrays.CACHED):
         change = shown(new[edge[block]]) - shown(old[edge[block]])
         total += float(np.square(_size(change)).sum())
     return float(np.sqrt(total / max(1, len(edge))))

@@ -253,8 +253,8 @@ class TextureLayer(layer.Layer):
         planes = on_canvas(self)
         charts = TextureCharts.of(self.atlas, self.surface.textures, self.pictures)
         is_coloured = self.names == ("red", "green", "blue")
-        halved = [is_coloured and each is not None and max(each.span) > 1 for each in self.tables]
-        report = level_charts(self.label, planes, self.atlas, charts, wanted, halved)
+        spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
+        report = level_charts(self.label, planes, self.atlas, charts, wanted, spans)
         levelled, threads = None, self.settings.kernel.thread_count
         if report.levelled:
             levelled = colours_at(planes, self.atlas.owned_cells, threads)

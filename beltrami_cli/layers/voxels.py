@@ -24,7 +24,6 @@ Source = reconstruction.GridColours | reconstruction.NearColours
 # More crossed grid edges are due to noise or a wrong level; and marching cubes counts in 32 bits.
 MAX_CROSSINGS = 1 << 26
 _BYTES_OF_VOXEL = 16  # its value in double precision, its colour, and what marching cubes takes
-_LARGEST_PLANE = 1 << 29  # samples in a layer, four to each counted in 32 bits
 
 
 def _find_colours(
@@ -164,7 +163,9 @@ def _triangulated(
 ) -> tuple[Float64s, Int32s]:
     """Return the surface, in units of the grid, facing outwards in space."""
     values = volume.values
-    if values.shape[1] * values.shape[2] >= _LARGEST_PLANE:
+    if (
+        4 * values.shape[1] * values.shape[2] > np.iinfo(np.int32).max
+    ):  # marching cubes counts four to each sample
         raise InputError(name, f"the grid of {values.shape} is too large in y and z", "cut it in pieces")
     crossings = reconstruction.find_crossings(values, level, known)
     if crossings.count > MAX_CROSSINGS:

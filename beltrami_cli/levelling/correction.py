@@ -1,47 +1,48 @@
-"""Colours without exposure steps, if there are any. The mean of all that is changed stays."""
+"""Colours without exposure steps, if there are any. The mean of all that is changed stays.
+
+Hues at the borders of charts, where JPEG mixed them with colours beyond, are continued from further inside: a decoder
+interpolates halved colour, so that texels near a border have some of the colour beyond it, which may be of another
+exposure. Brightness is stored for each texel, and stays as it is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.levelling.fit import Exposures, fit_exposures
-from beltrami_cli.levelling.hues import continue_hues, mixed_cells
+from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.levelling.exposures import Exposures, Verdict, fit_exposures, judge, squared_steps
 from beltrami_cli.levelling.steps import (
+    RIDGE,
     ChartPlaces,
     Steps,
+    joined,
+    positions_of,
     steps_over_edges,
     steps_over_seams,
     weighted_median,
 )
-from beltrami_cli.levelling.verdict import Verdict, judge
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import Atlas, Indices, refresh_halo
+from beltrami_cli.surface.atlas import OWNED, ROWS, Atlas, Indices, refresh_halo, within
 from beltrami_cli.surface.records import limits_of
 
 Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
 
-# Seams with a mean weight below this are painted, with a step above the other have one at all.
-_PAINTED, _STEP = 0.3, 2 / 255
-# A mean change below this is none that anybody could see: the colours stay.
-LEAST_CHANGE = 0.5 / 255
-_PROBED = 1 << 21  # samples from which means are taken
-_BLOCK = 1 << 18
-_NOWHERE = np.zeros((0, 2))  # places, where they make no difference
+LUMA = np.array([0.299, 0.587, 0.114])  # of BT.601, as JPEG has it
 
 
 @dataclass(frozen=True)
 class SeamFacts:
     """The seams between different charts: how many, which have steps, and how large these are in the median."""
 
-    seams: int
-    stepped: int
-    painted: int
-    before: float
-    after: float
+    seams: int = 0
+    stepped: int = 0
+    painted: int = 0
+    before: float = 0.0
+    after: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -55,48 +56,35 @@ class Levelled:
 
 
 def _without_seams(charts: int) -> Levelled:
-    return Levelled(None, None, SeamFacts(0, 0, 0, 0.0, 0.0), np.arange(charts))
+    return Levelled(None, None, SeamFacts(), np.arange(charts))
 
 
 def find_exposures(steps: Steps, strength: float, fixed: Bools | None = None) -> Levelled:
     """Decide whether the charts differ in exposure, and find how; `fixed` charts stay as they are."""
-    apart = np.arange(steps.charts)
-    if not np.any(steps.ends[:, 0] != steps.ends[:, 1]):
+    if not steps.between.any():
         return _without_seams(steps.charts)
     verdict = judge(steps, fixed)
     found = fit_exposures(steps, verdict.spread, fixed)
-    facts = _facts(steps, found, strength if verdict.is_sure else 0.0)
     if not verdict.is_sure:
-        return Levelled(verdict, None, facts, apart)
-    return Levelled(verdict, found, facts, _joined(steps, found))
+        return Levelled(verdict, None, _facts(steps, found, 0.0), np.arange(steps.charts))
+    groups = joined(steps.charts, steps.ends[found.weights > 0])[1]
+    return Levelled(verdict, found, _facts(steps, found, strength), groups)
 
 
 def _facts(steps: Steps, found: Exposures, strength: float) -> SeamFacts:
-    between = steps.ends[:, 0] != steps.ends[:, 1]
-    _, seam = np.unique(steps.seams[between], return_inverse=True)
-    signs = np.where(steps.ends[between, 0] < steps.ends[between, 1], 1.0, -1.0)
-    counts = np.bincount(seam, steps.counts[between])
-
-    def sizes(sides: Float64s) -> Float64s:
-        step = signs[:, None] * (sides[between, 1] - sides[between, 0])
-        means = [np.bincount(seam, each * steps.counts[between]) / counts for each in step.T]
-        return np.asarray(np.sqrt(np.mean(np.square(means), axis=0)))
-
-    before = sizes(steps.colours)
-    after = sizes(steps.colours + strength * (found.sides(steps) - steps.colours))
-    agreed = np.bincount(seam, found.weights[between] * steps.counts[between]) / counts
-    stepped, painted = (int(np.count_nonzero(each)) for each in (before > _STEP, agreed < _PAINTED))
-    medians = (weighted_median(each, counts) for each in (before, after))
-    return SeamFacts(len(counts), stepped, painted, *medians)
-
-
-def _joined(steps: Steps, found: Exposures) -> Indices:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    used = steps.ends[found.weights > 0]
-    pairs = coo_array((np.ones(len(used)), (used[:, 0], used[:, 1])), shape=(steps.charts,) * 2)
-    return np.asarray(connected_components(pairs, directed=False)[1])
+    inside = steps.between
+    between, painted = steps.part(inside), found.is_painted(steps)[inside]
+    _, first, seam = np.unique(between.seams, return_index=True, return_inverse=True)
+    changed = between.colours + strength * (found.sides(between) - between.colours)
+    before, after = (np.sqrt(squared_steps(between, each, seam)) for each in (between.colours, changed))
+    texels = np.bincount(seam, between.counts).astype(np.float64)
+    return SeamFacts(
+        seams=len(first),
+        stepped=int(np.count_nonzero(before > 2 * BYTE_STEP)),  # each side is rounded
+        painted=int(np.count_nonzero(painted[first])),
+        before=weighted_median(before, texels),
+        after=weighted_median(after, texels),
+    )
 
 
 class Correction:
@@ -107,11 +95,9 @@ class Correction:
         self._found, self._strength = levelled.exposures, strength
         channels, charts, _ = levelled.exposures.terms.shape
         self._shift = np.zeros((charts, channels))
-        self._moved = np.asarray(levelled.exposures.terms.any(axis=(0, 2)))
-        self._anchored = np.zeros(charts, bool)
-        if fixed is not None:
-            self._moved &= ~fixed
-            self._anchored = np.isin(levelled.groups, levelled.groups[fixed])
+        fixed = np.zeros(charts, bool) if fixed is None else fixed
+        self._moved = np.asarray(levelled.exposures.terms.any(axis=(0, 2))) & ~fixed
+        self._is_free = self._moved & ~np.isin(levelled.groups, levelled.groups[fixed])
 
     def of(self, colours: Float32s, charts: Indices, places: Float64s) -> Float32s:
         """Return the colours, shape (K, N), at places in charts without the exposures."""
@@ -129,48 +115,45 @@ class Correction:
         Groups of charts share that mean, also if no seam joins them. To keep the mean of each would keep the exposures
         of its largest charts, and that all terms are drawn to 0 is the better guess.
         """
-        rows = np.arange(0, count, max(1, count // _PROBED))
-        change = np.zeros_like(self._shift)
-        areas, total = np.zeros(len(change)), 0.0
-        for block in np.array_split(rows, max(1, len(rows) // _BLOCK)):
-            colours, charts, places = samples(block)
-            difference = (self.of(colours, charts, places) - colours).astype(np.float64)
+        areas, change = np.zeros(len(self._shift)), np.zeros_like(self._shift)
+        for charts, difference in self._changes(count, samples):
             areas += np.bincount(charts, minlength=len(areas))
-            for channel, column in enumerate(difference.T):
-                change[:, channel] += np.bincount(charts, column, len(areas))
-        is_free = self._moved & ~self._anchored
-        mean = change[is_free].sum(axis=0) / max(1, areas[is_free].sum())
-        self._shift[is_free] = -mean / max(self._strength, 1e-9)
-        for block in np.array_split(rows, max(1, len(rows) // _BLOCK)):
-            colours, charts, places = samples(block)
-            total += float(np.abs(self.of(colours, charts, places) - colours).sum(dtype=np.float64))
-        mean = total / max(1, len(rows) * change.shape[1])
-        return mean if mean >= LEAST_CHANGE else 0.0
+            change += np.column_stack([np.bincount(charts, each, len(areas)) for each in difference.T])
+        mean = change[self._is_free].sum(axis=0) / max(1, areas[self._is_free].sum())
+        self._shift[self._is_free] = -mean / max(self._strength, np.finfo(float).tiny)
+        total = sum(float(np.abs(difference).sum()) for _, difference in self._changes(count, samples))
+        mean_change = total / max(1.0, float(areas.sum()) * change.shape[1])
+        return mean_change if mean_change >= BYTE_STEP / 2 else 0.0
+
+    def _changes(self, count: int, samples: Samples) -> Iterator[tuple[Indices, Float64s]]:
+        """Yield the charts of evenly spread samples, and how their colours change."""
+        rows = np.arange(0, count, max(1, count // large_arrays.BLOCK))
+        for block in large_arrays.blocks(len(rows), large_arrays.CACHED):
+            colours, charts, places = samples(rows[block])
+            yield charts, (self.of(colours, charts, places) - colours).astype(np.float64)
 
 
 def level_canvas(
-    atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None, halved: Sequence[bool] = ()
+    atlas: Atlas, planes: Float32s, strength: float, fixed: Bools | None, spans: Sequence[int] = ()
 ) -> tuple[Levelled, float]:
     """Take exposures out of planes, shape (N, R, C), in place; return also the mean change, 0 if they stay.
 
-    `halved`: textures that store colour, red, green and blue, at half the resolution.
+    `spans`: on how many texels, at most, a stored colour of each texture is; brightness has one for each.
     """
     if not atlas.seams:
         return _without_seams(atlas.charts), 0.0
-    places, columns = ChartPlaces.of(atlas), atlas.kind.shape[1]
-    flat = planes.reshape(len(planes), -1)
+    places, flat = ChartPlaces.of(atlas), planes.reshape(len(planes), -1)
     found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
     # Hues continued over more texels are less sure: whether there are exposures at all, mixed ones must tell, too.
-    if found.exposures is not None and any(halved):
-        mixed = mixed_cells(atlas, halved)
-        own = continue_hues(atlas, planes, mixed, limits_of(planes))
+    if found.exposures is not None and max(spans, default=1) > 1:
+        mixed = mixed_cells(atlas, spans)
+        before = continue_hues(atlas, planes, mixed, max(spans))
         found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
-        flat[:, mixed] = own
+        flat[:, mixed] = before
 
     def samples(rows: Int64s | slice) -> tuple[Float32s, Indices, Float64s]:
         cells, charts = atlas.owned_cells[rows], atlas.chart_of[rows]
-        is_tilted = found.exposures is not None and found.exposures.is_tilted
-        return flat[:, cells].T, charts, places.at(cells, charts, columns) if is_tilted else _NOWHERE
+        return flat[:, cells].T, charts, places.at(positions_of(atlas, cells), charts)
 
     change = 0.0
     if found.exposures is not None:
@@ -193,3 +176,57 @@ def level_mesh(
     correction = Correction(found, strength)
     change = correction.keep_means(len(colours), lambda rows: (colours[rows], charts[rows], places[rows]))
     return found, change, correction.of(colours, charts, places) if change else colours
+
+
+def mixed_cells(atlas: Atlas, spans: Sequence[int]) -> Int64s:
+    """Return the owned cells, as flat indices, so near the border of a chart that a decoder mixed their hue."""
+    found, (rows, columns), reach = [np.zeros(0, np.int64)], atlas.kind.shape, max(spans)
+    for band in large_arrays.blocks(rows, ROWS):
+        first = max(0, band.start - reach)
+        owned = atlas.kind[first : band.stop + reach] == OWNED
+        near = owned & within(~owned, reach)
+        inside = near[band.start - first :][: band.stop - band.start]
+        found.append(np.flatnonzero(inside) + band.start * columns)
+    cells = np.concatenate(found)
+    texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, cells)]
+    texture = np.searchsorted(atlas.texture_offsets, texels, side="right") - 1
+    return np.asarray(cells[np.asarray(spans)[texture] > 1])
+
+
+def continue_hues(atlas: Atlas, planes: Float32s, cells: Int64s, span: int) -> Float32s:
+    """Give the mixed cells of red, green and blue the hue that those behind them lead to; return what they had."""
+    flat, limits = planes.reshape(len(planes), -1), limits_of(planes)
+    before = flat[:, cells]
+    # The chart, counted from 1, of each cell that is not mixed.
+    clear = large_arrays.zeros(flat.shape[1], np.int32)
+    for block in large_arrays.blocks(len(atlas.owned_cells), large_arrays.SCATTERED):
+        clear[atlas.owned_cells[block]] = atlas.chart_of[block] + 1
+    charts = clear[cells]
+    clear[cells] = 0
+    for block in large_arrays.blocks(len(cells), large_arrays.CACHED):
+        colours, is_known = _continued(flat, clear, cells[block], charts[block], atlas.kind.shape[1], span)
+        own = before[:, block].T
+        hued = (colours + ((own - colours) @ LUMA)[:, None]).clip(*limits)
+        flat[:, cells[block]] = np.where(is_known[:, None], hued, own).T
+    return before
+
+
+def _continued(
+    flat: Float32s, clear: Int32s, cells: Int64s, charts: Int32s, columns: int, span: int
+) -> tuple[Float64s, Bools]:
+    """Return the colours at cells, by linear regression on those around that are not mixed, and where these suffice."""
+    moments = np.zeros((len(cells), 3, 3))
+    products = np.zeros((len(cells), 3, len(flat)))
+    reach = 2 * span + 1  # as far again as colours are mixed
+    for down, right in np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T.tolist():
+        at = (cells + down * columns + right).clip(0, flat.shape[1] - 1)
+        rows = np.flatnonzero(clear[at] == charts)
+        place = np.array([1.0, down, right])
+        moments[rows] += np.outer(place, place)
+        products[rows] += place[:, None] * flat[:, at[rows]].T[:, None]
+    is_known = moments[:, 0, 0] >= 2 * len(place)  # cells for each unknown of the regression
+    drawn = RIDGE * (moments[:, 1, 1] + moments[:, 2, 2])
+    for axis in (1, 2):
+        moments[:, axis, axis] += drawn
+    moments[~is_known] = np.eye(3)
+    return np.asarray(np.linalg.solve(moments, products)[:, 0], np.float64), is_known

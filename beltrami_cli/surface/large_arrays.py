@@ -26,6 +26,9 @@ from beltrami_cli.errors import ProcessingError
 BLOCK = 1 << 20
 """Samples that passes over all of them take at a time."""
 
+CACHED = 1 << 16
+"""Samples whose values stay in the cache of a processor while a pass works on them."""
+
 SCATTERED = 1 << 14
 """The same of samples that lie all over the arrays, each on a page of its own, or 64 KB that are read with it."""
 

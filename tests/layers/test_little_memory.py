@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
-from beltrami_cli.flow import domain, patches
+from beltrami_cli.flow import patches
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
@@ -339,7 +339,7 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
 @pytest.mark.slow
 def test_means_of_squares_are_kept_in_files(tmp_path, monkeypatch):
     """For squares of 4 x 4 cells, colours take 0.2 MB, of which there are ten versions."""
-    monkeypatch.setattr(domain, "_AT_ONCE", 1 << 12)
+    monkeypatch.setattr(large_arrays, "CACHED", 1 << 12)
     monkeypatch.setattr(large_arrays, "BLOCK", 1 << 14)
     improve, grown = patches._improve_means, []
 

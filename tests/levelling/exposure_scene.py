@@ -17,7 +17,7 @@ from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texel_colours import all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.levelling.correction import level_canvas
-from beltrami_cli.levelling.steps import ChartPlaces, deviations, steps_over_seams
+from beltrami_cli.levelling.steps import ChartPlaces, deviations, positions_of, steps_over_seams
 
 GAINS, OFFSET, FALL_OFF = (0.82, 1.12), 10 / 255, 0.15
 LIGHT_GAINS = 0.6, 1.6  # of linear light
@@ -98,7 +98,7 @@ class ExposureScene:
             if fall_off
             else np.zeros((atlas.charts, 2))
         )
-        own = ChartPlaces.of(atlas).at(atlas.owned_cells, self.charts, atlas.kind.shape[1])
+        own = ChartPlaces.of(atlas).at(positions_of(atlas, atlas.owned_cells), self.charts)
 
         def expose(colours, charts=self.charts, places=own):
             factor = 1 + np.einsum("tk,tk->t", places.clip(-1, 1), slope[charts])[:, None]

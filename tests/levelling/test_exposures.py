@@ -8,11 +8,23 @@ import numpy as np
 import pytest
 
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.levelling.correction import Correction, Levelled, SeamFacts
-from beltrami_cli.levelling.fit import PLAIN, Exposures, fit_exposures, known_steps
-from beltrami_cli.levelling.hues import LUMA, continue_hues, mixed_cells
+from beltrami_cli.levelling.correction import (
+    LUMA,
+    Correction,
+    Levelled,
+    SeamFacts,
+    continue_hues,
+    mixed_cells,
+)
+from beltrami_cli.levelling.exposures import (
+    CONFIDENCE,
+    SPREADS,
+    Exposures,
+    fit_exposures,
+    judge,
+    known_steps,
+)
 from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, weighted_median
-from beltrami_cli.levelling.verdict import CONFIDENCE, judge
 from cli.commands import SAMPLES
 from levelling.exposure_scene import ExposureScene, error, fall
 
@@ -66,12 +78,12 @@ def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
     hue -= (hue @ LUMA)[:, None]
     grey = random.uniform(0.3, 0.7, (len(head.charts), 1))
     planes = painted(atlas, (grey + hue[head.charts]).astype(np.float32), 1)
-    cells, flat = mixed_cells(atlas, [True]), planes.reshape(3, -1)
+    cells, flat = mixed_cells(atlas, [2]), planes.reshape(3, -1)
     wanted = flat[:, cells]
     mixed = random.uniform(-0.2, 0.2, (len(cells), 3))
     flat[:, cells] += (mixed - (mixed @ LUMA)[:, None]).T
     before = flat[:, cells]
-    assert np.array_equal(continue_hues(atlas, planes, cells, (0.0, 1.0)), before)
+    assert np.array_equal(continue_hues(atlas, planes, cells, 2), before)
     # Where a chart is so narrow that all is mixed, nothing can be done.
     is_known = np.any(flat[:, cells] != before, axis=0)
     assert is_known.mean() > 0.95
@@ -81,11 +93,11 @@ def test_mixed_hues_become_those_of_their_chart_and_brightness_stays(head):
 def test_only_cells_near_borders_in_textures_with_halved_colour_are_mixed():
     scene = ExposureScene.of(SAMPLES / "torus-two-clean.gltf")
     atlas = scene.samples.atlas
-    cells = mixed_cells(atlas, [False, True])
+    cells = mixed_cells(atlas, [1, 2])
     texels = atlas.owned_texels[np.searchsorted(atlas.owned_cells, cells)]
     assert np.all(texels >= atlas.texture_offsets[1])
     assert 0 < len(cells) < 0.1 * len(atlas.owned_cells)
-    assert len(mixed_cells(atlas, [False, False])) == 0
+    assert len(mixed_cells(atlas, [1, 1])) == 0
 
 
 def test_two_charts_are_enough():
@@ -124,8 +136,7 @@ def test_groups_that_no_seam_joins_do_not_keep_the_exposures_of_their_largest_ch
     terms = np.zeros((1, 7, 2))
     terms[0, :, 1] = [0.08, -0.02, -0.02, -0.02, -0.02, 0.03, -0.03]
     shown = (truth + terms[0, charts, 1:]).astype(np.float32)
-    facts = SeamFacts(0, 0, 0, 0.0, 0.0)
-    correction = Correction(Levelled(None, Exposures(terms, np.ones(0)), facts, groups), 1.0)
+    correction = Correction(Levelled(None, Exposures(terms, np.ones(0)), SeamFacts(), groups), 1.0)
     correction.keep_means(len(shown), lambda rows: (shown[rows], charts[rows], np.zeros((len(rows), 2))))
     after = correction.of(shown, charts, np.zeros((len(shown), 2)))
     assert np.ptp(after) < 1e-6
@@ -188,7 +199,7 @@ def seam(paint):
 
 
 def test_a_painted_tenth_of_a_seam_does_not_bend_the_rest():
-    clean, edged = (fit_exposures(seam(paint), PLAIN).sides(seam(0)) for paint in (0, 40))
+    clean, edged = (fit_exposures(seam(paint), SPREADS["plain"]).sides(seam(0)) for paint in (0, 40))
     assert np.abs(clean[:, 1] - clean[:, 0]).mean() < 1 / 255
     assert np.abs(edged - clean).mean() < 0.5 / 255
 
@@ -199,7 +210,8 @@ def test_a_long_seam_of_nearly_one_colour_gives_charts_no_gain():
     shade = random.choice([-1.0, 1.0], (1000, 1))
     sides = np.stack([0.17 + 1.5 * shade / 255, 0.17 + 2.5 * shade / 255], axis=1)
     steps = steps_of(np.tile([0, 1], (1000, 1)), sides, np.zeros(1000, int))
-    assert np.abs(fit_exposures(steps, PLAIN).terms[..., 0]).max() < PLAIN[0]  # what is expected of gains
+    expected, _ = spread = SPREADS["plain"]
+    assert np.abs(fit_exposures(steps, spread).terms[..., 0]).max() < expected
 
 
 def grid(across, pattern, seed, gains=None, step=0.0):
@@ -275,7 +287,7 @@ def test_a_colour_that_was_cut_off_is_a_bound():
 def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
     sides = np.tile([[0.85], [1.0]], (400, 1, 1))
     steps = steps_of(np.tile([0, 1], (400, 1)), sides, np.zeros(400, int))
-    found = fit_exposures(replace(steps, high=sides >= 1), PLAIN).sides(steps)
+    found = fit_exposures(replace(steps, high=sides >= 1), SPREADS["plain"]).sides(steps)
     assert np.abs(found[:, 1] - found[:, 0]).max() < 2 / 255
 
 

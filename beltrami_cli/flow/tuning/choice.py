@@ -6,11 +6,13 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
+from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.flow.embedding import choose_beta, overall_noise
 from beltrami_cli.flow.manifold import Manifold, SampleTrial
 from beltrami_cli.flow.parameters import MOST_GROWTH, KernelParameters
@@ -164,12 +166,6 @@ _CONTRASTS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 # The largest before patches: with more, noise that is kept as if it were edges decides which patches are similar.
 _MOST_BEFORE_PATCHES = 2.0
 
-# Of the natural logarithm.
-_IN_DECIBELS = 10 / float(np.log(10))
-
-# Noise that cannot be distinguished from the steps of an 8-bit file is none.
-_LEAST_NOISE = 0.5 / 255
-
 # Low quantiles underestimate noise that neighbours share, and its coarse steps remain as a few large details, which
 # kernels keep as if they were edges. So smoothness counts more. Enlarged pictures gain 0.9 dB by that, and JPEG 0.5 dB.
 _SHARED_BY_NEIGHBOURS = 1.5
@@ -203,7 +199,8 @@ class Choice:
         if self.psnr is None or self.error is None:
             return None
         found = 10 ** (-self.psnr / 10)
-        chance = _NINETY * self.error * found / _IN_DECIBELS
+        ninety = NormalDist().inv_cdf(0.95)  # of a normal distribution lie within so many deviations
+        chance = ninety * self.error * found / _in_decibels(1)
         most, least = found + math.hypot(chance, self.doubt[0]), found - math.hypot(chance, self.doubt[1])
         return -10 * math.log10(most), -10 * math.log10(least) if least > 0 else None
 
@@ -212,11 +209,11 @@ class Choice:
         if self.psnr is None or self.error is None or self.gain is None:
             return self
         before = 10 ** (-self.psnr / 10)
-        error = self.error * before / _IN_DECIBELS
+        error = self.error * before / _in_decibels(1)
         after = max(before - gain, error, 1e-12)
         better = 10 * float(np.log10(before / after))
         return dataclasses.replace(
-            self, psnr=self.psnr + better, gain=self.gain + better, error=_IN_DECIBELS * error / after
+            self, psnr=self.psnr + better, gain=self.gain + better, error=_in_decibels(error / after)
         )
 
 
@@ -244,7 +241,8 @@ def choose(
 
 def is_noisy(sigma: Float64s) -> bool:
     """Return whether there is noise to choose by."""
-    return bool(len(sigma)) and float(np.max(sigma, initial=0.0)) > _LEAST_NOISE
+    # Noise that cannot be distinguished from the steps of an 8-bit file is none.
+    return bool(len(sigma)) and float(np.max(sigma, initial=0.0)) > BYTE_STEP / 2
 
 
 def _grid(parameters: KernelParameters, search_range: SearchRange, scale: float, by_rule: float) -> Grid:
@@ -279,12 +277,17 @@ def _nearest(values: tuple[float, ...], wanted: float) -> int:
     return int(np.argmin(np.abs(np.log1p(np.array(values)) - np.log1p(wanted))))
 
 
+def _in_decibels(relative: float) -> float:
+    """Return a small relative change in dB."""
+    return 10 * relative / math.log(10)
+
+
 def _decibels(risk: Risk, noise: float) -> tuple[float | None, float | None, float | None]:
     if not np.isfinite(risk.error) or noise <= 0:  # of one sample, or where all noise was cut off
         return None, None, None
     # An estimate of a small error may be negative; it is reported as its standard error.
     value = max(risk.value, risk.error, 1e-12)
-    error = _IN_DECIBELS * risk.error / value
+    error = _in_decibels(risk.error / value)
     return -10 * float(np.log10(value)), float(error), 10 * float(np.log10(noise / value))
 
 

@@ -12,19 +12,14 @@ from beltrami_cli.flow.vertex_graph import sums_around
 
 # Samples to try parameters on, as a share of all, so that trying takes hardly longer than smoothing: some sixty
 # iterations are tried, each two or three times. Fewer than the least are too uncertain; these take tenths of a second.
-_SHARE_TRIED = 1 / 20
-LEAST_TRIED = 6_000
-# More do not improve the choice.
-_MOST_TRIED = 40_000
+# More than the most do not improve the choice.
+TRIED = {"share": 1 / 20, "least": 6_000, "most": 40_000}
 
 # Up to this many times the samples to try on, patches with their rims would cover nearly the whole surface.
 _WHOLE = 1.2
 
 # Rings of a patch that are scored, and rings around these that only supply colours.
 _CORE, _RIM = 7, 3
-
-# Samples of a patch with all its rings; each has six more than the last.
-_PATCH = 3 * (_CORE + _RIM) ** 2
 
 # Patches end early on small components, and overlap: the share of the wanted samples that suffices, and how often more
 # patches are added to reach it.
@@ -34,9 +29,8 @@ _ENOUGH, _ROUNDS = 0.75, 3
 # Rings over which detail is averaged to rank patches.
 _RINGS_OF_DETAIL = 5
 
-# Odd numbers with their bits well mixed, to hash with.
-_MIX = np.uint64(0x9E3779B97F4A7C15)
-_STIR = np.uint64(0xBF58476D1CE4E5B9)
+# Odd numbers with their bits well mixed, to hash with, as in SplitMix64.
+_MIXERS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9], np.uint64)
 
 
 @dataclass(frozen=True)
@@ -51,11 +45,12 @@ def choose_patches(colours: Float32s, around: NDArray[np.uint64], edges: Int32s)
     """Choose patches spread at random, by the `fingerprints` of colours and not by the order of samples."""
     joined = np.bincount(edges.ravel(), minlength=len(around)) > 0
     connected = np.flatnonzero(joined)
-    budget = min(max(LEAST_TRIED, int(len(connected) * _SHARE_TRIED)), _MOST_TRIED)
+    budget = int(np.clip(len(connected) * TRIED["share"], TRIED["least"], TRIED["most"]))
     if len(connected) <= _WHOLE * budget:
         return TrialSamples(connected, np.ones(len(connected), bool))
-    ranked = _ranked(colours, around, edges, connected) if budget == LEAST_TRIED else None
-    count = max(1, budget // _PATCH)
+    ranked = _ranked(colours, around, edges, connected) if budget == TRIED["least"] else None
+    of_patch = 3 * (_CORE + _RIM) ** 2  # each ring has six samples more than the last
+    count = max(1, budget // of_patch)
     for _ in range(_ROUNDS):
         middles = np.zeros(len(around), bool)
         if ranked is None:
@@ -133,8 +128,8 @@ def _bits(colours: Float32s) -> NDArray[np.uint64]:
 
 def _mixed(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Spread the bits of numbers over all bits, modulo 2^64."""
-    mixed = (values + _MIX) * _STIR
+    mixed = (values + _MIXERS[0]) * _MIXERS[1]
     mixed ^= mixed >> np.uint64(29)
-    mixed *= _MIX
+    mixed *= _MIXERS[0]
     stirred: NDArray[np.uint64] = mixed ^ (mixed >> np.uint64(32))
     return stirred

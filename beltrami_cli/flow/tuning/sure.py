@@ -36,11 +36,8 @@ PERTURBATION = 0.3
 # With few samples one perturbation is too uncertain: samples, or else perturbations, that are enough.
 _ENOUGH_SAMPLES, _MOST_PROBES = 5_000, 4
 
-# Less power than a channel that has any noise gives its perturbation.
-_LEAST_POWER = 1e-12
-
-# The share of samples at a limit is averaged by a Gaussian on the surface: iterations, and their time step.
-_MARK_STEPS, _MARK_TIME = 2, 2.4
+# The share of samples at a limit is averaged by a Gaussian on the surface: the time steps of its iterations.
+_MARK_TIMES = (2.4, 2.4)
 
 # Parts of the sample, whose estimates are compared for the standard error of their mean.
 _PARTS = 16
@@ -94,7 +91,7 @@ class RiskEstimate:
         signs = [trial.scored(drawn) for drawn in trial.signs]
         # 1 for signs; perturbations like the noise have its size, channel by channel, and so need no weights.
         power = np.mean([np.mean(np.square(drawn), axis=0) for drawn in signs], axis=0)
-        weight = 2 * variance * counts / np.maximum(power, _LEAST_POWER)
+        weight = 2 * variance * counts / np.maximum(power, np.finfo(float).tiny)
         weights = tuple(weight / (len(signs) * size) * drawn for drawn in signs)
         return cls(trial, noisy, variance, counts, weights, np.float32(size))
 
@@ -137,7 +134,7 @@ def _unclipped_variance(trial: SampleTrial, noisy: Float32s) -> Float64s | float
     ):
         if is_reached:
             marks = beyond.astype(np.float32)
-            for _ in range(_MARK_STEPS):
-                marks = trial.step(marks, Step(0.0, _MARK_TIME, regularised=False))
+            for t in _MARK_TIMES:
+                marks = trial.step(marks, Step(0.0, t, regularised=False))
             remaining = remaining * variance_of_clipped(trial.scored(marks).astype(np.float64))
     return remaining

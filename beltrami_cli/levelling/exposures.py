@@ -1,0 +1,304 @@
+"""Exposures of charts: fitted to the steps at seams, and tested on seams that were held out.
+
+On the two sides p and q of a seam between charts of gains 1 + g and offsets o the true colour T is the same:
+
+    v_q - v_p = (g_q - g_p) T + o_q - o_p,
+
+where T is the mean of both sides as corrected so far. So a gain common to all charts makes no difference (if T were
+the colour on either side, noise would draw all gains to -1). The terms are drawn to 0, each by its expected deviation.
+Weights follow the estimator of Geman and McClure, whose scale is narrowed step by step [1], so that a painted
+edge counts for nothing.
+
+A fit can remove any step. But only under exposures does a fit to some seams predict the steps at the others, since a
+chart has one exposure at all of its seams. Each held-out seam gives its gain x = (b - a) / (b + a), where b and a are
+its mean squared step before and after the prediction is removed. The F-test is of the mean evidence, which is x, or
+where a seam has no pattern x - (1 - x): paint of one colour per chart predicts some of the steps as well. It is
+weighted by the length of seams, with 1 and n - 1 degrees of freedom, n = (sum w)^2 / sum w^2. Two seams predict each
+other by the product of their steps, which enters both of their x, so that the variance of the mean is up to twice that
+of independent x; twice is taken.
+
+References
+----------
+.. [1] H. Yang, P. Antonante, V. Tzoumas, L. Carlone, "Graduated non-convexity for robust spatial perception", IEEE
+       Robotics and Automation Letters 5 (2020), doi 10.1109/LRA.2020.2965893.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from beltrami_cli.arrays import Bools, Float64s, Int64s
+from beltrami_cli.fields import BYTE_STEP
+from beltrami_cli.levelling.steps import PARTS, STRETCH, Steps, deviations, joined, weighted_median
+from beltrami_cli.surface.atlas import Indices
+
+# Expected deviations of the gains and offsets of cameras; and, where gains change linearly over charts, also of tilts.
+SPREADS = {"plain": (0.1, 0.03), "tilted": (0.05, 0.02, 0.06, 0.06)}
+# Deviations beyond which a step is an outlier: larger than cameras make, or an edge of paint along the seam.
+OUTLIER = 2.5
+# Scales of the weights, narrowed to 1 and kept there; in the last third painted seams are left out.
+SCALES = (4.0, 2.8, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+# Of the F-test. At 0.975 no model without exposure steps is changed, and all exposures of the fox are found; at 0.99
+# clipped ones are missed: bench_levelling.py.
+CONFIDENCE = 0.975
+# Mean correlation along seams across which patterns continue: 0.24 or more on the samples and the fox, and
+# 0.05 or less where charts have unrelated textures: tests/levelling.
+LEAST_CORRELATION = 0.15
+# Up to so many seams are held out singly, and more in `PARTS` folds: of the fox, 8 folds of its 19 seams leave too few
+# to predict the others; of 66 and more seams, 8 suffice.
+FEW_SEAMS = 32
+# Seams that close loops over charts. Of fewer, too few are predicted by others, and parts of seams are held out.
+FEWEST_LOOPS = 4
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """The terms of charts, and how far the stretches of seams agree with them."""
+
+    terms: Float64s  # (N, charts, 2 or 4): gain - 1, offset, tilts of the gain along rows and columns
+    weights: (
+        Float64s  # (K,): 1 where the sides agree, 1/4 at an outlier, towards 0 where they differ by paint
+    )
+
+    def at(self, charts: Indices, places: Float64s) -> tuple[Float64s, Float64s]:
+        """Return the factor and the offset at places in charts, each of shape (N, K)."""
+        terms = self.terms[:, charts]
+        factor = 1 + terms[..., 0]
+        if terms.shape[2] > 2:
+            factor = factor * (1 + np.einsum("nkt,kt->nk", terms[..., 2:], places))
+        return np.maximum(factor, 0.25), terms[..., 1]
+
+    def sides(self, steps: Steps) -> Float64s:
+        """Return the corrected colours of both sides, shape (K, 2, N)."""
+        found = []
+        for side in (0, 1):
+            factor, offset = self.at(steps.ends[:, side], steps.places[:, side])
+            found.append(((steps.colours[:, side].T - offset) / factor).T)
+        return np.stack(found, axis=1)
+
+    def is_painted(self, steps: Steps) -> Bools:
+        """Return for each stretch whether its seam has outliers for steps on the whole."""
+        return steps.means(self.weights, steps.seams)[steps.seams] < 1 / 4
+
+
+def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None = None) -> Exposures:
+    """Fit the terms of all charts, which deviate from 0 by `spread`; `fixed` charts have none."""
+    unchanged = np.zeros((steps.colours.shape[2], steps.charts, len(spread)))
+    found = Exposures(unchanged, np.ones(len(steps.seams)))
+    if not len(steps.seams):
+        return found
+    used, lengths = may_be_exposure(steps), np.bincount(steps.seams, steps.counts)[steps.seams]
+    trust, order = steps.counts / np.maximum(STRETCH, lengths / PARTS), _order_of_elimination(steps)
+    for number, scale in enumerate(SCALES):
+        is_settled = 3 * number >= 2 * len(SCALES)
+        sides = found.sides(steps)
+        known = known_steps(steps, sides)
+        noise = deviations(steps, sides)
+        squares = np.where(known, np.square(sides[:, 1] - sides[:, 0]), 0).sum(axis=1)
+        squares /= np.maximum(known.sum(axis=1), 1)
+        # A seam that varies far more than others do is painted.
+        limit = OUTLIER * weighted_median(noise, steps.counts) if is_settled else np.inf
+        allowed = np.square(scale * OUTLIER * np.minimum(noise, limit))
+        weights = np.where(used & known.any(axis=1), 1 / np.square(1 + squares / allowed), 0)
+        if is_settled:
+            used &= ~Exposures(found.terms, weights).is_painted(steps)
+            weights *= used
+        by_channel = (weights * trust / np.square(noise))[:, None] * known
+        found = Exposures(_solved(steps, found, by_channel, spread, fixed, order), weights)
+    return found
+
+
+def known_steps(steps: Steps, sides: Float64s) -> Bools:
+    """Return where corrected sides must agree, shape (K, N).
+
+    A clipped colour is a bound of the true one, and says nothing about a side within it.
+    """
+    low, high = steps.low, steps.high
+    may_rise, may_fall = high[:, 0] | low[:, 1], low[:, 0] | high[:, 1]  # of the first side
+    return np.asarray(~np.where(sides[:, 0] < sides[:, 1], may_rise, may_fall))
+
+
+def may_be_exposure(steps: Steps) -> Bools:
+    """Return which stretches have steps that cameras could make, shape (K,)."""
+    gain, offset = SPREADS["plain"]
+    step = steps.colours[:, 1] - steps.colours[:, 0]
+    expected = 2 * (np.square(gain * steps.colours.max(axis=1)) + offset**2)
+    return np.asarray(np.mean(np.square(step) / expected, axis=1) <= OUTLIER**2)
+
+
+def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
+    """Return the squared mean step of each unit of stretches, in which noise is averaged away."""
+    step = np.where(known_steps(steps, sides), sides[:, 1] - sides[:, 0], 0)
+    return np.asarray(np.mean([np.square(steps.means(each, units)) for each in step.T], axis=0))
+
+
+def _order_of_elimination(steps: Steps) -> Int64s:
+    """Return the place of each chart in an order in which factors stay sparse; of charts it is sooner found."""
+    from scipy.sparse import coo_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    pairs = steps.ends[steps.between]
+    graph = coo_array((np.full(len(pairs), 1 / max(1, len(pairs))), pairs.T), shape=(steps.charts,) * 2)
+    matrix = (graph + graph.T + 3 * eye_array(steps.charts)).tocsc()
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).perm_c.astype(np.int64)
+
+
+def _solved(
+    steps: Steps,
+    found: Exposures,
+    weights: Float64s,
+    spread: tuple[float, ...],
+    fixed: Bools | None,
+    order: Int64s,
+) -> Float64s:
+    """Return the terms, shape (N, charts, terms), that explain steps of weights of shape (K, N).
+
+    Tilts are common to all channels, as in vignetting, so that channels are solved for together.
+    """
+    from scipy.sparse import csr_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    colours, (channels, charts, terms) = found.sides(steps).mean(axis=1), found.terms.shape
+    unknowns = 2 * channels + terms - 2  # of a chart
+    own = np.empty((channels, terms), np.int64)  # which of them the terms of a channel are
+    own[:, :2], own[:, 2:] = np.arange(2 * channels).reshape(-1, 2), np.arange(2 * channels, unknowns)
+    # A row is the sum of the terms of both sides, with the first side's negated.
+    rows = np.ones((len(colours), channels, 2, terms))
+    rows[..., 0] = colours[:, :, None]
+    by_gain = colours[:, :, None] * (1 + found.terms[:, steps.ends, 0].transpose(1, 0, 2))
+    rows[..., 2:] = by_gain[..., None] * steps.places[:, None, :, : terms - 2]
+    rows[:, :, 0] *= -1
+    if fixed is not None:
+        rows *= ~fixed[steps.ends][:, None, :, None]
+    columns = (order[steps.ends][:, None, :, None] * unknowns + own[:, None]).ravel()
+    starts, shape = np.arange(0, rows.size + 1, 2 * terms), (len(colours) * channels, charts * unknowns)
+    weighted = rows * weights[:, :, None, None]
+    system, by_weight = (csr_array((each.ravel(), columns, starts), shape) for each in (rows, weighted))
+    drawn = np.tile(np.r_[np.tile(spread[:2], channels), spread[2:]], charts) ** -2.0
+    matrix = (system.T @ by_weight + diags_array(drawn)).tocsc()
+    factors = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    solved = factors.solve(by_weight.T @ (steps.colours[:, 1] - steps.colours[:, 0]).ravel())
+    return np.asarray(solved.reshape(charts, unknowns)[order][:, own].transpose(1, 0, 2))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the held-out seams say."""
+
+    spread: tuple[float, ...]  # the expected deviations of the terms that explain most
+    share: float  # of the mean step that one exposure per chart explains
+    confidence: float  # of the F-test, that exposures made the steps
+    correlation: float  # mean, of the changes of colour along both sides of a seam
+    is_flat: bool  # whether most of the length of seams has no pattern
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether there are exposure steps, across which patterns continue if there are any."""
+        return self.confidence >= CONFIDENCE and (self.is_flat or self.correlation >= LEAST_CORRELATION)
+
+
+def judge(steps: Steps, fixed: Bools | None = None) -> Verdict:
+    """Test by cross-validation whether exposures explain the steps at seams, and whether gains change over charts."""
+    seams = _HeldOut.of(steps)
+    before = seams.squares(seams.steps.colours)
+    sides = [seams.predicted(spread, fixed) for spread in SPREADS.values()]
+    after = [seams.squares(each) for each in sides]
+    found = zip(SPREADS.values(), sides, after, strict=True)
+    plain, tilted = (seams.verdict(spread, each, before, squares) for spread, each, squares in found)
+    is_better = seams.confidence(_gains(*after)) >= CONFIDENCE
+    return tilted if is_better or tilted.is_sure > plain.is_sure else plain
+
+
+def _gains(before: Float64s, after: Float64s) -> Float64s:
+    """Return how far squared steps fall: 1 to 0, 0 if they stay, -1 from 0."""
+    return np.asarray((before - after) / np.maximum(before + after, np.finfo(float).tiny))
+
+
+@dataclass(frozen=True)
+class _HeldOut:
+    """Stretches between different charts, and what they are held out with and tested as."""
+
+    whole: Steps
+    folds: Int64s  # of all stretches
+    steps: Steps  # those between charts
+    units: Int64s  # (K,): the units of the test, numbered from 0
+    weights: Float64s  # (units,): texels
+    inflation: float  # of the variance of their mean evidence, relative to independent units
+
+    @classmethod
+    def of(cls, steps: Steps) -> _HeldOut:
+        """Hold out seams, or the parts of seams, which share errors, where few seams close a loop."""
+        between, inflation = steps.between, 2.0
+        seams, first, number = np.unique(steps.seams, return_index=True, return_inverse=True)
+        pairs = steps.ends[first][between[first]]
+        if len(pairs) - steps.charts + joined(steps.charts, pairs)[0] < FEWEST_LOOPS:
+            units, inflation = steps.parts(), inflation * PARTS
+            folds = units % PARTS
+        else:
+            count = len(seams) if len(seams) <= FEW_SEAMS else PARTS
+            units, folds = number, (np.random.default_rng(0).permutation(len(seams)) % count)[number]
+        units = np.unique(units[between], return_inverse=True)[1]
+        weights = np.bincount(units, steps.counts[between]).astype(np.float64)
+        return cls(steps, folds, steps.part(between), units, weights, inflation)
+
+    def predicted(self, spread: tuple[float, ...], fixed: Bools | None) -> Float64s:
+        """Return the colours of both sides without the exposures that the other folds say."""
+        after = np.empty_like(self.whole.colours)
+        for fold in np.unique(self.folds):
+            held = self.folds == fold
+            after[held] = fit_exposures(self.whole.part(~held), spread, fixed).sides(self.whole.part(held))
+        return after[self.whole.between]
+
+    def confidence(self, evidence: Float64s) -> float:
+        """Return the confidence that the mean evidence is above 0, by an F-test."""
+        from scipy.special import fdtr
+
+        total = self.weights.sum()
+        mean = float(self.weights @ evidence / total)
+        count = float(np.square(total) / np.square(self.weights).sum())
+        if mean <= 0 or count <= 1:
+            return 0.0
+        spread = float(np.square(self.weights * (evidence - mean)).sum()) / total**2 * count / (count - 1)
+        ratio = mean**2 / max(self.inflation * spread, np.finfo(float).tiny)
+        return (1 + float(fdtr(1, count - 1, ratio))) / 2
+
+    def squares(self, sides: Float64s) -> Float64s:
+        """Return the mean squared step of the parts of each unit."""
+        parts = np.unique(self.steps.parts(), return_inverse=True)[1]
+        return self.steps.means(squared_steps(self.steps, sides, parts)[parts], self.units)
+
+    def verdict(
+        self, spread: tuple[float, ...], sides: Float64s, before: Float64s, after: Float64s
+    ) -> Verdict:
+        """Test whether the predicted sides explain the steps, by the squared steps before and after."""
+        steps, (correlations, has_pattern) = self.steps, self.continuity(sides)
+        gains = _gains(before, after)
+        possible = steps.means(
+            may_be_exposure(steps), self.units
+        )  # steps that no camera makes count as unexplained
+        evidence = possible * np.where(has_pattern, gains, gains - (1 - gains))
+        left, whole = (float(self.weights @ np.sqrt(each)) for each in (after, before))
+        return Verdict(
+            spread=spread,
+            share=max(0.0, 1 - left / whole) if whole else 0.0,
+            confidence=self.confidence(evidence),
+            correlation=float(np.average(correlations, weights=self.weights)),
+            is_flat=bool(np.average(has_pattern, weights=self.weights) < 0.5),
+        )
+
+    def continuity(self, sides: Float64s) -> tuple[Float64s, Bools]:
+        """Return for each unit the correlation of the changes along its two sides, and whether there are any."""
+        follows = self.units[1:] == self.units[:-1]
+        unit, changes = self.units[1:][follows], np.diff(sides, axis=0)[follows]
+        count = np.maximum(np.bincount(unit, minlength=len(self.weights)), 1)
+
+        def mean(values: Float64s) -> Float64s:
+            return np.stack([np.bincount(unit, each, len(count)) / count for each in values.T], axis=1)
+
+        # Slopes, as of gains that change over charts, make no pattern; neither does rounding.
+        first, second = (side - mean(side)[unit] for side in changes.transpose(1, 0, 2))
+        both, one, other = (mean(each).mean(axis=1) for each in (first * second, first**2, second**2))
+        correlation = both / np.sqrt((one + BYTE_STEP**2) * (other + BYTE_STEP**2))
+        return correlation, (one + other) / 2 > (2 * BYTE_STEP) ** 2
