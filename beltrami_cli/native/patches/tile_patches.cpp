@@ -3,6 +3,7 @@
 #include <array>
 #include <bit>
 #include <cstring>
+#include <numeric>
 
 #include "lanes.hpp"
 #include "patches/grid_patches.hpp"
@@ -19,7 +20,7 @@ constexpr int patch_side = 2 * patch_reach + 1, patch_cells = patch_side * patch
 static_assert(candidates <= 1024 && candidate_columns % lane_count == 0);
 
 // Empty cells are this far from all colours, so that no candidate has one where the first patch has none.
-constexpr float far_away = 1e9F, too_far = 1e17F;
+constexpr float far_away = 1e9F, too_far = 1e17F, least_distance = 1e-30F;
 
 // The cells of a tile and around it, with mixed channels.
 class TilePlanes {
@@ -174,51 +175,45 @@ float noise_of(const Channels& channels, const Shape& shape, Index centre) {
   return channels.relative == nullptr ? energy : energy * mean_of(channels.relative, shape, centre);
 }
 
-// A bound that at least `size` candidates are below, if there are so many: of as many least distances of parts.
-float bound_of(const float* distances, std::size_t size) {
-  constexpr Index rows = 2 * rows_beside + 1, parts = 2;
-  static_assert(parts * candidate_columns >= Index{many});
-  std::array<float, parts * candidate_columns> least;
-  for (Index part = 0; part < parts; ++part)
-    for (Index x = 0; x < candidate_columns; x += Index{lane_count}) {
-      Lanes value = splat(too_far);
-      for (Index y = part * rows / parts; y < (part + 1) * rows / parts; ++y)
-        value = smaller(value, load(distances + y * candidate_columns + x));
-      store(least.data() + part * candidate_columns + x, value);
-    }
-  const auto bound = least.begin() + static_cast<Index>(size) - 1;
-  std::nth_element(least.begin(), bound, least.end());
-  return *bound;
+// How many candidates have a key, the bits of a positive float, below a bound.
+std::size_t count_below(const float* keys, std::uint32_t bound) {
+  Lanes counts{};
+  for (std::size_t first = 0; first < candidates; first += lane_count)
+    counts += select(load(keys + first) < splat(std::bit_cast<float>(bound)), splat(1), splat(0));
+  std::array<float, lane_count> each;
+  store(each.data(), counts);
+  return static_cast<std::size_t>(std::accumulate(each.begin(), each.end(), 0.0F));
 }
 
 // Chooses the nearest candidates, always the patch itself, in their order in the window; returns how many there are.
 // Candidates nearer than `near` are alike, and are taken as if at random, all over the window: by the pilot's noise those
 // would be chosen that share it. Keys hold a distance, and in their last bits the number of a candidate, shuffled.
-std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& keys, std::size_t size, float near) {
-  constexpr std::uint32_t low = 1023, shuffling = 599, ordering = 359;
-  static_assert((shuffling * ordering & low) == 1);
+std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& chosen, std::size_t size, float near) {
+  constexpr std::uint32_t low = 1023, shuffling = 599;
   constexpr std::uint32_t itself = rows_beside * candidate_columns + columns_before;
-  for (std::size_t first = 0; first < candidates; first += lane_count)
-    store(distances.data() + first, larger(load(distances.data() + first), splat(near)));
+  // Keys are normal numbers, which are ordered as their bits are whatever the processor does with subnormal ones.
+  near = std::max(near, least_distance);
+  for (std::uint32_t i = 0; i < candidates; ++i) {
+    const auto bits = std::bit_cast<std::uint32_t>(std::max(distances[i], near));
+    distances[i] = std::bit_cast<float>((bits & ~low) | ((i - itself) * shuffling & low));
+  }
   distances[itself] = 0;
-  const float most = std::min(bound_of(distances.data(), size), std::nextafter(too_far, 0.0F));
+  // The least bound that `size` keys are below, or that of all that are near enough: keys differ.
+  std::uint32_t least = 0, bound = std::bit_cast<std::uint32_t>(too_far);
+  for (std::size_t below = count_below(distances.data(), bound); below > size;) {
+    const std::uint32_t middle = least + (bound - least) / 2;
+    const std::size_t here = count_below(distances.data(), middle);
+    (here < size ? least : bound) = middle;
+    if (here >= size) below = here;
+  }
   std::size_t found = 0;
   for (std::uint32_t first = 0; first < candidates; first += lane_count) {
-    if (least_lane(load(distances.data() + first)) > most) continue;
+    if (std::bit_cast<std::uint32_t>(least_lane(load(distances.data() + first))) >= bound) continue;
     for (std::uint32_t i = first; i < first + lane_count; ++i) {
-      keys[found] = (std::bit_cast<std::uint32_t>(distances[i]) & ~low) | ((i - itself) * shuffling & low);
-      found += distances[i] <= most ? 1 : 0;
+      chosen[found] = i;
+      found += std::bit_cast<std::uint32_t>(distances[i]) < bound ? 1 : 0;
     }
   }
-  if (found > size) {
-    std::array<std::uint32_t, candidates> ordered;
-    std::copy_n(keys.begin(), found, ordered.begin());
-    std::nth_element(ordered.begin(), ordered.begin() + static_cast<Index>(size), ordered.begin() + static_cast<Index>(found));
-    const std::uint32_t beyond = ordered[size];
-    found = static_cast<std::size_t>(std::remove_if(keys.begin(), keys.begin() + static_cast<Index>(found),
-                                                    [&](std::uint32_t key) { return key >= beyond; }) - keys.begin());
-  }
-  for (std::size_t k = 0; k < found; ++k) keys[k] = (keys[k] * ordering + itself) & low;
   return found;
 }
 
@@ -228,36 +223,59 @@ std::size_t choose(std::vector<float>& distances, std::vector<std::uint32_t>& ke
 #define BELTRAMI_ALONE __restrict__
 #endif
 
-// One row of a patch: its differences from `mean`, or 0 for cells that are not there.
-inline void read_row(const float* BELTRAMI_ALONE row, float mean, const float* BELTRAMI_ALONE is_there, float* BELTRAMI_ALONE to) {
-  for (Index x = 0; x < row_length; ++x) to[x] = (row[x] - mean) * is_there[x];
+// A row of a patch in registers.
+#if defined(__GNUC__)
+using Row = float __attribute__((vector_size(4 * row_length)));
+#else
+struct Row {
+  float cell[row_length];
+  template <class F>
+  static Row of(F f) {
+    Row row;
+    for (Index x = 0; x < row_length; ++x) row.cell[x] = f(x);
+    return row;
+  }
+  friend Row operator+(const Row& a, const Row& b) { return of([&](Index x) { return a.cell[x] + b.cell[x]; }); }
+  friend Row operator+(const Row& a, float b) { return of([&](Index x) { return a.cell[x] + b; }); }
+  friend Row operator*(const Row& a, const Row& b) { return of([&](Index x) { return a.cell[x] * b.cell[x]; }); }
+  friend Row operator*(const Row& a, float b) { return of([&](Index x) { return a.cell[x] * b; }); }
+};
+#endif
+
+inline void read_row(const float* from, Row& row) { std::memcpy(&row, from, sizeof row); }
+
+inline void write_row(const Row& row, float* to) { std::memcpy(to, &row, sizeof row); }
+
+inline void add_to_row(const Row& values, float* to) {
+  Row sums;
+  read_row(to, sums);
+  write_row(sums + values, to);
 }
 
-inline void add_row(const float* BELTRAMI_ALONE values, float mean, const float* BELTRAMI_ALONE weights, float* BELTRAMI_ALONE to) {
-  for (Index x = 0; x < row_length; ++x) to[x] += (values[x] + mean) * weights[x];
-}
-
-// Reads the patches whose centres are at `places`.
+// Reads the patches whose centres are at `places`: their differences from `mean`, or 0 for cells that are not there.
 void read_patches(const float* plane, const Shape& shape, const std::int32_t* places, std::size_t found, float mean,
                   float* patches) {
   for (std::size_t k = 0; k < found; ++k) {
     const float* corner = plane + places[k] - patch_reach * side - patch_reach;
-    for (Index y = 0; y < patch_side; ++y)
-      read_row(corner + y * side, mean, shape.is_there.data() + y * row_length,
-               patches + k * long_row + static_cast<std::size_t>(y * row_length));
+    for (Index y = 0; y < patch_side; ++y) {
+      Row row, is_there;
+      read_row(corner + y * side, row);
+      read_row(shape.is_there.data() + y * row_length, is_there);
+      write_row((row + -mean) * is_there, patches + static_cast<Index>(k * long_row) + y * row_length);
+    }
   }
 }
 
-// Adds weighted values of one patch, whose centre is at `place`, to the sums.
-void add_patch(const float* values, const Shape& shape, std::int32_t place, float mean, float weight, float* estimates,
-               float* weights) {
-  alignas(64) std::array<float, long_row> own;
-  alignas(64) static constexpr std::array<float, row_length> zeros{};
-  for (std::size_t i = 0; i < long_row; ++i) own[i] = weight * shape.is_there[i];
-  const Index corner = place - patch_reach * side - patch_reach;
+// Adds patch k of a group, whose centre is at `place`, to the sums of a channel.
+void add_patch(const Group& group, std::size_t k, const Shape& shape, std::int32_t place, float mean, const Sums& sums) {
   for (Index y = 0; y < patch_side; ++y) {
-    add_row(values + y * row_length, mean, own.data() + y * row_length, estimates + corner + y * side);
-    add_row(zeros.data(), 1, own.data() + y * row_length, weights + corner + y * side);
+    Row values, is_there;
+    read_row(group.estimates.data() + static_cast<Index>(k * long_row) + y * row_length, values);
+    read_row(shape.is_there.data() + y * row_length, is_there);
+    const Row weights = is_there * group.weights[k];
+    const Index to = place + (y - patch_reach) * side - patch_reach;
+    add_to_row((values + mean) * weights, sums.estimates + to);
+    add_to_row(weights, sums.weights + to);
   }
 }
 
@@ -308,8 +326,7 @@ void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums&
     if (has_pilot) read_patches(channels.pilot + plane, shape, places.data(), group.found, mean, group.pilot.data());
     estimate_group(group, has_pilot);
     for (std::size_t k = 0; k < group.found; ++k)
-      add_patch(group.estimates.data() + k * long_row, shape, places[k], mean, group.weights[k], sums.estimates + plane,
-                sums.weights + plane);
+      add_patch(group, k, shape, places[k], mean, {sums.estimates + plane, sums.weights + plane});
   }
 }
 
