@@ -96,7 +96,7 @@ def grid_manifold(
     different = np.zeros(max(1, atlas.seams), bool)
     # Where colours do not count as distance, a jump in colour is not an edge.
     if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
-        different = find_colour_jumps(atlas, planes, noise.sigma)
+        different = find_colour_jumps(atlas, planes, noise.largest_sigma)
     if different.any():
         atlas = without_halo(atlas, halo_beyond(atlas, different))
         for rows in large_arrays.blocks(len(atlas.kind), ROWS):

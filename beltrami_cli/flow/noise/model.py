@@ -118,6 +118,13 @@ class NoiseModel:
         return sigma_of_covariances(self.covariances)
 
     @property
+    def largest_sigma(self) -> Float64s:
+        """Standard deviation by channel that the noise may have with a certainty of 95 %, shape (N,)."""
+        if self.interval is None or not self.overall:
+            return self.sigma
+        return self.sigma * (self.interval[1] / self.overall)
+
+    @property
     def covariance(self) -> Float64s:
         """Covariance of the noise of single samples, shape (N, N)."""
         return covariance_of_cells(self.covariances)

@@ -313,9 +313,9 @@ def deviation_of(logarithm: Array | float) -> float:
 
 
 def _strength_of(quantiles: Array) -> float:
-    """Return the deviation to reckon with: the median, or 0 where noise is likely to be invisible."""
-    _, smaller, median, _ = (deviation_of(own) for own in quantiles)
-    return 0.0 if smaller < INVISIBLE else median
+    """Return the deviation to reckon with: the median, or 0 where noise may be invisible."""
+    least, _, median, _ = (deviation_of(own) for own in quantiles)
+    return 0.0 if least < INVISIBLE else median
 
 
 def _components(found: dict[str, Array]) -> Float64s:
