@@ -139,6 +139,8 @@ class TriangulatedManifold:
         max_samples: int,
         threads: int,
         progress: Callable[[int], None] | None,
+        first: int = 0,
+        last: int | None = None,
     ) -> tuple[NDArray[np.float32], int, int]: ...
     def distances(
         self, source: int, radius: float, max_samples: int
@@ -168,6 +170,8 @@ class SegmentManifold:
         max_samples: int,
         threads: int,
         progress: Callable[[int], None] | None,
+        first: int = 0,
+        last: int | None = None,
     ) -> tuple[NDArray[np.float32], int, int]: ...
     def distances(
         self, source: int, radius: float, max_samples: int

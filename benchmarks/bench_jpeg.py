@@ -23,7 +23,7 @@ from patch_scenes import PHOTOGRAPHS, photograph_in_charts
 import beltrami_cli.flow.parameters as kernel
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.canvas import painted
-from beltrami_cli.flow.grid_manifold import Whole, grid_manifold
+from beltrami_cli.flow.grid_manifold import grid_manifold
 from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.picture_colours import plan_on_pictures
@@ -101,7 +101,7 @@ def judge(scene, atlas, quality, subsampling, sigma):
 
         def manifold(planes, noise):
             planes = painted(atlas, stored, threads=1) if planes is None else planes
-            return grid_manifold(atlas, planes, own, whole=Whole(noise=noise))
+            return grid_manifold(atlas, planes, own, noise=noise)
 
         plan = plan_on_pictures(manifold, atlas, list(zip(pixels, tables, strict=True)), own)
         return tuning_scene.psnr(smooth(plan).manifold.new_colours().table(), clean)

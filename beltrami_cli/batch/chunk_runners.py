@@ -7,6 +7,10 @@ a worker dies, its chunk is sent to another.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import math
+import mmap
+import os
 import queue
 import threading
 import time
@@ -14,10 +18,15 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
+from itertools import pairwise
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 from typing import Any, cast
+
+import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.cluster import LOST, Cancelled
@@ -25,6 +34,7 @@ from beltrami_cli.batch.item import Attempt, Item, do_item, failed
 from beltrami_cli.batch.run import Executor, answer_until_closed, start_worker
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
+from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.jobs.job import at_intervals
 from beltrami_cli.jobs.replacing import GATE, endings_held
 
@@ -46,6 +56,7 @@ class WorkerRunner(ABC):
         self._chunks: Sequence[Chunk] = ()
         self._is_closed = False
         self._cause = ""  # of the last failure of a worker, where it is known
+        self.most = 0  # chunks that a surface was cut into
 
     def close(self) -> None:
         """End the work, now; `run` raises Cancelled."""
@@ -54,7 +65,7 @@ class WorkerRunner(ABC):
     def run(self, chunks: Sequence[Chunk], work: Work, stacks_of: StacksOf) -> Iterator[Done]:
         if chunks is not self._chunks:
             self.forget()
-            self._chunks = chunks
+            self._chunks, self.most = chunks, max(self.most, len(chunks))
         waiting, deaths, pending = list(range(len(chunks))), Counter[int](), set[int]()
         try:
             while waiting or pending:
@@ -169,20 +180,68 @@ class ChunkExecutor(Executor):
         try:
             with in_chunks(self._count, self._runner):
                 attempt = do_item(item, self._memory, progress, is_alone=False)
+            attempt = dataclasses.replace(attempt, pieces=self._runner.most)
         except Cancelled:
             return
         finally:
             self._runner.forget()
+            self._runner.most = 0
             self._events.put((key, attempt))
 
 
 # ---- processes
+class _Exchange:
+    """A file in which two processes hand arrays to each other: through a pipe these would be copied four times."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._pages = path, np.zeros(0, np.float32)
+
+    def put(self, arrays: Sequence[Float32s]) -> list[tuple[int, ...]]:
+        """Replace the arrays before; return the shapes of the new ones."""
+        size = sum(array.nbytes for array in arrays)
+        if size > self._pages.nbytes:
+            with self._path.open("r+b") as file:
+                if hasattr(
+                    os, "posix_fallocate"
+                ):  # else full storage would end the process as it writes a page
+                    os.posix_fallocate(file.fileno(), 0, size)
+                else:
+                    file.truncate(size)
+        shapes = [array.shape for array in arrays]
+        for place, array in zip(self.take(shapes), arrays, strict=True):
+            place[...] = array
+        return shapes
+
+    def take(self, shapes: Sequence[tuple[int, ...]]) -> list[Float32s]:
+        """Return the arrays, which last until others are put."""
+        borders = [0, *np.cumsum([math.prod(shape) for shape in shapes], dtype=int).tolist()]
+        if borders[-1] > len(self._pages):
+            with self._path.open("r+b") as file:
+                self._pages = np.frombuffer(mmap.mmap(file.fileno(), 0), np.float32)
+        parts = zip(pairwise(borders), shapes, strict=True)
+        return [self._pages[begin:end].reshape(shape) for (begin, end), shape in parts]
+
+
 @dataclass
 class _Worker:
     process: SpawnProcess
     pipe: Connection[Any, Any]
+    exchange: _Exchange
+    file: contextlib.ExitStack  # of both
     held: set[int] = field(default_factory=set)  # numbers of the chunks whose parts it has
     number: int | None = None  # of the chunk in work
+
+    @classmethod
+    def started(cls) -> _Worker:
+        with contextlib.ExitStack() as file:
+            path = file.enter_context(scratch_file())
+            return cls(*start_worker(partial(_work_on_chunks, path)), _Exchange(path), file.pop_all())
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+        self.file.close()
 
 
 class ProcessRunner(WorkerRunner):
@@ -217,13 +276,18 @@ class ProcessRunner(WorkerRunner):
     def _send(self, number: int, work: Work, stacks: list[Float32s]) -> None:
         worker = self._idle()
         if worker is None:
-            worker = _Worker(*start_worker(_work_on_chunks))
+            worker = _Worker.started()
             self._workers.append(worker)
         chunk = None if number in worker.held else self._chunks[number].without_whole()
+        try:
+            shapes = worker.exchange.put(stacks)
+        except OSError as error:
+            cause = f"there is no room for a piece in work ({error.strerror})"
+            raise ProcessingError(f"{cause}; lower --jobs, or raise --pieces") from error
         worker.held.add(number)
         worker.number = number
         with contextlib.suppress(OSError):  # if it is dead, its pipe says so
-            worker.pipe.send((self._generation, number, chunk, work, stacks))
+            worker.pipe.send((self._generation, number, chunk, work, shapes))
 
     def _answers(self) -> Iterator[tuple[int, Answer]]:
         busy = {worker.pipe: worker for worker in self._workers if worker.number is not None}
@@ -231,10 +295,13 @@ class ProcessRunner(WorkerRunner):
             worker = busy[cast("Connection[Any, Any]", pipe)]
             number, worker.number = cast("int", worker.number), None
             try:
-                answer: Answer = worker.pipe.recv()
+                answer = worker.pipe.recv()
             except (EOFError, OSError):
                 answer = None
                 self._remove(worker)
+            if isinstance(answer, tuple):
+                shape, figures = answer
+                answer = *worker.exchange.take([shape]), figures
             yield number, answer
 
     def _give_up(self) -> None:
@@ -244,23 +311,27 @@ class ProcessRunner(WorkerRunner):
 
     def _remove(self, worker: _Worker) -> None:
         self._workers.remove(worker)
-        worker.process.kill()
-        worker.process.join()
-        worker.pipe.close()
+        worker.end()
 
 
-def _work_on_chunks(pipe: Connection[Any, Any]) -> None:
+def _work_on_chunks(path: Path, pipe: Connection[Any, Any]) -> None:
     """Be a worker process."""
-    held, before = dict[int, Chunk](), 0
+    held, before, exchange = dict[int, Chunk](), 0, _Exchange(path)
 
-    def answer(generation: int, number: int, chunk: Chunk | None, work: Work, stacks: list[Float32s]) -> Any:
+    def answer(
+        generation: int, number: int, chunk: Chunk | None, work: Work, shapes: list[tuple[int, ...]]
+    ) -> tuple[tuple[int, ...], Figures] | Exception:
         nonlocal before
         if generation != before:
             held.clear()
             before = generation
         if chunk is not None:
             held[number] = chunk
-        return _result(held[number], work, stacks)
+        result = _result(held[number], work, exchange.take(shapes))
+        if isinstance(result, Exception):
+            return result
+        values, figures = result
+        return exchange.put([values])[0], figures
 
     answer_until_closed(pipe, answer)
 
@@ -365,4 +436,5 @@ def _do_on_worker(
 ) -> tuple[Float32s, Figures] | Exception:
     if version("beltrami-cli") != client_version:
         return ProcessingError(f"a worker has version {version('beltrami-cli')}, not {client_version}")
-    return _result(chunk, *job)
+    work, stacks = job
+    return _result(chunk, work, [np.array(stack) for stack in stacks])  # what Dask received may be read-only

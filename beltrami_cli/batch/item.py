@@ -101,6 +101,7 @@ class Attempt:
     outcome: Outcome
     wants_memory: bool = False
     traceback: str = ""
+    pieces: int = 0  # at most, of a surface of the file; 0: none was cut
 
 
 def outcome_of(item: Item, status: Status, **values: Any) -> Outcome:

@@ -156,6 +156,9 @@ def batch(
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
     jobs = _jobs_for(requests, given, overwrite=overwrite)
+    if pieces is not None and (moved := [job for job in jobs if job.settings.embedding.smooth_geometry]):
+        remedy = "leave out --pieces, or --smooth-geometry"
+        raise UsageError(f"{moved[0].source}: vertices are not moved in pieces; {remedy}")
     if dry_run:
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
@@ -371,7 +374,8 @@ class Display:
         if outcome.status == "failed":  # also with --quiet, as every error
             self._print(f"failed: {outcome.error}")
         elif self._messages.verbose and not self._messages.quiet:
-            self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s")
+            pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
+            self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 
     def _print(self, *lines: str) -> None:
         """Print lines above the progress bars."""

@@ -180,7 +180,9 @@ def halo_repeats(atlas: Atlas, threads: int) -> Uint8s | None:
         return None
     cells, sources = (np.ascontiguousarray(of, np.int64) for of in (atlas.halo_cells, atlas.halo_nearest))
     rows, columns = atlas.kind.shape
-    repeats = count(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
+    repeats = large_arrays.kept(
+        count(rows, columns, cells, sources, atlas.halo_seams, _REPEATS_REACH, threads)
+    )
     return repeats if repeats.max(initial=1) > 1 else None
 
 
@@ -257,13 +259,12 @@ def _charts_at(atlas: Atlas, cells: Indices) -> Int32s:
 
 def _sides_of_seams(atlas: Atlas, reached: Int32s) -> Int32s:
     """Find the two charts of each seam, shape (S, 2): of an owned cell, and of the halo cell next to it."""
-    columns = atlas.kind.shape[1]
-    owned = atlas.kind.reshape(-1) == OWNED
+    kind, columns = atlas.kind.reshape(-1), atlas.kind.shape[1]
     of_seams = np.flatnonzero(atlas.halo_seams >= 0)
     cells, seams = atlas.halo_cells[of_seams], atlas.halo_seams[of_seams]
     inner, halo = np.full((2, max(1, atlas.seams)), -1, cells.dtype)
     for step in (1, -1, columns, -columns):
-        found = owned.take(cells - step, mode="clip")  # the first and the last cell are margin
+        found = kind.take(cells - step, mode="clip") == OWNED  # the first and the last cell are margin
         inner[seams[found]], halo[seams[found]] = cells[found] - step, of_seams[found]
     known = np.flatnonzero(halo >= 0)
     sides = np.full((len(halo), 2), -1, np.int32)

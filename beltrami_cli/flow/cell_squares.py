@@ -39,10 +39,12 @@ class Squares(CoarseLevel):
 
         self._atlas, self._side, self._threads = atlas, side, threads
         self._report = None if tick is None else lambda _: tick()
-        self.kinds, counts = sort_squares(atlas.kind, side)
-        self.noise, self._counts = 1 / side**2, counts
+        kinds, counts = sort_squares(atlas.kind, side)
+        self.kinds, self._counts = large_arrays.kept(kinds), large_arrays.kept(counts)
+        self.noise = 1 / side**2
         self._differing = None if relative is None else self.means(relative)[0]
-        ones = np.ones(self.kinds.shape, np.float32)
+        ones: Float32s = large_arrays.empty(self.kinds.shape, np.float32)
+        ones.fill(1)
         self.relative = ones if self._differing is None else self._differing
 
     def means(self, stack: Float32s) -> Float32s:

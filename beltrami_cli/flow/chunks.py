@@ -24,7 +24,10 @@ Figures = tuple[float, int]
 """How many samples the kernels of a chunk held, and how many kernels were cut short."""
 
 Operation = Callable[..., tuple[Float32s, Figures]]
-"""Called with a part, its stacks, the number of threads and further arguments; returns a stack of the part."""
+"""Called with a part, a list of its stacks, which it may change, the number of threads and further arguments.
+
+Returns a stack of the part.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +51,10 @@ class Work:
     operation: Operation
     arguments: tuple[Any, ...]
 
-    def on(self, chunk: Chunk, stacks: Sequence[Float32s], threads: int) -> tuple[Float32s, Figures]:
-        """Return the results of the samples of a chunk."""
+    def on(self, chunk: Chunk, stacks: list[Float32s], threads: int) -> tuple[Float32s, Figures]:
+        """Return the results of the samples of a chunk; the stacks may change."""
         stack, figures = self.operation(chunk.part, stacks, threads, *self.arguments)
-        return np.ascontiguousarray(stack[chunk.kept]), figures
+        return stack[chunk.kept], figures
 
 
 Done = tuple[int, Float32s, Figures]
@@ -63,7 +66,10 @@ class Runner(Protocol):
     def run(
         self, chunks: Sequence[Chunk], work: Work, stacks_of: Callable[[Chunk], list[Float32s]]
     ) -> Iterator[Done]:
-        """Yield the number of each chunk and its result, in any order; the same chunks may come again."""
+        """Yield the number of each chunk and its result, in any order; the same chunks may come again.
+
+        `stacks_of` gives views, which work must not change.
+        """
 
 
 class InTurn:
@@ -76,7 +82,7 @@ class InTurn:
         self, chunks: Sequence[Chunk], work: Work, stacks_of: Callable[[Chunk], list[Float32s]]
     ) -> Iterator[Done]:
         for number, chunk in enumerate(chunks):
-            yield number, *work.on(chunk, stacks_of(chunk), self._threads)
+            yield number, *work.on(chunk, [np.array(stack) for stack in stacks_of(chunk)], self._threads)
 
 
 @dataclass(frozen=True)
@@ -103,7 +109,7 @@ class Chunking:
         """
 
         def stacks_of(chunk: Chunk) -> list[Float32s]:
-            return [np.ascontiguousarray(stack[chunk.around]) for stack in stacks]
+            return [stack[chunk.around] for stack in stacks]
 
         samples, truncated = 0.0, 0
         runner = self.runner if len(chunks) > 1 else InTurn(threads)

@@ -118,8 +118,8 @@ class GridGeometry(Geometry):
         return find_clipped(colours, sigma, empty=self.size - int(np.count_nonzero(self.atlas.kind)))
 
     def gaussian(self, scale: float) -> GridGaussian:
-        filled, stops = self.atlas.kind != EMPTY, self.stops_at_holes
-        return GridGaussian.of(filled, scale, stop_at_holes=stops, atlas=self.atlas, threads=self.threads)
+        atlas, stops = self.atlas, self.stops_at_holes
+        return GridGaussian.of(atlas.is_filled, scale, stop_at_holes=stops, atlas=atlas, threads=self.threads)
 
     def refresh(self, stack: Stack) -> None:
         refresh_halo(stack, self.atlas, self.threads)

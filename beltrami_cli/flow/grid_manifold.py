@@ -26,7 +26,7 @@ from beltrami_cli.flow.canvas import (
     painted,
 )
 from beltrami_cli.flow.cell_squares import Squares, squares_for
-from beltrami_cli.flow.chunks import Chunk, Chunking, Figures, Work, chunk_of, chunking, rectangles
+from beltrami_cli.flow.chunks import Chunk, Figures, Work, chunk_of, chunking, rectangles
 from beltrami_cli.flow.domain import Stack
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_geometry import Cells, GridGeometry, pick
@@ -63,14 +63,6 @@ TILE_ROWS = 32
 _WIDEST_SWEEP = 15
 
 
-@dataclass(frozen=True)
-class Whole:
-    """What a part of a surface takes from the whole; noise that is None is found on the part."""
-
-    unit: float | None = None  # None: its own
-    noise: NoiseModel | None = None
-
-
 def grid_manifold(
     atlas: Atlas,
     planes: Float32s,
@@ -79,34 +71,38 @@ def grid_manifold(
     stop_at_holes: bool = False,
     guides: Sequence[Guide] = (),
     metric_channels: Sequence[int] | None = None,
-    deviations: Float32s | None = None,
-    whole: Whole | None = None,
+    noise: NoiseModel | Float32s | None = None,
+    unit: float | None = None,
 ) -> GridManifold:
-    """Make the image manifold of an atlas with colours on its canvas, which are taken over."""
-    measured, known = None, None if whole is None else whole.noise
-    if deviations is not None and known is None:
-        of_samples, sigma = relative_to_mean(deviations)
+    """Make the image manifold of an atlas with colours on its canvas, which are taken over.
+
+    `noise`: of the colours, or the standard deviations of the owned cells, shape (T, K); None: it is estimated.
+    """
+    measured, known = None, None
+    if isinstance(noise, NoiseModel):
+        known = noise
+    elif noise is not None:
+        of_samples, sigma = relative_to_mean(noise)
         relative = painted(atlas, of_samples, parameters.thread_count)
         relative[relative == 0] = 1  # in empty cells
         measured = relative, sigma
-    noise = estimate_noise(
-        planes, Grid(atlas.kind == OWNED), parameters.given_noise, varies=parameters.evens_noise,
+    model = estimate_noise(
+        planes, Grid(atlas.is_owned), parameters.given_noise, varies=parameters.evens_noise,
         least=parameters.least_noise, measured=measured, known=known,
     )  # fmt: skip
     different = np.zeros(max(1, atlas.seams), bool)
     # Where colours do not count as distance, a jump in colour is not an edge.
     if parameters.beta != 0 and (metric_channels is None or len(metric_channels)):
-        different = find_colour_jumps(atlas, planes, noise.largest_sigma)
+        different = find_colour_jumps(atlas, planes, model.largest_sigma)
     if different.any():
         atlas = without_halo(atlas, halo_beyond(atlas, different))
         for rows in large_arrays.blocks(len(atlas.kind), ROWS):
             planes[:, rows][:, atlas.kind[rows] == EMPTY] = 0
     grid = GridGeometry.of(atlas, parameters, stop_at_holes=stop_at_holes)
-    unit = None if whole is None else whole.unit
     if unit is None:
         unit = grid.spacing if parameters.units == "world" else 1.0
     return GridManifold(
-        geometry=grid, colours=planes, noise=noise, parameters=parameters, unit=unit,
+        geometry=grid, colours=planes, noise=model, parameters=parameters, unit=unit,
         metric_channels=slice(None) if metric_channels is None else list(metric_channels),
         guides=tuple(GuideStack.of(guide, _guide_on_canvas(guide, grid), grid, unit) for guide in guides),
         jumps=int(np.count_nonzero(different)),
@@ -138,14 +134,24 @@ class GridManifold(Manifold):
         self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None = None
     ) -> Averaged:
         """Average the channels by eq. (9): in place, unless all is one block, or in chunks."""
-        grid, threads, wanted = self.geometry, self.parameters.thread_count, chunking()
+        grid, wanted = self.geometry, chunking()
+        if wanted is None or self.is_in_one_block:
+            return self._average_rows(stacks, metric, progress)
+        after, work = grid.planes(sum(map(len, stacks))), Work(_average_chunk, (metric.step, metric.channels))
+        how = {"size": grid.size, "threads": grid.threads}
+        samples, _ = wanted.apply(self._kernel_chunks, work, stacks, after, progress, **how)
+        refresh_halo(after, grid.atlas, grid.threads)
+        return Averaged(_split(after, stacks), round(samples))
+
+    def _average_rows(
+        self, stacks: list[Stack], metric: Metric, progress: Callable[[int], None] | None
+    ) -> Averaged:
+        """Average as `average`, row block by row block."""
+        grid, threads = self.geometry, self.parameters.thread_count
         (rows, columns), margin = grid.atlas.kind.shape, kernel_margin(self.parameters)
         blocks = row_blocks(rows, columns, margin, threads)
-        if self.is_in_one_block or wanted is not None or len(blocks) < 2:
-            if self.is_in_one_block or wanted is None:
-                after, samples = self._apply_kernel(stacks, metric, progress)
-            else:
-                after, samples = self._apply_in_chunks(np.concatenate(stacks), metric, wanted, progress)
+        if self.is_in_one_block or len(blocks) < 2:
+            after, samples = self._apply_kernel(stacks, metric, progress)
             refresh_halo(after, grid.atlas, threads)
             return Averaged(_split(after, stacks), samples)
         samples, finished = 0, None
@@ -175,14 +181,6 @@ class GridManifold(Manifold):
         for stack in stacks:
             refresh_halo(stack, grid.atlas, threads)
         return Averaged(stacks, samples)
-
-    def _apply_in_chunks(
-        self, before: Stack, metric: Metric, wanted: Chunking, progress: Callable[[int], None] | None
-    ) -> tuple[Float32s, int]:
-        grid, work = self.geometry, Work(_average_chunk, (metric.step, metric.channels))
-        after, how = grid.planes(len(before)), {"size": grid.size, "threads": grid.threads}
-        samples, _ = wanted.apply(self._kernel_chunks, work, [before], after, progress, **how)
-        return after, round(samples)
 
     @cached_property
     def _kernel_chunks(self) -> list[Chunk]:
@@ -325,13 +323,12 @@ def cut_blocks(whole: GridManifold, cells: Int64s, core: Bools, reach: int) -> G
 
 
 def _average_chunk(
-    part: GridManifold, stacks: Sequence[Stack], threads: int, step: Step, channels: int
+    part: GridManifold, stacks: list[Stack], threads: int, step: Step, channels: int
 ) -> tuple[Float32s, Figures]:
-    (colours,), parameters = stacks, dataclasses.replace(part.parameters, threads=threads)
-    part = dataclasses.replace(part, parameters=parameters)
-    metric = part.measure(colours[:channels], step)
-    after, samples = part._apply_kernel([colours], metric, None)
-    return after, (samples, 0)
+    parameters = dataclasses.replace(part.parameters, threads=threads)
+    part = dataclasses.replace(part, parameters=parameters, is_in_one_block=False)
+    done = part._average_rows(stacks, part.measure(stacks[0][:channels], step), None)
+    return done.stacks[0] if len(stacks) == 1 else np.concatenate(done.stacks), (done.samples, 0)
 
 
 def row_blocks(rows: int, columns: int, margin: int, threads: int) -> list[slice]:

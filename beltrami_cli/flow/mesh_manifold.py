@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import islice
@@ -142,7 +141,8 @@ class MeshManifold(Manifold):
         neighbours, chunks = Neighbours(mesh.size, edges, mesh.scaled_lengths(edges)), []
         for first, last in runs(mesh.size, wanted.count):
             near = np.isfinite(neighbours.distances(first, last, reach))
-            chunks.append(chunk_of_run(whole.cut, near, first, last))
+            chunk = chunk_of_run(whole.cut, near, first, last)
+            chunks.append(dataclasses.replace(chunk, part=(chunk.part, chunk.kept)))
         return chunks
 
     def kernel_at(self, sample: int, step: Step) -> SampledKernel:
@@ -224,26 +224,34 @@ def average_rows(
     manifold: MeshManifold, rows: Float32s, metric: Metric, progress: Callable[[int], None] | None = None
 ) -> tuple[Float32s, float, int]:
     """Average rows by the kernels of the metric; return them, the samples held, and the kernels cut short."""
-    own, mesh, wanted = at_step(manifold.parameters, metric.step), manifold.geometry, chunking()
+    mesh, wanted = manifold.geometry, chunking()
     if wanted is None or manifold.is_in_one_block:
-        return mesh.core.smooth(
-            rows, mesh.weights, own.t, own.radius, own.max_samples, own.thread_count, progress
-        )
-    work, chunks = Work(_average_chunk, (metric.step, metric.channels)), manifold._kernel_chunks
-    after, how = np.empty_like(rows), {"size": mesh.size, "threads": mesh.threads}
-    samples, truncated = wanted.apply(chunks, work, [rows], after, progress, **how)
-    # The core counts the samples around chunks, too.
-    share = mesh.size / max(1, sum(len(chunk.around) for chunk in chunks))
-    return after, samples * share, math.ceil(truncated * share)
+        return _apply_kernels(manifold, rows, metric.step, slice(0, mesh.size), progress)
+    work, after = Work(_average_chunk, (metric.step, metric.channels)), np.empty_like(rows)
+    how = {"size": mesh.size, "threads": mesh.threads}
+    samples, truncated = wanted.apply(manifold._kernel_chunks, work, [rows], after, progress, **how)
+    return after, samples, truncated
+
+
+def _apply_kernels(
+    manifold: MeshManifold, rows: Float32s, step: Step, wanted: slice, progress: Callable[[int], None] | None
+) -> tuple[Float32s, float, int]:
+    """Average the wanted rows, as `average_rows`; others have no meaning."""
+    own, mesh = at_step(manifold.parameters, step), manifold.geometry
+    return mesh.core.smooth(
+        rows, mesh.weights, own.t, own.radius, own.max_samples, own.thread_count, progress,
+        wanted.start, wanted.stop,
+    )  # fmt: skip
 
 
 def _average_chunk(
-    part: MeshManifold, stacks: Sequence[Stack], threads: int, step: Step, channels: int
+    part: tuple[MeshManifold, slice], stacks: Sequence[Stack], threads: int, step: Step, channels: int
 ) -> tuple[Float32s, Figures]:
-    (colours,), parameters = stacks, dataclasses.replace(part.parameters, threads=threads)
-    part = dataclasses.replace(part, parameters=parameters)
-    metric = part.measure(np.ascontiguousarray(colours[:, :channels]), step)
-    after, samples, truncated = average_rows(part, colours, metric)
+    (colours,), (manifold, kept) = stacks, part
+    parameters = dataclasses.replace(manifold.parameters, threads=threads)
+    manifold = dataclasses.replace(manifold, parameters=parameters)
+    manifold.measure(np.ascontiguousarray(colours[:, :channels]), step)
+    after, samples, truncated = _apply_kernels(manifold, colours, step, kept, None)
     return after, (samples, truncated)
 
 

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import chain
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from beltrami_cli.jobs.job import Job, Progress
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.levelled_charts import photograph_attribute, photographs_of
-from beltrami_cli.layers.memory_check import checked_memory, memory_beside, require_memory, too_many_together
+from beltrami_cli.layers.memory_check import require_memory, within_memory
 from beltrami_cli.layers.selection import (
     Selection,
     count_samples,
@@ -39,9 +38,7 @@ from beltrami_cli.layers.selection import (
     vertex_layer,
 )
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
-from beltrami_cli.layers.texel_colours import choose_textures, only_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
 from beltrami_cli.surface.geometry import bounds, count_topology
@@ -119,27 +116,14 @@ def _describe_layers(
     notices, photographs, access = list[str](), None, job.access
     if selection.vertices and photograph_attribute(document) is not None:
         photographs = photographs_of(document)
-    in_groups = settings.fits_parts
-    memory, rest = memory_beside(document, access) if in_groups else None, list[Slot]()
-    how = {"image": selection.image, "in_groups": in_groups}
-    with checked_memory(document, selection.slots, settings.textures, access, None, **how):
-        for slot in selection.slots:
-            surface = choose_textures(document.textured(slot), settings.textures)
-            many = too_many_together(surface.textures, memory)
-            if many is None:
-                rest.append(slot)
-                continue
-            described["textures"].append(_describe_one_by_one(TileGroups(surface, *many), slot, settings))
-            which = "estimated on some textures, as memory is small for all"
-            notices.append(f"{slot}: noise and parameters are {which}.")
-        chosen = dataclasses.replace(selection, slots=tuple(rest))
+    with within_memory(document, selection.slots, settings.textures, access):
         job.begin("laying out")
-        for layer in layers_of(document, chosen, settings, access, in_groups=in_groups):
+        for layer in layers_of(document, selection, settings, access, in_groups=settings.fits_parts):
             job.begin(f"{layer.label}: choosing parameters")
             facts, exposure = layer.describe(), describe_exposure(layer, photographs)
             described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
             notices += layer.notices
-        for slot in rest:
+        for slot in selection.slots:
             groups = [each for each in described["textures"] if each["slot"] == slot]
             if len(groups) > 1:  # exposures belong to all groups together
                 exposure = describe_exposure(TextureLayer.read(document.textured(slot), slot, settings))
@@ -163,19 +147,6 @@ def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[s
         "explained": report.explained,
         "is_exposure": bool(report.exposures),
     }
-
-
-def _describe_one_by_one(groups: TileGroups, slot: Slot, settings: SmoothSettings) -> dict[str, object]:
-    """Describe the textures of a slot one by one, and noise and parameters by some of them."""
-    facts = TextureLayer.read(groups.evenly_chosen(), slot, settings).describe()
-    del facts["seams_between_textures"], facts["exposure"]
-    plain = dataclasses.replace(settings, kernel=dataclasses.replace(settings.kernel, free=()))
-    images, counts = list[object](), Counter[str]()
-    for index in range(len(groups.surface.textures)):
-        samples = TextureLayer.read(only_textures(groups.surface, [index]), slot, plain)
-        images += cast("list[object]", samples.describe()["images"])
-        counts.update(samples.atlas.counts)
-    return {**facts, "images": images, **counts}
 
 
 def _describe_under_textures(

@@ -25,7 +25,7 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.layer import Layer, SampledVertices
-from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory, require_memory_for_textures
 from beltrami_cli.layers.selection import layers_of, require_scale, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.atlas import EMPTY
@@ -67,6 +67,8 @@ def kernel_file(
     if selection.vertices + len(selection.slots) + selection.image > 1:
         remedy = "choose --on vertices, or --on texture and one of --slots"
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
+    if selection.image:
+        require_memory([(document.name, document.data)], access, PIXEL_BYTES["smoothed"])
     require_memory_for_textures(document, selection.slots, settings.textures, access)
     (samples,) = layers_of(document, selection, settings, access)
     where = samples.places()

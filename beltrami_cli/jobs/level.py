@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
@@ -32,8 +32,6 @@ class Levelled:
 @dataclass(frozen=True)
 class Levelling(Painter[Levelled]):
     """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
-
-    works_on_disk: ClassVar[bool] = True
 
     wanted: LevelSettings
     photographs: Int64s | None = None  # number of the photograph that each vertex is from

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -68,6 +69,7 @@ class Noisy:
 class Noising(Painter[Noisy]):
     """A painter that adds noise."""
 
+    works_in_files: ClassVar[bool] = False
     noise: NoiseSettings
 
     @property

@@ -26,7 +26,7 @@ from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
-from beltrami_cli.layers.memory_check import checked_memory
+from beltrami_cli.layers.memory_check import within_memory
 from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, count_samples, layers_of, select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures
@@ -61,8 +61,8 @@ class Painter(ABC, Generic[AnyPainted]):
 
     # Whether channels of images that are no colours stay, unless they are named.
     colours_only: ClassVar[bool] = True
-    # Whether textures too large for memory can be painted, together in files.
-    works_on_disk: ClassVar[bool] = False
+    # Whether large arrays are in files where memory is too small for them.
+    works_in_files: ClassVar[bool] = True
     phases: ClassVar[Sequence[str]] = ("painting",)  # of `paint`, see `jobs/progress.py`
 
     @property
@@ -72,7 +72,7 @@ class Painter(ABC, Generic[AnyPainted]):
 
     @property
     def works_in_groups(self) -> bool:
-        """Whether textures too large for memory can be painted some at a time."""
+        """Whether textures that do not touch are painted separately."""
         return False
 
     def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Self:
@@ -98,8 +98,8 @@ def recolour(
         painter = painter.prepared(document, selection, kind)
         naming = file.reserve(lambda naming: _sidecar_names(naming, document, selection, settings, kind))
     place = None if file.output is None else target
-    how = {"image": selection.image, "on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
-    with checked_memory(document, selection.slots, settings.textures, file.job.access, place, **how):
+    textures, in_files = settings.textures, painter.works_in_files
+    with within_memory(document, selection.slots, textures, file.job.access, place, in_files=in_files):
         with watch.stage("smooth"):
             in_groups = painter.works_in_groups
             painted = paint(
@@ -120,8 +120,8 @@ def recolour_in_memory(
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
     selection = select(document, settings) if painter.changes else NOTHING
     painter = painter.prepared(document, selection, OutputFormat(document.format, is_patched=True))
-    how = {"image": selection.image, "on_disk": painter.works_on_disk, "in_groups": painter.works_in_groups}
-    with checked_memory(document, selection.slots, settings.textures, job.access, None, **how):
+    textures, in_files = settings.textures, painter.works_in_files
+    with within_memory(document, selection.slots, textures, job.access, in_files=in_files):
         painted = paint(document, selection, settings, painter, job, in_groups=painter.works_in_groups)
     return with_new_colours(document, [each.repainted for each in painted]), painted
 

@@ -116,7 +116,6 @@ class Smoothing(Painter[Smoothed]):
     """A painter that smooths, after `levelling` if that is wanted."""
 
     colours_only: ClassVar[bool] = False
-    works_on_disk: ClassVar[bool] = True
     phases: ClassVar[Sequence[str]] = ("choosing parameters", "smoothing")
 
     settings: SmoothSettings

@@ -29,11 +29,9 @@ from beltrami_cli.layers.image_surface import (
     refuse_options_of_meshes,
 )
 from beltrami_cli.layers.layer import Change, ImageReport, Layer, Part, Repainted, rewritten
-from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures, with_chosen_layer
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import Repainting
-from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
@@ -67,8 +65,6 @@ class ImageLayer(Layer):
         `colours_only` leaves out channels that are no colours, unless settings name them.
         """
         refuse_options_of_meshes(settings, document.name)
-        if not large_arrays.is_on_disk():  # for which `checked_memory` has seen to it
-            require_memory([(document.name, document.data)], access, PIXEL_BYTES["smoothed"])
         picture, chosen = with_chosen_layer(document.picture(), settings)
         only = colours_only or picture.is_layered
         colours = PictureColours.of([picture], "baseColor", chosen, is_image=True, colours_only=only)

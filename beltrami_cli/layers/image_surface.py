@@ -15,7 +15,7 @@ from beltrami_cli.fields import given_options
 from beltrami_cli.flow.beltrami_flow import Plan
 from beltrami_cli.flow.canvas import canvas_margin, painted_by
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
+from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access, read_source
@@ -173,8 +173,8 @@ def canvas_of_image(
             stop_at_holes=atlas.covered < valid.size,
             guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
             metric_channels=metric_channels,
-            whole=Whole(unit, found),
-            deviations=None if noise is None else noise[own],
+            noise=noise[own] if found is None and noise is not None else found,
+            unit=unit,
         )
 
     return manifold, atlas, kernel

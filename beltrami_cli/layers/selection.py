@@ -20,12 +20,10 @@ from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, is_only_read
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.memory_check import memory_beside, too_many_together
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.layers.texture_groups import separate_surfaces
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.tile_groups import TileGroups
 from beltrami_cli.surface.geometry import coarse_rounding
 from beltrami_cli.surface.records import Slot, check_scale
 
@@ -104,7 +102,7 @@ def layers_of(
     colours_only: bool = False,
     in_groups: bool = False,
 ) -> Iterator[Layer]:
-    """Give the selected layers; `in_groups`: textures that do not touch, or do not fit into memory, separately."""
+    """Give the selected layers; `in_groups`: textures that do not touch separately."""
     # For the other parameters see `ImageLayer`.
     if document.kind == "image":
         if selection.image:
@@ -120,17 +118,8 @@ def layers_of(
     for slot, surface in zip(selection.slots, chosen, strict=True):
         parts = separate_surfaces(surface, settings.kernel) if in_groups else [surface]
         for number, part in enumerate(parts, 1):
-            many = too_many_together(part.textures, memory_beside(document, access)) if in_groups else None
-            name = f"part {number} of {len(parts)}" if len(parts) > 1 else ""
-            if many is None:
-                whole = document, access
-                yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
-                continue
-            tiles = TileGroups(part, *many)
-            for group in tiles.parted(tiles.common(slot, settings)):
-                label = f"{name}, {group.label}" if name else group.label
-                own = group.common.settings
-                yield TextureLayer.read(group.surface, slot, own, shared=shared, group=group, part=label)
+            whole, name = (document, access), f"part {number} of {len(parts)}" if len(parts) > 1 else ""
+            yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
 
 
 def count_samples(document: Document, selection: Selection, wanted: TextureSettings) -> list[int]:

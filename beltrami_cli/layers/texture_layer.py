@@ -15,7 +15,7 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted, painted_by
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_manifold import GridManifold, Whole, grid_manifold
+from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
@@ -34,7 +34,6 @@ from beltrami_cli.layers.texel_colours import (
     texel_colours,
     without_transparent,
 )
-from beltrami_cli.layers.texture_groups import TextureGroup
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, build_atlas
 from beltrami_cli.surface.baking import Cells
@@ -66,7 +65,6 @@ class TextureLayer(layer.Layer):
     shared: Collection[str] = ()  # keys of images that other slots show, too
     guided: GuidedTexels | None = None  # where its guides are read from
     noise: Float32s | None = None  # standard deviations of the owned cells, (T, K)
-    group: TextureGroup | None = None
     is_whole: bool = True  # no texture of the slot is in another layer
     levelled_colours: Float32s | None = None  # of the owned cells without exposure steps, (T, N)
     level_report: LevelReport | None = None
@@ -74,8 +72,7 @@ class TextureLayer(layer.Layer):
     @classmethod
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
-        guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (), group: TextureGroup | None = None,
-        part: str = "",
+        guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (), part: str = "",
     ) -> TextureLayer:  # fmt: skip
         """Decode the chosen textures, and lay their charts out.
 
@@ -85,11 +82,9 @@ class TextureLayer(layer.Layer):
         pictures, tables = list[Picture](), list[JpegTables | None]()
         for texture in surface.textures:
             data = texture.data  # each access may read the file
-            picture = read_texture(texture, data)
-            is_written = group is None or texture.key in group.own
-            pictures.append(picture if is_written else dataclasses.replace(picture, source=b""))
+            pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
             tables.append(read_jpeg_tables(data))
-        made = cls.of(surface, pictures, tables, slot, settings, guided=guided, shared=shared, group=group)
+        made = cls.of(surface, pictures, tables, slot, settings, guided=guided, shared=shared)
         if not part:
             return made
         return dataclasses.replace(made, label=f"{made.label}, {part}", is_whole=False)
@@ -98,7 +93,6 @@ class TextureLayer(layer.Layer):
     def of(
         cls, surface: TexturedSurface, pictures: Sequence[Picture], tables: Sequence[JpegTables | None], slot: Slot,
         settings: SmoothSettings, *, guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (),
-        group: TextureGroup | None = None,
     ) -> TextureLayer:  # fmt: skip
         """Lay the charts of decoded textures out."""
         kernel = settings.kernel
@@ -115,7 +109,7 @@ class TextureLayer(layer.Layer):
         return cls(
             label=f"{slot} textures", names=colours.names, slot=slot, settings=settings, surface=surface,
             pictures=pictures, tables=tables, atlas=atlas, colours=colours, shared=shared, guided=guides,
-            noise=noise, group=group,
+            noise=noise,
         )  # fmt: skip
 
     def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
@@ -134,27 +128,18 @@ class TextureLayer(layer.Layer):
         self, planes: Float32s | None = None, noise: NoiseModel | None = None, *, guides: Sequence[Guide] = ()
     ) -> GridManifold:
         """Return the manifold of the texels, with the noise of their colours; or of others, with theirs."""
-        whole = None if self.group is None else self.group.common.whole(self.names)
-        if noise is not None:
-            whole = Whole(None if whole is None else whole.unit, noise)
         return grid_manifold(
             self.atlas,
             on_canvas(self) if planes is None else planes,
             self.settings.kernel,
             guides=guides,
             metric_channels=self.colours.metric_channels,
-            deviations=self.noise,
-            whole=whole,
+            noise=self.noise if noise is None else noise,
         )
 
     def require_writable(self) -> None:
         for picture in self.pictures:
             check_writable(picture, self.settings.textures.image_suffix)
-
-    def _own(self) -> list[int]:
-        """Return which textures are written back: of a group, its own."""
-        own = None if self.group is None else self.group.own
-        return [i for i, texture in enumerate(self.surface.textures) if own is None or texture.key in own]
 
     def _facts(self) -> list[dict[str, object]]:
         atlas = self.atlas
@@ -169,22 +154,17 @@ class TextureLayer(layer.Layer):
                 "channels": list(picture.channels),
                 "covered": round(float(covered[index] / picture.pixels[..., 0].size), 4),
             }
-            for index in self._own()
-            for picture in [self.pictures[index]]
+            for index, picture in enumerate(self.pictures)
         ]
 
     def report(self, plan: Plan[GridManifold], result: FlowResult[GridManifold]) -> SlotReport:
-        used, counts = self._used(plan, result), self.atlas.counts
-        if self.group is not None:
-            used |= self.group.common.described
-            counts |= self.group.counts(self.atlas, self._own())
         return SlotReport(
             slot=self.slot,
             textures=self._facts(),
-            counts={**counts, "jumps": plan.manifold.jumps},
+            counts={**self.atlas.counts, "jumps": plan.manifold.jumps},
             pitch=plan.manifold.geometry.spacing,
             samples_per_kernel=round(result.samples_per_kernel, 2),
-            **used,
+            **self._used(plan, result),
         )
 
     def describe(self) -> dict[str, object]:
@@ -219,12 +199,10 @@ class TextureLayer(layer.Layer):
             dict[tuple[Slot, str], ImageFile](),
             list[layer.SharedImage](),
         )
-        for index in self._own():
-            texture, picture = self.surface.textures[index], self.pictures[index]
+        for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
             pixels, change = painter.repaint(index, new)
             large_arrays.leave_memory()
-            as_data, is_kept = self.slot not in COLOUR_SLOTS, texture.is_read_anew
-            write = partial(_written, picture, wanted, as_data=as_data, is_kept=is_kept)
+            write = partial(_written, picture, wanted, as_data=self.slot not in COLOUR_SLOTS)
             if texture.key in self.shared:
                 columns = self.colours.columns(picture)
                 shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
@@ -292,11 +270,11 @@ def painter_of(textures: TextureLayer, gutter: int | None, *, is_dithered: bool 
 
 
 def _written(
-    picture: Picture, wanted: TextureSettings, pixels: Array, *, as_data: bool, is_kept: bool
+    picture: Picture, wanted: TextureSettings, pixels: Array, *, as_data: bool
 ) -> tuple[ImageFile, list[str]]:
-    """Write new pixels as a file, `is_kept` on disk; return also what users should know."""
+    """Write new pixels as a file; return also what users should know."""
     file, said = layer.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=as_data)
-    return dataclasses.replace(file, content=large_arrays.kept(file.data)) if is_kept else file, said
+    return dataclasses.replace(file, content=large_arrays.kept_bytes(file.data)), said
 
 
 def _plan_alone(textures: TextureLayer, index: int) -> Plan[GridManifold]:

@@ -87,6 +87,18 @@ class Atlas:
         """The numbers of charts, seams and texels."""
         return {name: getattr(self, name) for name in ("charts", "seams", "covered", "overlapped")}
 
+    @property
+    def is_owned(self) -> Bools:
+        """Which cells are owned, shape (R, C)."""
+        owned: Bools = large_arrays.empty(self.kind.shape, bool)
+        return np.equal(self.kind, OWNED, out=owned)
+
+    @property
+    def is_filled(self) -> Bools:
+        """Which cells are not empty, shape (R, C)."""
+        filled: Bools = large_arrays.empty(self.kind.shape, bool)
+        return np.not_equal(self.kind, EMPTY, out=filled)
+
     def covered_by_texture(self) -> Int64s:
         """Return how many texels of each texture have a cell."""
         if len(self.texture_offsets) == 2:
@@ -124,7 +136,7 @@ def refresh_halo(
     # and at an edge it is a colour that neither side has, over which kernels find their way across.
     # Interpolated values are for show.
     cells, nearest = atlas.halo_cells, atlas.halo_nearest
-    at_once = large_arrays.SCATTERED if interpolated or large_arrays.is_on_disk() else max(1, len(cells))
+    at_once = large_arrays.SCATTERED if interpolated or large_arrays.any_in_files() else max(1, len(cells))
     for block in large_arrays.blocks(len(cells), at_once):
         if not interpolated:
             copy_cells(planes, cells[block], nearest[block], threads)
@@ -136,7 +148,7 @@ def refresh_halo(
 
 def without_halo(atlas: Atlas, dropped: Bools) -> Atlas:
     """Return the atlas with some of its halo cells, shape (H,), empty."""
-    kind = atlas.kind.copy()
+    kind = large_arrays.copy_of(atlas.kind)
     kind.reshape(-1)[atlas.halo_cells[dropped]] = EMPTY
     seen = kind.reshape(-1)[atlas.gutter_cells] != EMPTY
     names = ("halo_cells", "halo_taps", "halo_weights", "halo_seams")
@@ -153,7 +165,7 @@ def without_owned(atlas: Atlas, dropped: Bools) -> Atlas:
     total = weights.sum(axis=1)
     orphaned = total <= 0
     weights /= np.where(orphaned, 1, total)[:, None]
-    kind = atlas.kind.copy()
+    kind = large_arrays.copy_of(atlas.kind)
     kind.reshape(-1)[gone] = EMPTY
     owned = {name: getattr(atlas, name)[~dropped] for name in ("owned_cells", "owned_texels", "chart_of")}
     kept = dataclasses.replace(atlas, kind=kind, halo_weights=weights.astype(np.float32), **owned)

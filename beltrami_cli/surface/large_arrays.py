@@ -10,7 +10,6 @@ import contextlib
 import math
 import mmap
 import os
-import shutil
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
@@ -32,59 +31,96 @@ CACHED = 1 << 16
 SCATTERED = 1 << 14
 """The same of samples that lie all over the arrays, each on a page of its own, or 64 KB that are read with it."""
 
-SMALLEST_FILE = 1 << 24
-"""Bytes; smaller arrays stay in memory, where there is as much as `_SHARE` suggests."""
-
-# Of the memory of a job: what the largest array may take that stays in it. Patches work on some twenty at a time.
-_SHARE = 1 / 64
-_FEWEST_BYTES = 1 << 16  # a file costs some pages
+# Of the memory that is left for such arrays and for blocks of them: what they take before others are files.
+_SHARE = 3 / 4
+SMALLEST = 1 << 16
+"""Bytes; smaller arrays stay in memory, and do not count: a file costs some pages."""
 
 
-@dataclass(frozen=True)
-class _Disk:
-    folder: Path
-    smallest: int
+@dataclass
+class _Limit:
+    """Where arrays are files once those in memory take a number of bytes."""
+
+    folder: Path | None  # None: for temporary files
+    most: int
+    held: int = 0  # bytes of arrays in memory
     maps: weakref.WeakSet[mmap.mmap] = field(default_factory=weakref.WeakSet)
 
+    def has_room(self, size: int) -> bool:
+        return size < SMALLEST or self.held + size <= self.most
 
-_DISK: ContextVar[_Disk | None] = ContextVar("disk", default=None)
+    def count(self, array: Array) -> None:
+        """Count an array as long as it lives."""
+        if array.nbytes >= SMALLEST:
+            self.held += array.nbytes
+            weakref.finalize(array, self._release, array.nbytes).atexit = False
+
+    def _release(self, size: int) -> None:
+        self.held -= size
+
+
+_LIMIT: ContextVar[_Limit | None] = ContextVar("limit", default=None)
 
 
 @contextlib.contextmanager
-def kept_on_disk(folder: Path, memory: int | None = None) -> Iterator[None]:
-    """Let arrays that are large for the memory, and made meanwhile in this thread, be files without a name."""
-    smallest = SMALLEST_FILE
-    if memory is not None:
-        smallest = min(smallest, max(_FEWEST_BYTES, int(_SHARE * memory)))
-    token = _DISK.set(_Disk(folder, smallest))
+def kept_within(memory: int, folder: Path | None = None) -> Iterator[None]:
+    """Let arrays made in this context and thread be files without a name, in a folder, where memory is short.
+
+    `memory`: bytes for the arrays and for temporary blocks of them.
+    """
+    token = _LIMIT.set(_Limit(folder, int(_SHARE * memory)))
     try:
         yield
     finally:
-        _DISK.reset(token)
+        _LIMIT.reset(token)
 
 
 def zeros(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     """Return an array of zeros, like `numpy.zeros`; ProcessingError if the disk is full where it belongs."""
-    found = _on_disk(shape, dtype)
-    return np.zeros(shape, dtype) if found is None else found
+    return _made(np.zeros, shape, dtype)
 
 
-def empty(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None = None) -> Array:
+def empty(shape: int | Sequence[int], dtype: DTypeLike) -> Array:
     """Return an array whose values mean nothing yet, like `numpy.empty`; ProcessingError as for `zeros`."""
-    found = _on_disk(shape, dtype, smallest)
-    return np.empty(shape, dtype) if found is None else found
+    return _made(np.empty, shape, dtype)
 
 
-def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None = None) -> Array | None:
-    disk = _DISK.get()
-    shape = (shape,) if isinstance(shape, int) else tuple(shape)
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    if disk is None or size < (disk.smallest if smallest is None else smallest):
-        return None
+def _made(make: Callable[..., Array], shape: int | Sequence[int], dtype: DTypeLike) -> Array:
+    limit = _LIMIT.get()
+    if limit is None:
+        return make(shape, dtype)
+    size = math.prod((shape,) if isinstance(shape, int) else shape) * np.dtype(dtype).itemsize
+    if not limit.has_room(size):
+        return _in_file(limit, size).view(dtype).reshape(shape)
+    array = make(shape, dtype)
+    limit.count(array)
+    return array
+
+
+def kept(array: Array) -> Array:
+    """Return an array made elsewhere, from now on in a file if there is no room for it."""
+    limit = _LIMIT.get()
+    if limit is None:
+        return array
+    if not limit.has_room(array.nbytes):
+        return copy_of(array)
+    limit.count(array)
+    return array
+
+
+def kept_bytes(data: bytes) -> bytes | memoryview:
+    """Return the same bytes, from now on in a file if there is no room for them."""
+    return data if _LIMIT.get() is None else kept(np.frombuffer(data, np.uint8)).data
+
+
+def _in_file(limit: _Limit, size: int) -> Array:
+    """Return an array of bytes in a file."""
     import tempfile
 
+    from beltrami_cli.surface.worker_process import unwritable
+
     try:
-        with tempfile.TemporaryFile(dir=disk.folder) as file:
+        with tempfile.TemporaryFile(dir=limit.folder) as file:
             # Else a full disk would end the program when a page is written.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
@@ -92,12 +128,14 @@ def _on_disk(shape: int | Sequence[int], dtype: DTypeLike, smallest: int | None 
                 file.truncate(size)
             pages = mmap.mmap(file.fileno(), size)
     except OSError as error:
+        if limit.folder is None:
+            raise unwritable(error.strerror or str(error)) from error
         raise ProcessingError(
-            f"{disk.folder}: there is no room for {size >> 20} MB of working space ({error.strerror}); "
+            f"{limit.folder}: there is no room for {size >> 20} MB of working space ({error.strerror}); "
             "free some, or raise --max-memory"
         ) from error
-    disk.maps.add(pages)
-    return np.frombuffer(pages, dtype).reshape(shape)
+    limit.maps.add(pages)
+    return np.frombuffer(pages, np.uint8)
 
 
 @dataclass
@@ -118,9 +156,9 @@ class Droppable:
             self.array = None
 
 
-def copy_of(array: Array, smallest: int | None = None) -> Array:
-    """Return a copy of an array, made block by block; where there are many, small ones belong into files, too."""
-    copy = empty(array.shape, array.dtype, smallest)
+def copy_of(array: Array) -> Array:
+    """Return a copy of an array, made block by block."""
+    copy = empty(array.shape, array.dtype)
     source, target = array.reshape(-1), copy.reshape(-1)
     for block in blocks(len(source)):
         target[block] = source[block]
@@ -148,36 +186,16 @@ def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
 
 def leave_memory() -> None:
     """Let what was touched of arrays in files leave memory; it is read again when it is needed."""
-    disk = _DISK.get()
-    if disk is not None and hasattr(mmap, "MADV_DONTNEED"):
-        for pages in disk.maps:
+    limit = _LIMIT.get()
+    if limit is not None and hasattr(mmap, "MADV_DONTNEED"):
+        for pages in limit.maps:
             pages.madvise(mmap.MADV_DONTNEED)
 
 
-def free_space() -> int:
-    """Return the bytes that are free where large arrays are kept."""
-    import tempfile
-
-    from beltrami_cli.surface.worker_process import writing_temporary_files
-
-    disk = _DISK.get()
-    with writing_temporary_files():
-        return shutil.disk_usage(tempfile.gettempdir() if disk is None else disk.folder).free
-
-
-def kept(data: bytes) -> bytes | memoryview:
-    """Return the same bytes, from now on in a file where large arrays are kept so."""
-    if not is_on_disk():
-        return data
-    array = empty(len(data), np.uint8, smallest=1 << 16)
-    array[:] = np.frombuffer(data, np.uint8)
-    leave_memory()
-    return array.data
-
-
-def is_on_disk() -> bool:
-    """Return whether large arrays that are made now are kept in files."""
-    return _DISK.get() is not None
+def any_in_files() -> bool:
+    """Return whether there are arrays in files."""
+    limit = _LIMIT.get()
+    return limit is not None and len(limit.maps) > 0
 
 
 def random_signs(shape: Sequence[int], random: np.random.Generator) -> Int8s:

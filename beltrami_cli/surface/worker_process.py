@@ -34,7 +34,7 @@ def writing_temporary_files() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise _unwritable(error.strerror or str(error)) from error
+        raise unwritable(error.strerror or str(error)) from error
 
 
 @contextmanager
@@ -48,7 +48,8 @@ def temporary_folder() -> Iterator[Path]:
         yield Path(folder)
 
 
-def _unwritable(cause: str) -> ProcessingError:
+def unwritable(cause: str) -> ProcessingError:
+    """Return the error that temporary files cannot be written."""
     return ProcessingError(
         f"temporary files cannot be written ({cause}); free space, or name another folder in the variable TMPDIR"
     )
@@ -65,7 +66,7 @@ class Worker:
     def failure(self) -> str | None:
         """Return in a line why it failed, or None; it must have ended. ProcessingError if its disk was full."""
         if self.process.returncode == _NO_ROOM:
-            raise _unwritable("there is no room for the result of a process")
+            raise unwritable("there is no room for the result of a process")
         self._said.seek(0)
         if not self.process.returncode:
             return None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import signal
 import subprocess
 import threading
@@ -18,6 +20,7 @@ from batch.chunk_work import add, die, die_once, refuse, sleep
 from beltrami_cli.batch import chunk_runners
 from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
 from beltrami_cli.batch.cluster import Cancelled
+from beltrami_cli.batch.item import Attempt
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work, in_chunks
@@ -72,6 +75,27 @@ def test_work_that_is_given_up_ends_at_once(runner):
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="only POSIX says so before pages are written")
+def test_storage_that_is_full_is_reported(runner, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(ProcessingError, match=r"no room for a piece in work \(No space left"):
+        done(runner, Work(add, ()))
+
+
+def test_arrays_are_exchanged(tmp_path):
+    (tmp_path / "file").touch()
+    ours, theirs = (chunk_runners._Exchange(tmp_path / "file") for _ in range(2))
+    for size in (2, 0, 3, 1):
+        arrays = [np.arange(4 * size, dtype=np.float32).reshape(2, -1).T, np.ones((size, 3), np.float32)]
+        got = theirs.take(ours.put(arrays))
+        assert all(map(np.array_equal, got, arrays))
+    assert theirs.take([]) == []
+
+
+@pytest.mark.slow
 def test_a_mesh_in_processes_has_the_bits_of_the_whole(runner, monkeypatch):
     monkeypatch.setattr(chunks, "LEAST_SAMPLES", 1)
     parameters = KernelParameters(**{**FIXED, "patches": "on"})
@@ -87,8 +111,12 @@ def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
     (tmp_path / "in").mkdir()
     for kind in ("obj", "mtl", "png"):
         os.link(SAMPLES / f"mirrored-noisy.{kind}", tmp_path / "in" / f"mirrored-noisy.{kind}")
+    said = []
     for name, options in (("whole", ()), ("pieces", ("--pieces", 4, "-j", 2))):
-        batch(tmp_path / "in", "--out-dir", tmp_path / name, *options, "-n", 2, "--patches", "on")
+        options = *options, "-n", 2, "--patches", "on", "-v"
+        said.append(batch(tmp_path / "in", "--out-dir", tmp_path / name, *options))
+    in_pieces = re.compile(r"done: .*mirrored-noisy\.obj, [0-9.]+ s, in 4 pieces\n")
+    assert [in_pieces.search(each) is not None for each in said] == [False, True]
     assert files_in(tmp_path / "pieces") == files_in(tmp_path / "whole")
 
 
@@ -142,7 +170,7 @@ def given_up_while(do, monkeypatch):
     """Leave an executor while its thread does a file by `do`, which gets an event to say that it has begun."""
     begun, seen = threading.Event(), []
     monkeypatch.setattr(chunk_runners, "_GRACE", 0.05)
-    monkeypatch.setattr(chunk_runners, "do_item", lambda *_, **__: do(begun, seen))
+    monkeypatch.setattr(chunk_runners, "do_item", lambda *_, **__: do(begun, seen) or Attempt(None))
     monkeypatch.setattr(chunk_runners, "failed", lambda *_: None)
     with ChunkExecutor(ProcessRunner(1), 1, None) as executor:
         executor.start(0, SimpleNamespace(source="a.ply"))
@@ -226,3 +254,11 @@ def test_the_message_names_what_failed_on_dask(nthreads, result, said):
     pytest.importorskip("distributed")
     with pytest.raises(ProcessingError, match=said):
         done(DaskRunner(Client(nthreads, result)), Work(add, ()))
+
+
+def test_vertices_are_not_moved_in_pieces_which_is_said_at_once(tmp_path):
+    (tmp_path / "damaged.ply").write_bytes(b"ply")
+    arguments = tmp_path / "damaged.ply", "--out-dir", tmp_path / "out", "--pieces", 2, "--smooth-geometry"
+    said = batch(*arguments, code=2)
+    assert "damaged.ply: vertices are not moved in pieces; leave out --pieces, or --smooth-geometry" in said
+    assert not (tmp_path / "out").exists()

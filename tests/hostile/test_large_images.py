@@ -14,9 +14,9 @@ from hostile.textured_models import write_model
 
 # The largest that is read; there are no pixels behind the header, so decoding would say "damaged".
 SIDE = 16384
-# Decoded, one takes 256 MB, which fits, and for every use at least 8 bytes per pixel more, which do not.
-LIMIT = "2G"
-# Smoothing keeps its arrays in files then; other jobs on all pixels take at least 40 bytes per pixel.
+# Decoded, one takes 256 MB, which fits, and for every use at least 2 bytes per pixel more, which do not.
+LIMIT = "512M"
+# Jobs that recolour keep their arrays in files then; other jobs on all pixels take at least 30 bytes per pixel.
 LIMIT_IN_MEMORY = "8G"
 
 

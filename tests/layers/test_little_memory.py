@@ -18,13 +18,9 @@ from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.model_folder import tile_name
 from beltrami_cli.formats.registry import open_document
-from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers import memory_check
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -47,8 +43,9 @@ def smoothed(model, folder, memory, **options):
 
 @pytest.fixture
 def on_disk(monkeypatch):
-    """All arrays for which there is no room, however small, are in files; returns the bytes that these take."""
-    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1)
+    """All arrays, however small, are in files where memory is limited; returns the bytes that these take."""
+    monkeypatch.setattr(large_arrays, "SMALLEST", 1)
+    monkeypatch.setattr(large_arrays, "_SHARE", 0)
     sizes = []
     take = os.posix_fallocate
 
@@ -78,7 +75,6 @@ def test_the_result_is_the_same(model, photograph_as_jpeg, tmp_path, monkeypatch
     in_memory = smoothed(source, tmp_path / "memory", None)
     assert not on_disk
     monkeypatch.setattr(large_arrays, "BLOCK", 1000)
-    monkeypatch.setattr(memory_check, "TEXEL_BYTES", 1e6)  # bytes a texel
     files = smoothed(source, tmp_path / "disk", 1 << 30)
     assert sum(on_disk) > 1 << 19  # at least the colours of 160 x 160 texels, old and new
     assert files == in_memory
@@ -94,114 +90,38 @@ SIDE = 4  # tiles
 
 
 def tiles_of(model, folder, memory, settings):
-    """Smooth tiles; return their pixels in order, the names of the groups in progress, and the report."""
+    """Smooth tiles; return all files by their names, and the report."""
     folder.mkdir()
-    labels = {}
-
-    def progress(label, *_):
-        if "group" in label:
-            labels.setdefault(label.partition(":")[0])
-
-    job = Job(access=Access(memory=memory), progress=progress)
-    report = smooth_file(model, folder / "new.obj", settings, job)
-    files = sorted(folder.glob("*.png"))
-    assert [path.name for path in files] == [
-        f"new_skin.{1001 + u + 10 * v}.png" for v in range(SIDE) for u in range(SIDE)
-    ]
-    pixels = [read_image(path.read_bytes(), path.name).pixels.astype(int) for path in files]
-    return pixels, list(labels), report.textures[0]
+    report = smooth_file(model, folder / "new.obj", settings, Job(access=Access(memory=memory)))
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert len([name for name in files if name.startswith("new_skin.10")]) == SIDE * SIDE
+    return files, report.textures
 
 
 @pytest.mark.slow
-def test_many_tiles_are_smoothed_in_groups_with_the_same_result(tmp_path, monkeypatch, on_disk):
+@pytest.mark.parametrize("noise", [None, "12", "shot:0.002,read:0.03"])
+@pytest.mark.parametrize("kernel", [GIVEN.kernel, parameters_with({}, fast=True)], ids=["given", "chosen"])
+def test_many_tiles_have_the_same_result(tmp_path, monkeypatch, on_disk, kernel, noise):
     model = tiled_model(tmp_path / "in", size=SIDE)
-    whole, _, expected = tiles_of(model, tmp_path / "whole", None, GIVEN)
-    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
-    memory = 300_000  # bytes; all tiles take 302,000 with their arrays in files
-    groups, labels, done = tiles_of(model, tmp_path / "groups", memory, GIVEN)
-    assert labels[0] == f"baseColor textures, group 1 of {len(labels)}"
-    assert len(labels) > 3
-    assert max(on_disk) < 500_000  # of the whole, squared lengths alone take 920,000
-    difference = np.abs(np.array(groups) - np.array(whole))
-    assert difference.max() <= 1  # where charts meet in a corner, the order of those beyond may differ
-    assert np.count_nonzero(difference) <= 10
-    assert check_files(model, tmp_path / "groups" / "new.obj").faithful
-    assert [image["name"] for image in done.textures] == [image["name"] for image in expected.textures]
-    assert done.change == pytest.approx(expected.change)
-    for count in ("charts", "covered"):
-        assert done.counts[count] == expected.counts[count]
+    settings = SmoothSettings(dataclasses.replace(kernel, noise=noise))
+    whole = tiles_of(model, tmp_path / "whole", None, settings)
+    assert not on_disk
+    memory = 100_000  # bytes, for 37,000 texels
+    assert tiles_of(model, tmp_path / "little", memory, settings) == whole
+    assert sum(on_disk) > memory
 
 
-@pytest.mark.slow
-def test_parameters_are_chosen_once_for_all_groups(tmp_path, monkeypatch):
-    model = tiled_model(tmp_path / "in", size=SIDE)
-    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
-    settings = SmoothSettings(parameters_with({}, fast=True))
-    whole, _, expected = tiles_of(model, tmp_path / "whole", None, settings)
-    groups, labels, done = tiles_of(model, tmp_path / "groups", 300_000, settings)
-    assert len(labels) > 3
-    assert done.iterations == expected.iterations
-    assert done.beta == pytest.approx(expected.beta, rel=0.1)
-    assert np.abs(np.array(groups) - np.array(whole)).mean() < 0.5  # of 255
-
-
-@pytest.mark.slow
-def test_noise_of_each_level_is_known_to_all_groups(tmp_path, monkeypatch):
-    """Noise that grows with the level is made even, as on the whole, although no group alone shows all levels."""
-    side = 96
-    model, random = tiled_model(tmp_path / "in", size=SIDE), np.random.default_rng(4)
-    level = np.linspace(0.1, 0.9, SIDE * side)
-    for v in range(SIDE):
-        for u in range(SIDE):
-            clean = np.broadcast_to(level[u * side :][:side, None], (side, side, 3))
-            noisy = clean + (0.01 + 0.08 * clean) * random.normal(size=clean.shape)
-            file = model.with_name(tile_name("skin.<UDIM>.png", (u, v)))
-            file.write_bytes(encode(np.rint(noisy.clip(0, 1) * 255).astype(np.uint8), "png"))
-    made, take = [], TextureLayer.manifold
-    monkeypatch.setattr(
-        TextureLayer, "manifold", lambda *of, **more: made.append(take(*of, **more)) or made[-1]
-    )
-    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 16)
-    memory = 1_100_000  # bytes; all tiles take 1,207,000 with their arrays in files
-    settings = SmoothSettings(parameters_with({}, fast=True))
-    _, labels, _ = tiles_of(model, tmp_path / "groups", memory, settings)
-    assert len(made) == len(labels) + 1  # also of the textures on which parameters were chosen
-    assert len(labels) > 4
-    first, *others = made
-    assert first.noise.stabiliser is not None
-    for other in others:
-        assert other.noise.stabiliser is first.noise.stabiliser
-        assert np.array_equal(other.noise.sigma, first.noise.sigma)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", ["12", "shot:0.002,read:0.03"])
-def test_groups_take_the_noise_that_is_given(tmp_path, monkeypatch, noise):
-    model = tiled_model(tmp_path / "in", size=SIDE)
-    settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=noise))
-    whole, _, expected = tiles_of(model, tmp_path / "whole", None, settings)
-    monkeypatch.setattr(large_arrays, "SMALLEST_FILE", 1 << 14)
-    groups, labels, done = tiles_of(model, tmp_path / "groups", 300_000, settings)
-    assert len(labels) > 3
-    # The strength is the same; how channels share it is read on some of the tiles.
-    strengths = [np.sqrt(np.mean(np.square(list(own.noise.values())))) for own in (done, expected)]
-    assert strengths[0] == pytest.approx(strengths[1])
-    assert np.abs(np.subtract(groups, whole, dtype=float)).mean() < 1
-
-
-def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_path):
-    """There are no groups with it: all tiles are refused, and the one that is chosen fits by itself."""
+def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_path, monkeypatch):
     model, noise = tiled_model(tmp_path / "in", size=SIDE), tmp_path / "noise.png"
     deviations = np.linspace(5, 25, 48 * 48).reshape(48, 48, 1)
     noise.write_bytes(encode(deviations.astype(np.uint8), "png"))
     settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=str(noise)))
     with pytest.raises(UsageError, match=r"is the noise of one of 16 textures; choose it by --texture"):
         tiles_of(model, tmp_path / "all", None, settings)
-    with pytest.raises(InputError, match="do not fit into memory"):
-        tiles_of(model, tmp_path / "little", 300_000, settings)
+    monkeypatch.setattr(large_arrays, "SMALLEST", 1)
     one = dataclasses.replace(settings, textures=TextureSettings(names=("skin.1023.png",)))
     results = []
-    for memory in (None, 300_000):
+    for memory in (None, 50_000):
         folder = tmp_path / f"one{memory}"
         folder.mkdir()
         smooth_file(model, folder / "new.obj", one, Job(access=Access(memory=memory)))
@@ -210,28 +130,9 @@ def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_
     assert results[0]["new_skin.1023.png"] != (tmp_path / "in" / "skin.1023.png").read_bytes()
 
 
-@pytest.mark.slow
-def test_images_inside_a_file_count_as_memory(tmp_path, on_disk):
-    """Those of a GLB stay in memory, as they are and as they are written; so there is a group more for a byte less."""
-    smooth_file(tiled_model(tmp_path / "in", size=SIDE), tmp_path / "model.glb", GIVEN, iterations=0)
-    document = open_document(str(tmp_path / "model.glb"))
-    files = [texture.data for texture in document.textured("baseColor").textures]
-    texels = 48 * 48
-    needed = 8 * len(files) * texels + 3 * texels + len(document.data) + 2 * sum(map(len, files))
-    for memory, parts in ((needed, 1), (needed - 1, 2)):
-        labels = {}
-        job = Job(
-            access=Access(memory=memory), progress=lambda label, *_, seen=labels: seen.setdefault(label)
-        )
-        smooth_file(tmp_path / "model.glb", tmp_path / f"new{memory}.glb", GIVEN, job)
-        assert len(labels) >= parts
-        assert ("group" in "".join(labels)) == (parts > 1)
-
-
-def test_a_tile_that_does_not_fit_with_those_around_it_is_refused(tmp_path, monkeypatch):
+def test_tiles_that_do_not_fit_are_refused_by_name(tmp_path):
     model = tiled_model(tmp_path / "in", size=3)
-    monkeypatch.setattr(memory_check, "TEXEL_BYTES_ON_DISK", 20)
-    with pytest.raises(InputError, match=r"^skin.1001.png: its 48 x 48 pixels .* raise --max-memory$"):
+    with pytest.raises(InputError, match=r"^skin.10\d\d.png: its 48 x 48 pixels .* raise --max-memory$"):
         tiles_of(model, tmp_path / "out", 30_000, GIVEN)
     assert not list((tmp_path / "out").iterdir())
 
@@ -241,7 +142,6 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_di
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    monkeypatch.setattr(memory_check, "TEXEL_BYTES", 1e6)
     with pytest.raises(
         ProcessingError, match=r"no room for \d+ MB of working space \(No space left on device\)"
     ):
@@ -269,7 +169,7 @@ def test_an_atlas_leaves_memory_as_it_is_made(tmp_path, monkeypatch):
         leave()
 
     monkeypatch.setattr(large_arrays, "leave_memory", measured)
-    with large_arrays.kept_on_disk(tmp_path):
+    with large_arrays.kept_within(0, tmp_path):
         measured()
         build_atlas(surface, [(side, side)] * count, 3)
     # Two numbers of 4 bytes a texel would be 268 MB; every 4 million texels they leave.
@@ -324,7 +224,7 @@ def test_estimates_may_take_the_memory_of_their_pilot():
 def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
     """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
     memory = 8 << 20
-    with large_arrays.kept_on_disk(tmp_path, memory):
+    with large_arrays.kept_within(memory, tmp_path):
         plan = plan_with_patches(512)
         tracemalloc.start()
         try:
@@ -351,7 +251,7 @@ def test_means_of_squares_are_kept_in_files(tmp_path, monkeypatch):
         return gain
 
     monkeypatch.setattr(patches, "_improve_means", measured)
-    with large_arrays.kept_on_disk(tmp_path, 1 << 20):
+    with large_arrays.kept_within(1 << 20, tmp_path):
         plan = plan_with_patches(512)
         tracemalloc.start()
         try:
@@ -368,7 +268,7 @@ def test_random_planes_are_in_files_and_the_same(tmp_path, scales):
     atlas = grid_atlas(shape, 1, None, np.ones(shape, bool))
     noise = NoiseModel(np.tile(0.01 * np.eye(3), (scales, 1, 1)))
     expected = perturbations(1, atlas, noise)[0]
-    with large_arrays.kept_on_disk(tmp_path, 1 << 20):
+    with large_arrays.kept_within(1 << 20, tmp_path):
         tracemalloc.start()
         try:
             planes = perturbations(1, atlas, noise)[0]
@@ -380,7 +280,7 @@ def test_random_planes_are_in_files_and_the_same(tmp_path, scales):
 
 
 def test_arrays_in_files_are_like_others(tmp_path, on_disk):
-    with large_arrays.kept_on_disk(tmp_path):
+    with large_arrays.kept_within(1 << 20, tmp_path):
         array = large_arrays.zeros((5, 7), np.int16)
         assert array.shape == (5, 7)
         assert not array.any()
@@ -392,3 +292,21 @@ def test_arrays_in_files_are_like_others(tmp_path, on_disk):
     assert np.array_equal(copy, array)
     assert on_disk == [array.nbytes, copy.nbytes]
     assert not list(tmp_path.iterdir())
+
+
+def test_arrays_are_in_memory_up_to_a_share_of_it(tmp_path):
+    size = large_arrays.SMALLEST
+    with large_arrays.kept_within(4 * size, tmp_path):  # for three of them
+        kept = [large_arrays.empty(size, np.uint8), large_arrays.kept(np.ones(size, np.uint8))]
+        freed = large_arrays.zeros(size, np.uint8)
+        assert not large_arrays.any_in_files()
+        one = large_arrays.kept(np.ones(size, np.uint8))
+        assert large_arrays.any_in_files()
+        assert one.all()
+        small = large_arrays.zeros(size - 1, np.uint8)
+        del one, freed
+        assert not large_arrays.any_in_files()
+        kept.append(large_arrays.empty(size, np.uint8))
+        assert not large_arrays.any_in_files()
+        assert large_arrays.kept_bytes(b"x" * size) == b"x" * size
+    del small

@@ -5,7 +5,7 @@ Layers of an EXR file are groups of channels with a common prefix, such as ViewL
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
@@ -226,12 +226,17 @@ class Picture:
     suffix: str  # with the dot: the source's own if it fits the format
     notices: tuple[str, ...]  # for the user, one sentence each, with the image's name
     kinds: tuple[str, ...]  # type of every channel in the file; they differ in some EXR files only
-    source: bytes = field(repr=False)  # the file, whose metadata are carried over
+    content: bytes | Callable[[], bytes] = field(repr=False)  # the file, or what reads it, as of `Texture`
     spec: Any = field(repr=False)  # OpenImageIO.ImageSpec of the file
     # Layer of an EXR file that holds the colours: "" outside of layers, None if it is ambiguous.
     layer: str | None = ""
     parts: tuple[str, ...] = ()  # names of the parts of an EXR file, which are images of their own
     part: int | None = 0  # the one with the colours; None if it is ambiguous, and the pixels are of the first
+
+    @property
+    def source(self) -> bytes:
+        """The file, whose metadata are carried over."""
+        return self.content if isinstance(self.content, bytes) else self.content()
 
     @property
     def is_layered(self) -> bool:
@@ -260,7 +265,7 @@ def described(
         format=known,
         suffix=suffix_for(data, name),
         notices=notices,
-        source=data,
+        content=data,
         spec=spec,
         layer=layer,
     )

@@ -24,7 +24,7 @@ from beltrami_cli.formats.image.picture import (
     format_of,
     label_of,
 )
-from beltrami_cli.surface.large_arrays import copy_of, is_on_disk
+from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Texture
 from beltrami_cli.surface.worker_process import temporary_folder
 
@@ -39,7 +39,6 @@ _COMPRESSIONS_OF_TIFF = ("", "none", "lzw", "zip", "packbits")  # that OpenImage
 _WHOLE_BYTES = (8, 16, 32)
 # PNG and JPEG files have their size before their pixels, mostly in this many bytes, so that not all of them are copied.
 _SIZE_FIRST, _HEAD = (b"\x89PNG", b"\xff\xd8\xff"), 1 << 16
-_SMALLEST_FILE = 1 << 18  # bytes of pixels in a file: a model may have a hundred images (tiles)
 _UNNAMED = "an image"
 _EXPORT = "export it as RGB or grey with 8 or 16 bits, or as floats"
 
@@ -149,16 +148,14 @@ def _decoded(data: bytes, name: str, finite: bool) -> Picture:
         if pixels is None or error:
             raise _damaged(name, known, error, path)
         notices = _changes(file, part or 0, data, known, name)
-    if is_on_disk():
-        pixels = copy_of(pixels, _SMALLEST_FILE)
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)
     if pixels.dtype.kind == "f":
-        pixels = pixels.astype(np.float32)
+        pixels = pixels.astype(np.float32, copy=False)
         unfit = pixels.size - int(np.count_nonzero(np.isfinite(pixels))) if finite else 0
         if unfit:
             cause = f"{unfit} of its values are not finite numbers"
             raise InputError(name, cause, "repair or export it again")
-    picture = described(data, name, known, spec, pixels, notices)
+    picture = described(data, name, known, spec, large_arrays.kept(pixels), notices)
     return replace(picture, parts=tuple(parts), part=part)
 
 
@@ -285,11 +282,14 @@ def opened(data: bytes, config: Any = None, name: str = _UNNAMED) -> Iterator[tu
 
 @contextmanager
 def scratch_file(data: bytes = b"", suffix: str = "", name: str = _UNNAMED) -> Iterator[Path]:
-    """Give a file a name for a while: in memory on Linux if it needs no suffix, else among temporary files."""
+    """Give a file a name for a while: in memory on Linux if it needs no suffix, else among temporary files.
+
+    Other processes can open it as well.
+    """
     if not suffix and hasattr(os, "memfd_create") and _OPEN_FILES.is_dir():
         descriptor = os.memfd_create("image")
         try:
-            path = _OPEN_FILES / str(descriptor)
+            path = Path(f"/proc/{os.getpid()}/fd/{descriptor}")
             _fill(path, data, name)
             yield path
         finally:

@@ -117,17 +117,19 @@ class SegmentManifold {
   std::optional<SegmentKernel> kernel_;
 };
 
-// The rows of smoothed colours, the samples that all kernels held, and the kernels cut short.
+// The rows of smoothed colours, the samples that all kernels held, and the kernels cut short; without a meaning the rows
+// of vertices that are not in [first, last).
 template <class Manifold>
 auto smooth_manifold(Manifold& manifold, const Matrix<float>& colours, const Numbers& weights, float time_step,
-                     float radius, std::size_t max_samples, unsigned threads, const nb::object& progress) {
+                     float radius, std::size_t max_samples, unsigned threads, const nb::object& progress, Index first,
+                     std::optional<Index> last) {
   require_rows(colours.shape(0), manifold.vertex_count());
   require_rows(weights, manifold.vertex_count());
   std::unique_ptr<float[]> smoothed(new float[colours.size()]);
+  const KernelParameters parameters{time_step, radius, max_samples, first, last.value_or(manifold.vertex_count())};
   KernelStatistics statistics;
   run_polled(progress, [&](const Poll& poll) {
-    statistics = manifold.smooth(rows_of(colours), data_of(weights), {time_step, radius, max_samples}, smoothed.get(),
-                                 threads, poll);
+    statistics = manifold.smooth(rows_of(colours), data_of(weights), parameters, smoothed.get(), threads, poll);
   });
   return std::make_tuple(give<float, nb::ndim<2>>(std::move(smoothed), {colours.shape(0), colours.shape(1)}),
                          statistics.samples, statistics.truncated);
@@ -180,7 +182,7 @@ void bind_manifold(nb::class_<Manifold>& bound) {
   using namespace nb::literals;
   bound.def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
       .def("smooth", &smooth_manifold<Manifold>, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
-           "max_samples"_a, "threads"_a, "progress"_a.none())
+           "max_samples"_a, "threads"_a, "progress"_a.none(), "first"_a = 0, "last"_a = nb::none())
       .def("distances", &manifold_distances<Manifold>, "source"_a, "radius"_a, "max_samples"_a)
       .def("edges", [](const Manifold& manifold) { return give_rows(manifold.edges()); });
 }

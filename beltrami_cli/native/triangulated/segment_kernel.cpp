@@ -187,6 +187,7 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
                                        float* smoothed, unsigned threads, const Poll& poll) {
   const SweepGroup sweep = BELTRAMI_VARIANT_OF(sweep_group, choose_instruction_set());
   const GroupJob job{&lengths_.segments(), colours, weights, parameters, smoothed};
+  const auto is_wanted = [&](Index source) { return source >= parameters.first && source < parameters.last; };
   const auto useful = static_cast<unsigned>(std::clamp<std::size_t>(threads, 1, groups_.count() / groups_per_chunk + 1));
   std::vector<std::unique_ptr<SegmentWorker>> workers(useful);
   parallel_chunks(
@@ -196,6 +197,7 @@ KernelStatistics SegmentKernel::smooth(Rows<float> colours, const float* weights
         SegmentWorker& worker = *workers[index];
         for (std::size_t group = begin; group < end; ++group) {
           const VertexGroup members = groups_.group(group);
+          if (std::none_of(members.sources.begin(), members.sources.end(), is_wanted)) continue;
           if (const auto done = sweep(job, members, worker.scratch)) {
             worker.statistics += *done;
             continue;

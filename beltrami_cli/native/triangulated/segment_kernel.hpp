@@ -93,6 +93,7 @@ class SegmentKernel {
 
   // As smooth() of fast marching. Bit-identical for any number of threads and any instruction set; the distances do not
   // depend on the groups either, so that another order of vertices changes no more than the rounding of the averages.
+  // All kernels of a group are averaged if one of them is wanted.
   KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
                           unsigned threads, const Poll& poll = {});
 

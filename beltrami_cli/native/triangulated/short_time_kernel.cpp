@@ -50,7 +50,8 @@ KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const flo
       vertex_count, sources_per_chunk, static_cast<unsigned>(useful),
       [&](std::size_t begin, std::size_t end, unsigned index) {
         MarchWorker& worker = workers[index];
-        for (std::size_t source = begin; source < end; ++source) {
+        const auto first = static_cast<std::size_t>(parameters.first), last = static_cast<std::size_t>(parameters.last);
+        for (std::size_t source = std::max(begin, first); source < std::min(end, last); ++source) {
           if (selection.wanted != nullptr && !selection.wanted[source]) {
             const float* colour = colours[static_cast<Index>(source)];
             std::copy(colour, colour + colours.width, smoothed + source * colours.width);

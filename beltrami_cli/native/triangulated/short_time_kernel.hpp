@@ -7,6 +7,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -21,6 +22,7 @@ struct KernelParameters {
   float time_step;          // t, squared length
   float radius;             // sqrt(-4 t ln threshold), length
   std::size_t max_samples;  // ends a march that would hold more, at least 1
+  Index first = 0, last = std::numeric_limits<Index>::max();  // vertices in [first, last) have a kernel
 };
 
 struct KernelStatistics {
@@ -41,7 +43,7 @@ void average(std::span<const Reached> samples, Rows<float> colours, const float*
 
 // Reads all colours before writing any (Jacobi): `smoothed`, vertex_count rows of colours.width, must not overlap them.
 // weights: w_q >= 0 of every vertex, or nullptr for 1. Where all weights of a kernel are zero the colour stays.
-// Vertices that the selection does not want keep their colour.
+// Vertices that the selection does not want keep their colour; the rows of vertices without a kernel are not written.
 // Bit-identical for any number of threads. Throws Cancelled if poll asks to stop.
 KernelStatistics smooth(const Stencils& stencils, Rows<float> colours, const float* weights,
                         const KernelParameters& parameters, float* smoothed, unsigned threads, const Poll& poll = {},
