@@ -311,6 +311,6 @@ def test_of_a_picture_without_metadata_none_are_said_to_be_lost(known, target):
 def test_damaged_metadata_are_reported():
     source = bytearray(tiff_file(noise("uint8", 3), _GEOREFERENCE))
     picture = read_image(bytes(source), "x.tif")
-    object.__setattr__(picture, "source", bytes(source[:20]))
+    object.__setattr__(picture, "content", bytes(source[:20]))
     assert "damaged" in write_image(picture, picture.pixels // 2).notices[0]
     assert OpenImageIO.geterror() == ""
