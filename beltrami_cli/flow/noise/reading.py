@@ -35,15 +35,15 @@ from beltrami_cli.flow.noise.network import (
 # Noise below this deviation, in steps of 8 bits, is invisible: it is less than that of rounding.
 INVISIBLE = 0.29
 
-# Ratio of deviations between levels, above which they differ: 5 % of readings of white noise are above it, and 9 %
-# above 1.3; of a camera's noise 22 % and 31 %. Intervals of levels overlap where noise grows by half.
+# Ratio of deviations between levels, above which they differ: readings of a camera's noise are drawn towards 1.
 MIN_RATIO_OF_LEVELS = 1.25
 
-# The same between places. By the intervals that are read, equal noise in all channels loses 1.3 dB.
+# The same between places: of twelve pictures with white noise, medians reach 1.08, and 1.12 with noise that is equal in
+# all channels; of two exposures that are blended they are 1.25 to 2.4.
 MIN_RATIO_OF_PLACES = 1.25
 
 # Difference of the covariances of the finest two scales, of the smaller one, above which neighbours share noise: that
-# of readings of white noise is 0.21 at most.
+# of readings of white noise is 0.29 at most, and that of filtered noise 1 or more, but for mosaics.
 MIN_DIFFERENCE_OF_SCALES = 0.35
 
 # Correlation of channels above which they share noise: that of readings of independent noise is up to 0.1, and 0.2
