@@ -120,6 +120,21 @@ def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of
         np.testing.assert_allclose(restored[within], (mean + moved).clip(0, 1)[within], atol=2e-4)
 
 
+def test_one_row_is_restored_as_it_is_among_others():
+    """As of the last block of rows; NumPy sets steps along an axis of one sample to anything."""
+    random = np.random.default_rng(5)
+    colours = random.uniform(0, 0.1, (1, 7, 40)).astype(np.float32)
+    marks, relative = (
+        random.random((1, 7, 40), np.float32),
+        random.uniform(0.5, 2, (7, 40)).astype(np.float32),
+    )
+    clipped = ClippedChannels((True,), (False,), np.array([0.05]))
+    whole, row = colours.copy(), colours[:, 6:].copy()
+    clipped.restore(whole, marks, relative)
+    clipped.restore(row, marks[:, 6:], relative[6:])
+    assert np.array_equal(row, whole[:, 6:])
+
+
 def test_a_level_far_from_the_limits_is_not_moved():
     image = flat(0.5)
     kept, restored = (smooth_image(image, **FIXED, clipping=way).colours for way in ("keep", "restore"))

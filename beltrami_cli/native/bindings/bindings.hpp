@@ -48,10 +48,18 @@ template <class Value>
 Layout<Value> layout_of(const Channels<Value>& channels, std::size_t least, std::size_t samples) {
   if (channels.ndim() < 2 || channels.shape(0) < least || samples_of(channels) != samples)
     throw nb::value_error("all stacks must have one shape");
-  for (std::size_t axis = 2; axis < channels.ndim(); ++axis)
-    if (channels.stride(axis - 1) != channels.stride(axis) * static_cast<std::int64_t>(channels.shape(axis)))
+  // Steps along axes of one sample do not matter, and are whatever NumPy has set them to.
+  std::int64_t step = 0, next = 0;
+  bool is_last = true;
+  for (std::size_t axis = channels.ndim() - 1; axis > 0; --axis) {
+    if (channels.shape(axis) == 1) continue;
+    if (is_last) step = channels.stride(axis);
+    if (!is_last && channels.stride(axis) != next)
       throw nb::value_error("samples must follow each other in even steps");
-  return {channels.data(), channels.stride(0), channels.stride(channels.ndim() - 1)};
+    next = channels.stride(axis) * static_cast<std::int64_t>(channels.shape(axis));
+    is_last = false;
+  }
+  return {channels.data(), channels.stride(0), step};
 }
 
 // Hands memory to NumPy without a copy.
