@@ -141,11 +141,6 @@ class NoiseModel:
         return not self.is_shared and not (only - np.diag(np.diag(only))).any()
 
     @property
-    def is_none(self) -> bool:
-        """Whether there is no noise."""
-        return not self.covariances.any()
-
-    @property
     def growth(self) -> float:
         """Root mean square factor from differences of stabilised colours to those of the input."""
         return 1.0 if self.stabiliser is None else self.stabiliser.growth
