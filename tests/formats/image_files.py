@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import tempfile
 import zlib
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import OpenImageIO
 import pytest
+from PIL import Image
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,6 +52,20 @@ def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int =
     return (rng.random((height, width, channels)) * 2 - 0.1).astype(
         np.float16 if kind == "half" else np.float32
     )
+
+
+def with_alpha(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Give rows of pixels, by turns, an alpha of 0, of 1, and any."""
+    pixels[::3, :, -1] = 0
+    pixels[1::3, :, -1] = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1
+    return pixels
+
+
+def exact_webp(pixels: NDArray[np.uint8]) -> bytes:
+    """Return a lossless WebP file with the colours under an alpha of 0, which OpenImageIO would clear."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "WEBP", lossless=True, exact=True)
+    return buffer.getvalue()
 
 
 def encode(

@@ -18,7 +18,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from formats.gltf_files import only_input_errors, opened, picture
+from formats.gltf_files import only_input_errors, opened
 from formats.gltf_images import EXTENSIONS, with_better_image
 from formats.image_files import encode
 from fuzz.test_replay import mutated
@@ -90,9 +90,7 @@ def test_a_ktx2_image_keeps_its_codec_its_transfer_function_and_its_mip_levels(c
 
 @needs("avif")
 def test_a_profile_and_its_metadata_stay_in_avif():
-    import io
-
-    from PIL import Image, ImageCms
+    from PIL import ImageCms
 
     profile, buffer = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(), io.BytesIO()
     Image.fromarray(painting()).save(buffer, "AVIF", icc_profile=profile, quality=90)
@@ -103,8 +101,18 @@ def test_a_profile_and_its_metadata_stay_in_avif():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [None, ".png", ".jpg", ".webp", ".ktx2", ".avif"])
-@pytest.mark.parametrize("fallback", [False, True])
+@pytest.mark.parametrize(
+    ("suffix", "fallback"),
+    [
+        (None, False),
+        (None, True),
+        (".png", True),
+        (".jpg", False),
+        (".webp", True),
+        (".ktx2", False),
+        (".avif", True),
+    ],
+)
 @pytest.mark.parametrize("known", BOTH)
 def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, known, fallback, suffix):
     if suffix == ".ktx2" and extra_codecs.missing_package("ktx2"):
@@ -193,11 +201,6 @@ def test_damaged_files_do_nothing_worse_than_be_refused_in_a_line(known):
             continue
         refused += 1
     assert refused > 30
-
-
-def test_a_fake_is_refused_by_what_it_is(tmp_path):
-    with pytest.raises(InputError, match=r"(KTX2 image is damaged|need the package)"):
-        read_image(picture(1, b"\xabKTX 20\xbb"), "x.ktx2")
 
 
 @needs("ktx2")

@@ -16,24 +16,18 @@ NAMES = {"colours": ("red", "green", "blue"), "intensity": ("intensity",)}
 
 
 def scan(kind, bits, what="colours", seed=0):
-    """Return the truth and noisy numbers of a plain half and a darker one, of 0.8 and 0.3 of full scale."""
+    """Return noisy numbers of a plain half and a darker one, of 0.8 and 0.3 of full scale."""
     full = 2**bits - 1
     truth = np.where(np.arange(SIDE * SIDE) % SIDE < SIDE // 2, 0.8, 0.3)[:, None] * full
     noise = 0.06 * full * np.random.default_rng(seed).standard_normal((SIDE * SIDE, len(NAMES[what])))
-    return truth, np.rint(np.clip(truth + noise, 0, full)).astype(
-        "f8" if kind in ("float", "double") else "i8"
-    )
+    numbers = np.rint(np.clip(truth + noise, 0, full))
+    return numbers.astype("f8" if kind in ("float", "double") else "i8")
 
 
 def as_ply(kind, numbers, what="colours"):
     properties = [*((name, "float") for name in "xyz"), *((name, kind) for name in NAMES[what])]
     places = np.stack([*np.divmod(np.arange(SIDE * SIDE), SIDE), np.zeros(SIDE * SIDE, int)], axis=1)
     return build([Table("vertex", properties, np.hstack([places, numbers]).tolist())], "ascii").data
-
-
-def numbers_in(path):
-    lines = path.read_text().split("end_header\n")[-1].splitlines()
-    return np.array([line.split()[3:] for line in lines], float)
 
 
 def facts(path):
@@ -50,27 +44,8 @@ def facts(path):
 )
 def test_the_full_scale_is_that_of_the_bits_whatever_type_holds_them(tmp_path, kind, what, bits):
     path = tmp_path / "in.ply"
-    path.write_bytes(as_ply(kind, scan(kind, bits, what)[1], what))
+    path.write_bytes(as_ply(kind, scan(kind, bits, what), what))
     assert facts(path)["colours"]["full_scale"] == 2**bits - 1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "what", "bits"),
-    [
-        ("uint", "colours", 10),
-        ("short", "colours", 12),
-        ("ushort", "intensity", 14),
-        ("float", "intensity", 8),
-    ],
-)
-def test_noise_is_smoothed_on_any_scale(tmp_path, kind, what, bits):
-    truth, noisy = scan(kind, bits, what)
-    path, smoothed = tmp_path / "in.ply", tmp_path / "out.ply"
-    path.write_bytes(as_ply(kind, noisy, what))
-    beltrami("smooth", path, smoothed)
-    errors = [np.sqrt(np.mean(np.square(each - truth))) for each in (noisy, numbers_in(smoothed))]
-    assert errors[1] < errors[0] / 3
 
 
 @pytest.mark.slow
@@ -78,7 +53,7 @@ def test_noise_is_smoothed_on_any_scale(tmp_path, kind, what, bits):
 def test_other_files_of_points_tell_their_range_too(tmp_path, suffix):
     path = tmp_path / f"in{suffix}"
     places = np.stack([*np.divmod(np.arange(SIDE * SIDE), SIDE), np.zeros(SIDE * SIDE, int)], axis=1)
-    _, noisy = scan("ushort", 10)
+    noisy = scan("ushort", 10)
     if suffix == ".npz":
         np.savez(path, positions=places.astype(float), colours=noisy.astype(np.uint16))
     else:
@@ -101,12 +76,12 @@ def test_opacity_says_the_range_of_dark_colours(tmp_path):
 def test_dim_colours_of_16_bit_are_not_taken_for_14_bit(tmp_path):
     # A picture of a quarter of full scale is dim, and would be four times too bright in another format.
     path = tmp_path / "dim.ply"
-    path.write_bytes(as_ply("ushort", scan("ushort", 14)[1]))
+    path.write_bytes(as_ply("ushort", scan("ushort", 14)))
     assert facts(path)["colours"]["full_scale"] == 65535
 
 
 def test_files_that_fit_into_different_bits_are_compared_on_one_scale(tmp_path):
-    before, after = (scan("ushort", 8)[1] for _ in range(2))
+    before, after = (scan("ushort", 8) for _ in range(2))
     before[0], after[0] = 300, 250
     paths = [tmp_path / "before.ply", tmp_path / "after.ply"]
     for path, numbers in zip(paths, (before, after), strict=True):
@@ -116,29 +91,13 @@ def test_files_that_fit_into_different_bits_are_compared_on_one_scale(tmp_path):
     assert report["parts"][0]["psnr"] == pytest.approx(-20 * np.log10(error), abs=1e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["float", "short"])
-def test_decibels_below_0_are_smoothed(tmp_path, kind):
-    truth = np.where(np.arange(SIDE * SIDE) % SIDE < SIDE // 2, -2200, -900)[:, None]
-    noisy = np.rint(truth + 150 * np.random.default_rng(1).standard_normal(truth.shape)).astype(int)
-    unit = 100 if kind == "float" else 1
-    path, smoothed = tmp_path / "in.ply", tmp_path / "out.ply"
-    path.write_bytes(as_ply(kind, noisy / unit if kind == "float" else noisy, "intensity"))
-    beltrami("smooth", path, smoothed)
-    assert np.sqrt(np.mean(np.square(unit * numbers_in(smoothed) - truth))) < 150 / 3
-
-
-@pytest.mark.parametrize("spike", [17.0, 300.0, 1e6, -1e6])
-def test_one_spike_of_a_renderer_says_nothing_of_the_range(spike):
-    colours = np.random.default_rng(3).random((500, 3))
-    colours[7, 1] = spike
+@pytest.mark.parametrize("single", [17.0, 300.0, 1e6, -1e6])
+def test_one_spike_says_nothing_of_the_range(single):
+    """As renderers make them, and as scanners mark what they did not see."""
+    rng = np.random.default_rng(3)
+    colours, values = rng.random((500, 3)), rng.random((2000, 1))
+    colours[7, 1], values[7] = single, -0.01
     assert full_scale(colours, "x.ply")[0] == 1
-
-
-@pytest.mark.parametrize("single", [-0.01, -1.0])
-def test_one_negative_intensity_says_nothing_of_the_range(single):
-    values = np.random.default_rng(3).random((2000, 1))
-    values[7] = single
     assert intensity_scale(values)[0] == 1
     whole = np.rint(4000 * np.abs(values))
     whole[7] = -1

@@ -1,4 +1,7 @@
-"""What follows the first picture of a JPEG file: kept in JPEG, reported elsewhere, and never mixed into the picture."""
+"""JPEG files: what follows the first picture is kept or reported, and never mixed into it; tables of quantisation.
+
+Tables are compared with what Pillow reads.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,8 @@ import OpenImageIO
 import pytest
 from PIL import Image
 
-from beltrami_cli import smooth_file
 from beltrami_cli.formats.image import losses, read_image, write_image
+from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.records import srgb_to_linear
 from formats.image_files import encode
@@ -158,16 +161,6 @@ def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
     assert not losses(read_image(encode(photograph(), "jpeg"), "x.jpg"), ".png")
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_a_photograph_is_smoothed_at_its_own_brightness(tmp_path, suffix):
-    source, target = tmp_path / "in.jpg", tmp_path / f"out{suffix}"
-    source.write_bytes(ultra_hdr())
-    report = smooth_file(source, target, iterations=1, t=8, beta=10)
-    assert any("gain map" in warning for warning in report.warnings) == (suffix == ".png")
-    before, after = (read_image(path.read_bytes(), path.name).pixels for path in (source, target))
-    assert np.abs(after.mean(axis=(0, 1)) - before.mean(axis=(0, 1))).max() < 1
-
-
 @pytest.mark.parametrize("damage", [b"MPF\0II*\0\xff\xff\xff\xff", b"MPF\0", b"MPF\0II*\0\x08\0\0\0\0\0"])
 def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
     source = with_segments(encode(photograph(), "jpeg"), segment(0xE2, damage)) + b"video"
@@ -183,3 +176,53 @@ def test_the_end_of_a_picture_is_found_behind_all_its_scans(progressive):
     picture = read_image(plain + b"\xff\xd8\xff", "x.jpg")
     assert write_image(picture, 255 - picture.pixels).data.count(b"\xff\xd9\xff\xd8\xff") == 1
     np.testing.assert_array_equal(picture.pixels, read_image(plain, "x.jpg").pixels)
+
+
+PIXELS = np.random.default_rng(1).integers(0, 256, (40, 56, 3)).astype(np.uint8)
+SPANS = {"4:4:4": (0, (1, 1)), "4:2:2": (1, (1, 2)), "4:2:0": (2, (2, 2))}
+
+
+def saved(pixels=PIXELS, kind="JPEG", mode=None, **options):
+    """Return an image file of Pillow's."""
+    file, image = io.BytesIO(), Image.fromarray(pixels)
+    (image if mode is None else image.convert(mode)).save(file, kind, **options)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("subsampling", SPANS)
+@pytest.mark.parametrize(("quality", "progressive"), [(50, False), (75, True), (92, False), (100, False)])
+def test_tables_are_those_that_pillow_reads(subsampling, quality, progressive):
+    number, span = SPANS[subsampling]
+    data = saved(quality=quality, subsampling=number, progressive=progressive, comment=b"x" * 300)
+    found = read_jpeg_tables(memoryview(data))
+    with Image.open(io.BytesIO(data)) as image:
+        expected = [np.reshape(image.quantization[k], (8, 8)) for k in (0, 1)]
+    assert found is not None
+    assert found.span == span
+    np.testing.assert_array_equal(found.steps, expected)
+
+
+def test_a_grey_picture_has_one_table_and_other_colours_than_luma_and_chroma_have_none():
+    found = read_jpeg_tables(saved(mode="L", quality=80))
+    assert (found.steps.shape, found.span) == ((1, 8, 8), (1, 1))
+    for data in (saved(mode="CMYK"), saved(keep_rgb=True)):
+        assert read_jpeg_tables(data) is None
+
+
+def test_steps_of_0_are_none():
+    whole = bytearray(saved(quality=85))
+    at = whole.index(b"\xff\xdb") + 5
+    assert read_jpeg_tables(bytes(whole)).steps[0, 0, 0] == whole[at]
+    whole[at] = 0
+    assert read_jpeg_tables(bytes(whole)) is None
+
+
+def test_other_and_damaged_files_have_none_or_the_same():
+    whole = saved(quality=85)
+    tables = read_jpeg_tables(whole)
+    assert read_jpeg_tables(saved(kind="PNG")) is None
+    assert read_jpeg_tables(b"") is None
+    ends = range(2, whole.index(b"\xff\xda") + 20)
+    for end in ends:
+        found = read_jpeg_tables(whole[:end])
+        assert found is None or np.array_equal(found.steps, tables.steps)
