@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: demo figures gallery viewer docs build-docs man quick test test-minimum test-blender audit lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help
+.PHONY: demo figures gallery viewer docs build-docs man quick test test-minimum test-blender lint bench run-bench wheel build-wheel release-check check-release sanitize fuzz fuzz-readers fuzz-core survey samples noise-model run-noise-model clean help
 .DELETE_ON_ERROR:
 
 help:
@@ -24,7 +24,6 @@ help:
 	@echo "make sanitize  test the core under the address and undefined-behaviour sanitizers"
 	@echo "make fuzz      fuzz every reader and the core, FUZZ_SECONDS=60 each; needs clang++"
 	@echo "make survey    try all models in FOLDERS, and print a table of the results, with MUTATIONS of each"
-	@echo "make audit     let the glTF validator and asset auditor of Khronos judge results, of FOLDERS too"
 	@echo "make samples   make sample_data/ again, bit for bit"
 	@echo "make noise-model  train the network that reads noise again, on pictures of Debian packages, and judge it"
 	@echo "make viewer    bundle the three.js of the pages again"
@@ -109,16 +108,6 @@ MINIMUM_PYTHON ?= python3.11
 test-minimum:
 	$(MAKE) --no-print-directory VENV=$(VENV)-minimum PYTHON=$(MINIMUM_PYTHON) \
 	  RESTRAIN="--prefer-binary --constraint tests/minimum-versions.txt" test
-
-# The auditor draws textures on a canvas; this one comes ready from npm, and needs no compiler.
-GLTF_AUDITOR := {"dependencies": {"@khronosgroup/gltf-asset-auditor": "1.0.5"}, "overrides": {"canvas": "npm:@napi-rs/canvas@^0.1"}}
-
-audit: $(VENV)/.installed-test $(VENV)/.gltf-validator
-	@mkdir -p $(VENV)/gltf-auditor
-	echo '$(GLTF_AUDITOR)' > $(VENV)/gltf-auditor/package.json
-	cd $(VENV)/gltf-auditor && npm install --silent --ignore-scripts --no-package-lock --no-audit --no-fund
-	BELTRAMI_EXTRA_MESHES="$(abspath $(filter-out sample_data,$(FOLDERS)))" \
-	  $(BIN)/python -m pytest -q tests/formats/test_gltf_validator.py
 
 # Blender as a Python module has an environment of its own, as it has in reality: it brings its own NumPy.
 BLENDER        ?= bpy>=4.2

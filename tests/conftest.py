@@ -29,7 +29,6 @@ _OF_POSIX = [
     "batch/test_shell_and_make.py",
     "cli/test_memory_option.py",
     "cli/test_smooth_command.py",
-    "formats/test_gltf_container.py",
     "hostile",
 ]
 

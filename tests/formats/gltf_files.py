@@ -6,6 +6,7 @@ import base64
 import contextlib
 import json
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -138,6 +139,67 @@ class Model:
 
     def _padded(self):
         return bytes(self.binary) + bytes(-len(self.binary) % 4)
+
+
+@dataclass
+class Coloured:
+    """A model, the accessor of its colours, and their stored numbers."""
+
+    model: Model
+    colour: int
+    stored: np.ndarray
+
+
+def coloured(arrangement, rng, kind="u1", width=4, *, count=24, bounds=True):
+    """Return a mesh whose colours are stored in one of the ways of `ARRANGEMENTS`."""
+
+    def colours():
+        if kind == "f4":
+            return rng.random((count, width)).astype("<f4")
+        return rng.integers(0, np.iinfo(kind).max + 1, (count, width)).astype(f"<{kind}")
+
+    model, stored = Model(), colours()
+    model.view(b"\x89PNG image, opaque")
+    more = {"bounds": bounds} | ({"normalized": True} if kind != "f4" else {})
+    places = rng.normal(size=(count, 3)).astype("<f4")
+    if arrangement == "interleaved":
+        normals = np.tile(np.array([0, 0, 1], "<f4"), (count, 1))
+        position, normal, colour = model.interleaved(places, normals, stored, **more)
+        attributes = {"POSITION": position, "NORMAL": normal}
+    else:
+        attributes = {"POSITION": model.packed(places, bounds=True)}
+        if arrangement.startswith("sparse"):
+            base = None if "zeros" in arrangement else colours()
+            rows = np.flatnonzero(rng.random(count) < 0.5)
+            rows = rows if len(rows) else np.array([0])
+            full = np.zeros_like(stored) if base is None else base.copy()
+            full[rows] = stored[rows]
+            stored = full
+            colour = model.sparse(stored, rows, base, **more)
+        elif arrangement == "zeros":
+            stored = np.zeros_like(stored)
+            colour = model.accessor(stored, None, **more)
+        else:
+            colour = model.packed(stored, **more)
+    attributes["COLOR_0"] = colour
+    if arrangement == "shared":
+        attributes["_KEPT"] = colour
+    accessors = model.tree["accessors"]
+    if arrangement == "overlapping":
+        part = accessors[colour] | {"count": count - 1}
+        accessors.append({key: part[key] for key in part if key not in ("min", "max")})
+        attributes["_KEPT"] = len(accessors) - 1
+    primitives = [{"attributes": attributes}]
+    if arrangement == "twice":  # with an accessor of its own for the same colours
+        accessors.append(dict(accessors[colour]))
+        primitives.append({"attributes": attributes | {"COLOR_0": len(accessors) - 1}})
+    model.mesh(*primitives)
+    return Coloured(model, colour, stored)
+
+
+ARRANGEMENTS = (
+    "dense", "interleaved", "sparse", "sparse on zeros", "zeros", "shared", "overlapping", "twice"
+)  # fmt: skip
 
 
 def unpacked(data, files=None):

@@ -37,7 +37,7 @@ def copied(written, source, folder):
 
 
 def shown(path):
-    """Return the bytes that every textureInfo of a file shows, by material and slot, the plain way."""
+    """Return what every textureInfo of a file shows, by material and slot: bytes, and the texture's other members."""
     tree, buffers, files = opened(path)
     found = {}
     for number, material in enumerate(tree.get("materials", [])):
@@ -46,13 +46,23 @@ def shown(path):
             for key in keys:
                 info = info.get(key, {})
             if info:
-                found[number, slot] = image_of(tree, buffers, files, tree["textures"][info["index"]])
+                texture = tree["textures"][info["index"]]
+                others = {key: texture[key] for key in texture.keys() - {"source", "extensions"}}
+                found[number, slot] = image_of(tree, buffers, files, texture), others
     return found
 
 
 def image_of(tree, buffers, files, texture):
+    """Return the bytes of the image of a texture, whose type must be declared as what they are."""
     webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
-    return image_bytes(tree, buffers, files, webp.get("source", texture.get("source")))
+    index = webp.get("source", texture.get("source"))
+    data, image = image_bytes(tree, buffers, files, index), tree["images"][index]
+    suffix = next(suffix for suffix, head in HEADS.items() if data.startswith(head))
+    assert image.get("mimeType", MEDIA[suffix]) == MEDIA[suffix]
+    assert "bufferView" in image or image["uri"].startswith(f"data:{MEDIA[suffix]}") or suffix in image["uri"]
+    assert bool(webp) == (suffix == ".webp")
+    assert not webp or "EXT_texture_webp" in tree["extensionsUsed"]
+    return data
 
 
 def image_bytes(tree, buffers, files, index):

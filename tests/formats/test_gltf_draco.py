@@ -175,37 +175,6 @@ def test_a_substitute_in_another_order_is_refused_rather_than_painted_wrong():
         opened.patch(1 - colours, Naming("out"))
 
 
-def change(model, key, value):
-    primitive = model.tree["meshes"][0]["primitives"][0]
-    extension = primitive["extensions"][DRACO]
-    accessor = model.tree["accessors"][primitive["attributes"]["COLOR_0"]]
-    holders = {"bufferView": extension, "COLOR_0": extension["attributes"], "indices": primitive}
-    holders.get(key, accessor)[key] = value
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "cause"),
-    [
-        ("bufferView", 9, "bufferView: is 9"),
-        ("bufferView", "x", "bufferView: is 'x'"),
-        ("COLOR_0", 77, "attributes.COLOR_0: is 77, but there is no such attribute"),
-        ("COLOR_0", 1, "were decoded"),
-        ("count", 35, "count: is 35 of 4, but 36 elements of 4 numbers were decoded"),
-        ("componentType", 5126, "does not fit the decoded numbers of uint8"),
-        ("componentType", 5120, "does not fit the decoded numbers of uint8"),
-        ("indices", 99, "indices: is 99"),
-    ],
-)
-def test_contradictions_are_named_with_their_place(key, value, cause):
-    model = draco_model(COLOURS, in_order=True)
-    if (key, value) == ("COLOR_0", 1):
-        value = model.tree["meshes"][0]["primitives"][0]["extensions"][DRACO]["attributes"]["TEXCOORD_0"]
-    change(model, key, value)
-    with pytest.raises(InputError, match=r"^model\.glb: ") as caught:
-        document(model).painted()
-    assert cause in str(caught.value)
-
-
 @pytest.mark.parametrize("claimed", [None, b"\xff\xff\xff\x7f"])
 def test_points_are_refused_however_many_they_claim_to_be(claimed):
     model = draco_model(COLOURS)

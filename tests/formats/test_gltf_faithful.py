@@ -34,23 +34,21 @@ def smoothed(model, form, folder, *, moved):
 def allowed(tree):
     """Return what may differ in the JSON: where colours, images and their buffers are."""
     colours = {part["attributes"].get("COLOR_0") for mesh in tree["meshes"] for part in mesh["primitives"]}
-    tree = {"images": [], "textures": [], "buffers": [], "bufferViews": []} | tree
+    tree = {"images": [], "textures": [], "bufferViews": []} | tree
     views = {image["bufferView"] for image in tree["images"] if "bufferView" in image}
     new = {
-        key: f"({'|'.join(str(len(tree[key]) + more) for more in range(6))})"
-        for key in ("images", "textures")
+        key: "|".join(str(len(tree[key]) + more) for more in range(6))
+        for key in ("bufferViews", "images", "textures")
     }
     patterns = [
         r"buffers\[0\]\.byteLength",
+        r"(buffers|images)\[\d+\]\.uri",
         *(rf"bufferViews\[{view}\]\.(byteOffset|byteLength)" for view in views),
         *(rf"accessors\[{colour}\]\.(min|max)\[[0-3]\]" for colour in colours),
-        rf"bufferViews\[({'|'.join(str(len(tree['bufferViews']) + more) for more in range(6))})\]",
-        rf"images\[{new['images']}\]",
-        rf"textures\[{new['textures']}\]",
+        *(rf"{key}\[({numbers})\]" for key, numbers in new.items()),
         r"textures\[\d+\]\.source",
         rf"materials\[\d+\]\.{INFOS}",
     ]
-    patterns.append(r"(buffers|images)\[\d+\]\.uri")
     return re.compile("|".join(patterns))
 
 

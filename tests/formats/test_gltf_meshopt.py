@@ -264,28 +264,6 @@ def test_without_a_package_its_extra_is_named(make, module, extra, extension, mo
     assert opened.facts()["extensions required"] == [extension]
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "cause"),
-    [
-        ("buffer", 2, "buffer: is 2"),
-        ("byteOffset", 1 << 40, "leave buffers[0]"),
-        ("byteLength", 5, "its compressed data is damaged"),
-        ("count", 35, "count: is 35: 140 bytes, but the view has 144"),
-        ("byteStride", 6, "byteStride: is 6"),
-        ("mode", "SPHERES", "mode: is 'SPHERES'"),
-        ("mode", "TRIANGLES", "its compressed data is damaged"),
-        ("filter", "SEPIA", "filter: is 'SEPIA'"),
-        ("filter", "QUATERNION", "byteStride: is 4"),
-    ],
-)
-def test_contradictions_are_named_with_their_place(key, value, cause):
-    model = meshopt_model(COLOURS)
-    model.tree["bufferViews"][1]["extensions"]["EXT_meshopt_compression"][key] = value
-    with pytest.raises(InputError, match=r"bufferViews\[1\]\.extensions\.EXT_meshopt_compression") as caught:
-        document(model).painted()
-    assert cause in str(caught.value)
-
-
 @pytest.mark.parametrize("mode", ["TRIANGLES", "INDICES"])
 def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
     model = meshopt_model(COLOURS)

@@ -78,20 +78,6 @@ def test_all_triangles_are_there_and_one_image_is_one_texture(tmp_path):
     )
 
 
-def test_images_over_the_same_bytes_are_one(tmp_path):
-    for place in ("view", "file"):
-        folder = tmp_path / place
-        folder.mkdir()
-        model = Textured(place)
-        image = model.image(picture(1))
-        model.tree["images"].append(model.tree["images"][image] | {"name": "again"})
-        for number in (0, 1):
-            square(model, model.material(baseColor=model.texture(number)), translation=[number, 0, 0])
-        found = surface(model, folder)
-        assert len(found.textures) == 1
-        np.testing.assert_array_equal(found.texture_of, 0)
-
-
 @settings(max_examples=50, deadline=None)
 @given(
     offset=st.tuples(*[st.floats(-3, 3)] * 2),
@@ -112,19 +98,6 @@ def test_transforms_scale_then_turn_then_shift(tmp_path_factory, offset, angle, 
     expected = np.stack([seen.real, -seen.imag], axis=1)[CORNERS]
     found = surface(model, tmp_path_factory.mktemp("transform"))
     np.testing.assert_allclose(found.uv, expected, atol=1e-12 * (1 + np.abs(expected).max()))
-
-
-def test_the_published_example_shows_the_lower_left_quadrant(tmp_path):
-    """The extension's own words: "only the lower left quadrant of the source image, rotated clockwise 90°"."""
-    model = Textured()
-    transform = {"offset": [0, 1], "rotation": math.pi / 2, "scale": [0.5, 0.5]}
-    info = {
-        "index": model.texture(model.image(picture(1))),
-        "extensions": {"KHR_texture_transform": transform},
-    }
-    square(model, model.material(baseColor=info), uv=SQUARE[:, :2])
-    corners = surface(model, tmp_path).uv.reshape(-1, 2)
-    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[0, 0.5], [0.5, 1]], atol=1e-15)
 
 
 @pytest.mark.parametrize("kind", ["f4", "u1", "u2", "i1", "i2", "plain u1", "plain i2"])
@@ -148,16 +121,6 @@ def test_coordinates_of_every_type_and_set_are_read(tmp_path, kind, chosen):
         info |= {"texCoord": 0, "extensions": {"KHR_texture_transform": {"texCoord": 1}}}
     square(model, model.material(baseColor=info), uv=attributes)
     np.testing.assert_array_equal(surface(model, tmp_path).uv, np.asarray(expected, float)[CORNERS])
-
-
-def test_vertices_that_no_triangle_uses_are_left_out(tmp_path):
-    model = Textured()
-    material = model.material(baseColor=model.texture(model.image(picture(1))))
-    model.triangles(SQUARE, UV, material, corners=CORNERS[1:])
-    found = surface(model, tmp_path)
-    np.testing.assert_array_equal(found.positions, SQUARE[[0, 2, 3]])
-    np.testing.assert_array_equal(found.faces, [[0, 1, 2]])
-    np.testing.assert_array_equal(found.uv, UV[[CORNERS[1]]])
 
 
 def test_instances_are_taken_once_and_mirrored_nodes_turned(tmp_path):
@@ -222,23 +185,6 @@ def test_every_variant_of_a_material_is_a_surface_of_its_own(tmp_path):
     assert len(set(spaces)) == 3
 
 
-@pytest.mark.parametrize("fallback", [True, False])
-@pytest.mark.parametrize("package", [None, "alktx2"])
-def test_basisu_is_read_if_its_package_is_there_and_nothing_plain(tmp_path, fallback, package, monkeypatch):
-    monkeypatch.setattr("beltrami_cli.formats.gltf.textures.missing_package", lambda known: package)
-    model = Textured()
-    packed = model.image(picture(1, KTX2), "c.ktx2", "image/ktx2")
-    plain = model.image(picture(2)) if fallback else None
-    texture = model.texture(plain, extensions={"KHR_texture_basisu": {"source": packed}})
-    square(model, model.material(baseColor=texture))
-    if fallback or package is None:
-        shown = picture(2) if fallback else picture(1, KTX2)
-        assert surface(model, tmp_path).textures[0].data == shown
-    else:
-        with pytest.raises(InputError, match=r"is a KTX2 image and needs the package alktx2"):
-            surface(model, tmp_path)
-
-
 @pytest.mark.parametrize("reason", ["missing", "outside", "web", "coordinates", "no image", "packed", "dds"])
 def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason, monkeypatch):
     monkeypatch.setattr("beltrami_cli.formats.gltf.textures.missing_package", lambda known: "alktx2")
@@ -261,50 +207,3 @@ def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason, monkeypa
     found = document.textured("baseColor")
     np.testing.assert_array_equal(found.texture_of, [-1, -1, 0, 0])
     assert [n for n in document.notices if ("coordinates" if reason == "coordinates" else "'torn'") in n]
-
-
-DAMAGE = {
-    "textures": lambda t: t["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"].update(index=7),
-    "images": lambda t: t["textures"][0].update(source=9),
-    "bufferView": lambda t: t["images"][0].update(bufferView=99),
-    "material": lambda t: t["meshes"][0]["primitives"][0].update(material=3),
-    "TEXCOORD_0": lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(TEXCOORD_0=0),
-    "TEXCOORD_0 ": lambda t: t["accessors"][1].update(count=3),
-    "wrapS": lambda t: t["samplers"][0].update(wrapS=1),
-    "rotation": lambda t: transform_of(t).update(rotation="left"),
-    "offset": lambda t: transform_of(t).update(offset=[1]),
-    "infinity": lambda t: transform_of(t).update(scale=[1e308, 1e308], offset=[1.7e308, 0]),
-}
-
-
-def transform_of(tree):
-    return tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"][
-        "KHR_texture_transform"
-    ]
-
-
-@pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_is_named_with_its_place(tmp_path, damage):
-    model = Textured()
-    texture = model.texture(model.image(picture(1)), wrap=(10497, 10497))
-    info = {"index": texture, "extensions": {"KHR_texture_transform": {}}}
-    square(model, model.material(baseColor=info))
-    DAMAGE[damage](model.tree)
-    words = {"textures": "index", "images": "source", "bufferView": "bufferView"}
-    with pytest.raises(InputError, match=words.get(damage, damage.strip())):
-        surface(model, tmp_path)
-
-
-def test_coordinates_that_are_not_finite_are_refused(tmp_path):
-    model = Textured()
-    square(model, model.material(baseColor=model.texture(model.image(picture(1)))), uv=UV * np.nan)
-    with pytest.raises(InputError, match="element 0 is not finite"):
-        surface(model, tmp_path)
-
-
-def test_vertex_colours_are_seen_without_reading_them(tmp_path):
-    model = Textured()
-    mesh = square(model, model.material(baseColor=model.texture(model.image(picture(1)))))
-    assert not open_document(str(model.written_to(tmp_path))).has_vertex_colours()
-    model.tree["meshes"][mesh]["primitives"][0]["attributes"]["COLOR_0"] = 0
-    assert open_document(str(model.written_to(tmp_path))).has_vertex_colours()
