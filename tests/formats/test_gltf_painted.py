@@ -181,3 +181,47 @@ def test_facts_are_json_and_need_no_colours():
     assert json.loads(json.dumps(facts)) == facts
     assert facts["colour accessors"] == []
     assert facts["meshes"] == facts["primitives"] == 1
+
+
+def test_normals_turn_as_surfaces_do_under_uneven_and_mirrored_scales():
+    rng, model = np.random.default_rng(3), Model()
+    for scale in ([1, 2, 5], [-1, 2, 0.5]):
+        corners = rng.normal(size=(3, 3)).astype("<f4")
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        normals = np.tile(normal / np.linalg.norm(normal), (3, 1)).astype("<f4")
+        attributes = {
+            "POSITION": model.packed(corners),
+            "NORMAL": model.packed(normals),
+            "COLOR_0": model.packed(np.eye(3, dtype="<f4")),
+        }
+        turn = rng.normal(size=4)
+        model.mesh({"attributes": attributes}, scale=scale, rotation=(turn / np.linalg.norm(turn)).tolist())
+    contents = GltfDocument(model.glb(), "x", None).contents()
+    for a, b, c in contents.corners.reshape(-1, 3):
+        place = contents.positions
+        outside = np.cross(place[b] - place[a], place[c] - place[a])
+        np.testing.assert_allclose(contents.normals[a], outside / np.linalg.norm(outside), atol=1e-5)
+
+
+def test_what_is_dropped_is_listed():
+    model = Model()
+    attributes = {
+        "POSITION": model.packed(np.eye(4, 3, dtype="<f4")),
+        "COLOR_0": model.packed(np.eye(4, 3, dtype="<f4")),
+    }
+    model.mesh(
+        {"attributes": attributes | {"TEXCOORD_0": 0}}, {"attributes": {"POSITION": 0}}, translation=[1, 0, 0]
+    )
+    model.tree |= {"materials": [{}], "animations": [{"samplers": []}], "cameras": [{}]}
+    contents = GltfDocument(model.glb(), "x", None).contents()
+    expected = {
+        "materials",
+        "animations",
+        "cameras",
+        "uncoloured meshes",
+        "texture coordinates",
+        "node hierarchy",
+    }
+    assert set(contents.left_out) == expected
+    assert contents.alpha is None
+    assert json.dumps(contents.left_out)

@@ -1,89 +1,154 @@
-"""Meshes written as OBJ or PLY are read back: all values the same, colours in OBJ to six decimals."""
+"""Meshes and points written as new files are read back the same, and what a format cannot hold is said."""
 
 from __future__ import annotations
 
 import dataclasses
+import io
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+import trimesh
 
-from beltrami_cli.formats.obj.document import ObjDocument
-from beltrami_cli.formats.ply.document import PlyDocument
-from beltrami_cli.formats.registry import write_contents
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.registry import OUTPUT_FORMATS, open_bytes, write_contents
 from beltrami_cli.surface.records import MeshContents, linear_to_srgb
-from formats.gltf_files import joined
+from formats.gltf_files import joined, numbers, unpacked
 
-DOCUMENTS = {"obj": ObjDocument, "ply": PlyDocument}
-CLOSE = {"obj": 5.1e-7, "ply": 0}  # how far colours of full scale 1 may be off
-FORMS = pytest.mark.parametrize("form", DOCUMENTS)
+FORMS = ("obj", "ply", "glb", "gltf", "xyz", "pts", "csv", "npz")
+MESHES = FORMS[:4]
+OF_SINGLE_PRECISION = ("glb", "gltf")
+NORMALS = ("ply", "glb", "gltf", "xyz", "csv")
+ALPHA = ("ply", "glb", "gltf", "npz")
+FULL = {"uint8": 255, "uint16": 65535}
 
 
-def mesh(sizes=(3,), stored="uint8", channels=3, **changes):
+def mesh(sizes=(3,), stored="uint8", channels=3, encoding="srgb", dtype=np.float32, **changes):
+    """Return vertices with random polygons of some sizes; without any they are points."""
     random = np.random.default_rng(5)
-    top = 65535 if stored == "uint16" else 255
+    colours = random.random((300, channels), np.float32)
+    if stored in FULL:
+        colours = np.rint(colours * FULL[stored]) / np.float32(FULL[stored])
     contents = MeshContents(
-        positions=random.normal(size=(300, 3)),
+        positions=random.normal(size=(300, 3)).astype(dtype).astype(np.float64),
         corners=random.integers(0, 300, sum(sizes)).astype(np.int32),
         offsets=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-        colours=(random.integers(0, top + 1, (300, channels)) / top).astype(np.float32),
-        encoding="srgb",
+        colours=colours.astype(np.float32),
+        encoding=encoding,
         stored=stored,
     )
     return dataclasses.replace(contents, **changes)
 
 
-def back(form, contents):
-    return DOCUMENTS[form](joined(write_contents(contents, form, "out")), f"out.{form}").contents()
+def triangles(contents):
+    """Return how many triangles the polygons of a mesh are cut into."""
+    return int(np.maximum(np.diff(contents.offsets) - 2, 0).sum())
 
 
-def check(form, contents, dtype):
-    """Positions of a type, polygons and colours are read back the same."""
-    contents = dataclasses.replace(contents, positions=contents.positions.astype(dtype).astype(np.float64))
-    found = back(form, contents)
+def test_every_format_of_output_is_tested():
+    assert {*OUTPUT_FORMATS.values()} - {"usd", "usda", "usdc", "usdz"} == {*FORMS}
+
+
+CONTENTS = [
+    ("uint8", "srgb", 3, np.float32, False),
+    ("uint8", "linear", 1, np.float64, True),
+    ("uint16", "srgb", 1, np.float32, True),
+    ("uint16", "linear", 3, np.float32, False),
+    ("float32", "srgb", 3, np.float64, True),
+    ("float32", "linear", 3, np.float32, True),
+    ("text", "srgb", 3, np.float64, False),
+]
+
+
+@pytest.mark.parametrize(("stored", "encoding", "channels", "dtype", "has_more"), CONTENTS)
+@pytest.mark.parametrize("form", FORMS)
+def test_what_is_written_is_read_back(tmp_path, form, stored, encoding, channels, dtype, has_more):
+    dtype = np.float32 if form in OF_SINGLE_PRECISION else dtype
+    sizes = (3, 4, 300, 3, 7) if form in MESHES else (3, 3) if form == "npz" else ()
+    contents = mesh(sizes, stored, channels, encoding, dtype)
+    if has_more:
+        normals = np.random.default_rng(6).normal(size=(300, 3))
+        normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+        alpha = (np.arange(300) % 256 / 255).astype(np.float32)
+        contents = dataclasses.replace(contents, normals=normals, alpha=alpha)
+    written = write_contents(contents, form, "s t")
+    for name, data in written.sidecars.items():
+        (tmp_path / name).write_bytes(bytes(data))
+    document = open_bytes(joined(written), f"s t.{form}", tmp_path)
+    found = document.contents()
     np.testing.assert_array_equal(found.positions.astype(dtype), contents.positions)
-    np.testing.assert_array_equal(found.corners, contents.corners)
-    np.testing.assert_array_equal(found.offsets, contents.offsets)
-    np.testing.assert_allclose(found.colours, contents.colours, rtol=0, atol=CLOSE[form])
-    return found
+    if form in ("obj", "ply"):
+        np.testing.assert_array_equal(found.corners, contents.corners)
+        np.testing.assert_array_equal(found.offsets, contents.offsets)
+    assert triangles(found) == triangles(contents)
+    seen, wanted = (
+        linear_to_srgb(each.colours) if each.encoding == "linear" else each.colours
+        for each in (found, contents)
+    )
+    np.testing.assert_allclose(
+        seen, np.broadcast_to(wanted, seen.shape), rtol=0, atol=rounding(form, stored, encoding)
+    )
+    assert (found.alpha is None) == (not has_more or form not in ALPHA)
+    if has_more and form in NORMALS:
+        np.testing.assert_allclose(document.attribute("normal"), contents.normals, atol=1e-6)
+    if has_more and form in ALPHA:
+        np.testing.assert_allclose(found.alpha, contents.alpha, atol=1e-6)
+    said = " ".join(written.notices)
+    assert ("Opacity is dropped" in said) == (has_more and form not in ALPHA)
+    if encoding == "linear" and form not in OF_SINGLE_PRECISION:
+        assert "Linear colours are written as sRGB" in said
+        assert stored != "uint8" or len(np.unique(found.colours)) == len(np.unique(contents.colours))
+    assert ("Grey" in said) == (channels == 1)
 
 
-@FORMS
-@settings(max_examples=30, deadline=None)
-@given(
-    sizes=st.lists(st.sampled_from([3, 3, 4, 7, 300]), max_size=6),
-    stored=st.sampled_from(["uint8", "uint16", "float32", "text"]),
-    dtype=st.sampled_from([np.float32, np.float64]),
+def rounding(form, stored, encoding):
+    """Return how far sRGB colours may be off: half a level of what is stored, or half of the last digit of text."""
+    if form in ("obj", "xyz", "pts", "csv"):
+        return 5.1e-7
+    if encoding == "linear" and form in ("ply", "npz") and stored in FULL:
+        return 0.51 / 65535
+    if form in OF_SINGLE_PRECISION and (stored, encoding) == ("uint8", "srgb"):
+        return 12.93 * 0.5 / 65535  # near black, where the slope of sRGB is 12.92
+    return 1e-6
+
+
+@pytest.mark.parametrize("stored", FULL)
+def test_every_srgb_level_comes_back_from_the_linear_light_of_gltf(stored):
+    top = FULL[stored]
+    levels = np.arange(top + 1)
+    grey = np.repeat((levels / top)[:, None], 3, axis=1).astype(np.float32)
+    points = mesh((), stored, positions=np.zeros((top + 1, 3)), colours=grey, alpha=grey[:, 0])
+    contents = open_bytes(joined(write_contents(points, "glb", "x")), "x.glb", None).contents()
+    back = np.rint(linear_to_srgb(contents.colours.astype(np.float64)) * top)
+    np.testing.assert_array_equal(back, np.repeat(levels[:, None], 3, axis=1))
+    np.testing.assert_array_equal(np.rint(contents.alpha.astype(np.float64) * top), levels)
+
+
+@pytest.mark.parametrize(
+    ("form", "stored", "encoding", "kept"),
+    [("glb", stored, "linear", stored) for stored in ("uint8", "uint16", "float32")]
+    + [
+        ("ply", "uint8", "srgb", "uint8"),
+        ("ply", "uint8", "linear", "uint16"),
+        ("ply", "float32", "linear", "float32"),
+    ],
 )
-def test_round_trip(form, sizes, stored, dtype):
-    found = check(form, mesh(sizes, stored), dtype)
-    if form == "ply":
-        assert found.stored == (stored if stored.startswith("uint") else "float32")
-    if stored == "uint16":
-        levels = np.rint(mesh(sizes, stored).colours * 65535)
-        np.testing.assert_array_equal(np.rint(found.colours * 65535), levels)
+def test_colours_keep_a_type_that_holds_them(form, stored, encoding, kept):
+    written = write_contents(mesh(stored=stored, encoding=encoding), form, "x")
+    assert open_bytes(joined(written), f"x.{form}", None).painted().stored == kept
 
 
-@FORMS
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_small_coordinates_and_more_polygons_than_a_block_are_read_back(form, dtype):
-    plain = mesh(np.random.default_rng(8).integers(3, 7, 70_000))
-    check(form, dataclasses.replace(plain, positions=plain.positions * 1e-7), dtype)
+@pytest.mark.parametrize("form", ["obj", "ply"])
+def test_small_coordinates_and_more_polygons_than_a_block_are_read_back(form):
+    contents = mesh(np.random.default_rng(8).integers(3, 7, 70_000), dtype=np.float64)
+    contents = dataclasses.replace(contents, positions=contents.positions * 1e-7)
+    found = open_bytes(joined(write_contents(contents, form, "x")), f"x.{form}", None).contents()
+    np.testing.assert_array_equal(found.positions, contents.positions)
+    np.testing.assert_array_equal(found.corners, contents.corners)
 
 
 def test_positions_in_ply_are_doubles_only_where_floats_would_lose():
-    single = mesh().positions.astype(np.float32).astype(np.float64)
-    assert b"property float x" in joined(write_contents(mesh(positions=single), "ply", "out"))
-    assert b"property double x" in joined(write_contents(mesh(), "ply", "out"))
-
-
-def test_ply_keeps_normals_and_alpha():
-    normals = np.random.default_rng(6).normal(size=(300, 3)).astype(np.float32)
-    alpha = (np.arange(300) % 256 / 255).astype(np.float32)
-    found = back("ply", mesh(normals=normals, alpha=alpha))
-    np.testing.assert_array_equal(found.normals, normals)
-    np.testing.assert_array_equal(found.alpha, alpha)
+    assert b"property float x" in joined(write_contents(mesh(), "ply", "out"))
+    assert b"property double x" in joined(write_contents(mesh(dtype=np.float64), "ply", "out"))
 
 
 def test_obj_has_a_normal_for_every_vertex():
@@ -96,29 +161,36 @@ def test_obj_has_a_normal_for_every_vertex():
     assert all(vertex == normal for vertex, normal in corners)
 
 
-@FORMS
-@pytest.mark.parametrize(
-    ("stored", "kept"), [("uint8", "uint16"), ("uint16", "uint16"), ("float32", "float32")]
-)
-@pytest.mark.parametrize("channels", [1, 3])
-def test_linear_colours_become_srgb_in_three_channels_and_8_bit_steps_stay_apart(
-    form, stored, kept, channels
-):
-    contents = mesh(stored=stored, channels=channels, encoding="linear")
-    found = back(form, contents)
-    assert found.stored == (kept if form == "ply" else "text")
-    expected = np.broadcast_to(linear_to_srgb(contents.colours), (300, 3))
-    np.testing.assert_allclose(found.colours, expected, atol=0.5001 / 65535 if form == "ply" else 5.1e-7)
-    if stored == "uint8":
-        assert len(np.unique(found.colours)) == len(np.unique(contents.colours))
-    said = write_contents(contents, form, "out").notices
-    assert "Linear colours are written as sRGB" in said[0]
-    assert any("Grey" in notice for notice in said) == (channels == 1)
+def test_another_reader_finds_the_same_in_gltf():
+    contents = mesh((3, 3))
+    data = joined(write_contents(contents, "glb", "x"))
+    (geometry,) = trimesh.load(io.BytesIO(data), file_type="glb", process=False).geometry.values()
+    np.testing.assert_array_equal(
+        geometry.vertices[geometry.faces].reshape(-1, 3), contents.positions[contents.corners]
+    )
+    tree, buffers = unpacked(data)
+    (primitive,) = tree["meshes"][0]["primitives"]
+    accessor = tree["accessors"][primitive["attributes"]["POSITION"]]
+    assert accessor["min"] == contents.positions.min(axis=0).tolist()
+    assert accessor["max"] == contents.positions.max(axis=0).tolist()
+    assert numbers(tree, buffers, primitive["indices"]).dtype == np.uint16
+    (points,) = unpacked(joined(write_contents(mesh(()), "glb", "x")))[0]["meshes"][0]["primitives"]
+    assert points["mode"] == 0
+    assert "indices" not in points
 
 
-@FORMS
-def test_what_is_left_out_is_said_in_one_sentence(form):
-    contents = mesh(left_out=("materials", "skins"), alpha=np.ones(300, np.float32))
-    *others, last = write_contents(contents, form, "out").notices
-    assert last == "Not converted: materials; skins."
-    assert ["Opacity is dropped" in notice for notice in others] == ([True] if form == "obj" else [])
+def test_what_is_lost_is_said_in_one_sentence_each():
+    for form in MESHES:
+        *_, last = write_contents(mesh(left_out=("materials", "skins")), form, "out").notices
+        assert last == "Not converted: materials; skins."
+    bright = mesh((4,), dtype=np.float64)
+    bright = dataclasses.replace(bright, colours=bright.colours * 2)
+    notices = " ".join(write_contents(bright, "glb", "x").notices)
+    for word in ("single precision", "cut into triangles", "clipped", "linear light"):
+        assert word in notices
+    assert not write_contents(mesh((), encoding="linear"), "glb", "x").notices
+
+
+def test_positions_beyond_single_precision_are_refused_by_gltf():
+    with pytest.raises(InputError, match="too large"):
+        write_contents(mesh(positions=np.full((300, 3), 1e300)), "glb", "x")
