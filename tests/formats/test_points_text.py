@@ -1,23 +1,23 @@
-"""Lines of points: what the columns are, and that nothing but colours changes."""
+"""Lines of points: which columns are the colours, by names, by values, or by what users say; only colours change."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.document import Naming
-from beltrami_cli.formats.points.text_document import TextPointsDocument, write_pts, write_xyz
-from formats.points_files import patched
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.points.text_document import TextPointsDocument
+from beltrami_cli.formats.registry import open_bytes
+from beltrami_cli.jobs.inspect import check_files
+from formats.patching import patched
 
 RGB = ("red", "green", "blue")
-PLAIN = b"0 0 0 10 20 30\n1 0 0.5 40 50 60\n0 1 -2e-1 255 0 128\n"
+COUNT = 400
 
 
-def opened(text, name="cloud.xyz"):
-    return TextPointsDocument(text, name)
+def opened(data, name="a.xyz", **access):
+    return TextPointsDocument(data, name, None, Access(**access))
 
 
 @pytest.mark.parametrize(
@@ -29,13 +29,7 @@ def opened(text, name="cloud.xyz"):
         (b"1 2 3 0.25", ("intensity",), [0.25]),
         (b"1 2 3 51", ("intensity",), [0.2]),
         (b"1 2 3 -1024 \n 1 2 3 2048", ("intensity",), [-0.5]),
-        (b"1 2 3 977 0 51 255", RGB, [0, 0.2, 1]),
-        (b"1 2 3 0 51 255 0 0.6 -0.8", RGB, [0, 0.2, 1]),
-        (b"1 2 3 0 51 255 0 0 1", RGB, [0, 0.2, 1]),
-        (b"1 2 3 0 0 1 0 51 255", RGB, [0, 0.2, 1]),
         (b"1 2 3 1 0 0 0 0.6 0.8", RGB, [1, 0, 0]),
-        (b"1 2 3 0 0.6 -0.8 0 51 255", RGB, [0, 0.2, 1]),
-        (b"1 2 3 977 0 51 255 0 0.6 -0.8", RGB, [0, 0.2, 1]),
         (b"# x y z b g r\n1 2 3 255 51 0", RGB, [0, 0.2, 1]),
         (b"//X;Y;Z;R;G;B;Intensity\n1;2;3;0;51;255;9", RGB, [0, 0.2, 1]),
         (b"x y z i nx ny nz\n1 2 3 0.25 0 0 1", ("intensity",), [0.25]),
@@ -45,7 +39,7 @@ def opened(text, name="cloud.xyz"):
         (b"# scanned on Monday\n\n 1 2 3 1 0 0 # red\n1 2 3 0 1 0\n", RGB, [1, 0, 0]),
     ],
 )
-def test_columns_are_recognised_by_their_names_or_by_how_many_there_are(text, channels, colours):
+def test_numbers_are_read_whatever_their_range_separators_and_line_ends(text, channels, colours):
     painted = opened(text).painted()
     assert painted.channels == channels
     assert painted.positions[0].tolist() == [1, 2, 3]
@@ -54,7 +48,6 @@ def test_columns_are_recognised_by_their_names_or_by_how_many_there_are(text, ch
 
 
 def test_what_is_not_obvious_is_said():
-    assert opened(PLAIN).painted()
     document = opened(b"1 2 3 977 0 51 255")
     document.painted()
     assert document.notices == ["Its 7 columns are taken for x y z intensity red green blue."]
@@ -86,7 +79,12 @@ def test_what_is_not_obvious_is_said():
         (b"nan 2 3 4 5 6\n", InputError, "none of its points has a place"),
         (b"1 2 3 4 5 6000.5\n", InputError, "full scale"),
         (b"x y z r g\n1 2 3 4 5\n", UnpaintedError, "x y z r g have no colours"),
-        (b"a b r g b\n1 2 3 4 5\n", InputError, "no x, y and z"),
+        (b"a,b,c\n1,2,3\n", InputError, "a b c have no x, y and z"),
+        (b"words\nthese are 3 files\n", InputError, "line 2: 'these' is no number, so this is no table"),
+        (b"ncols 4\nnrows 4\n0 0 0 0\n", InputError, "line 1: 'ncols' is no number, so this is no table"),
+        (b"1,5;2,5;3,5;200;100;50\n", InputError, "line 1: commas stand in some places.*with a point"),
+        (b"# x y z r g b\n1,5 2,5 3,5 200 100 50\n", InputError, "line 2: commas stand in some places"),
+        (b"1,2,3,,5,6\n1,2,3,4,5,6\n", InputError, "line 2: 6 numbers, but the first point has 5"),
         (b"x y z r g b\n1 2 3 4\n", InputError, "names 6 columns, but there are 4"),
         (b"\xff\xfe1\x00 \x002\x00\n1 2 3 4", InputError, "it is no plain text; export"),
         (b"\0" * 40, InputError, "it is no plain text; export"),
@@ -95,9 +93,188 @@ def test_what_is_not_obvious_is_said():
 )
 def test_what_cannot_be_read_is_refused_in_one_line(text, error, said):
     with pytest.raises(error, match=said) as caught:
-        opened(text).painted()
+        open_bytes(text, "a.txt", None).painted()
     assert "\n" not in str(caught.value)
     assert "\0" not in str(caught.value)
+
+
+def columns():
+    """One column of each kind, as text."""
+    rng = np.random.default_rng(0)
+    shades = np.clip(np.rint(rng.normal((200, 120, 60), 12, (COUNT, 3))), 0, 255).astype(int)
+    normals = rng.normal(size=(COUNT, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.tile([0, 0, 1], (COUNT, 1))
+    known = {axis: rng.uniform(-50, 50, COUNT) for axis in "xyz"}
+    known |= dict(zip("rgb", shades.T, strict=True))
+    known |= {f"{name}f": shade / 255 for name, shade in zip("rgb", shades.T, strict=True)}
+    known |= {f"{name}16": shade * 257 for name, shade in zip("rgb", shades.T, strict=True)}
+    known |= {f"n{axis}": normal for axis, normal in zip("xyz", normals.T, strict=True)}
+    known |= {f"u{axis}": normal for axis, normal in zip("xyz", up.T, strict=True)}
+    known["class"] = rng.choice([2, 3, 6, 9], COUNT)
+    known["return"] = rng.integers(1, 4, COUNT)
+    known["returns"] = rng.integers(3, 5, COUNT)
+    known["zero"] = np.zeros(COUNT, int)
+    known["i8"] = rng.integers(0, 256, COUNT)
+    known["i12"] = rng.integers(300, 4096, COUNT)
+    known["db"] = rng.normal(-12, 3, COUNT)
+    known["time"] = 4e5 + rng.uniform(0, 60, COUNT)
+    return {
+        name: [f"{value:d}" if values.dtype.kind == "i" else f"{value:.6f}" for value in values]
+        for name, values in known.items()
+    }
+
+
+COLUMNS = columns()
+
+
+def table(layout, separator=" ", head=""):
+    rows = zip(*(COLUMNS[name] for name in layout.split()), strict=True)
+    return (head + "".join(f"{separator.join(row)}\n" for row in rows)).encode()
+
+
+def changed_columns(data, document):
+    """The columns in which new colours differ from the old, every other byte being the same."""
+    new = patched(document, 1 - document.painted().colours)
+    separators = bytes.maketrans(b",;\t", b"   ")
+    before, after = (
+        np.array([line.split() for line in text.translate(separators).splitlines()[-COUNT:]])
+        for text in (data, new)
+    )
+    return [int(column) for column in np.flatnonzero((before != after).any(axis=0))]
+
+
+@pytest.mark.parametrize(
+    ("layout", "first"),
+    [
+        ("x y z r g b", 3),
+        ("x y z r g b class", 3),
+        ("x y z r g b zero", 3),
+        ("x y z r g b i12", 3),
+        ("x y z r g b db", 3),
+        ("x y z r g b time class", 3),
+        ("x y z r g b class return returns", 3),
+        ("x y z r g b i12 nx ny nz", 3),
+        ("x y z r g b ux uy uz", 3),
+        ("x y z r g b nx ny nz db", 3),
+        ("x y z rf gf bf i12", 3),
+        ("x y z rf gf bf nx ny nz", 3),
+        ("x y z rf gf bf ux uy uz class", 3),
+        ("x y z r16 g16 b16 db", 3),
+        ("x y z r16 g16 b16 class", 3),
+        ("x y z class r g b", 4),
+        ("x y z i12 r g b", 4),
+        ("x y z db rf gf bf", 4),
+        ("x y z nx ny nz r g b", 6),
+        ("x y z time class r g b", 5),
+    ],
+)
+def test_columns_that_can_be_the_colours_are_found_by_their_values(layout, first):
+    data = table(layout, "; " if "class" in layout else " ")
+    assert changed_columns(data, opened(data)) == [first, first + 1, first + 2]
+
+
+UNCLEAR = [
+    ("x y z r g b i8", "the colours can be columns 4 to 6 or 5 to 7"),
+    ("x y z i8 r g b", "the colours can be columns 4 to 6 or 5 to 7"),
+    ("x y z r16 g16 b16 i12", "the colours can be columns 4 to 6 or 5 to 7"),
+    ("x y z i12 return returns class", "it is not clear which are colours"),
+    ("x y z return returns class", "it is not clear which are colours"),
+    ("x y z i12 return class", "it is not clear which are colours"),
+    ("x y z db i12", "it is not clear which are colours"),
+]
+
+
+@pytest.mark.parametrize(("layout", "cause"), UNCLEAR)
+def test_two_readings_or_none_are_refused_with_the_option_that_decides(layout, cause):
+    with pytest.raises(InputError, match=f"{cause}; give --columns") as caught:
+        opened(table(layout)).painted()
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match=cause):  # and not compared as if there were no colours
+        opened(table(layout)).fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("layout", "given", "found"),
+    [
+        ("x y z r g b i8", "x y z r g b scalar", [3, 4, 5]),
+        ("x y z i8 r g b", "X Y Z Intensity Red Green Blue", [4, 5, 6]),
+        ("x y z i12 return returns class", "x y z intensity return returns class", [3]),
+        ("i8 b g r z y x", "any b g r z y x", [1, 2, 3]),
+        ("x y z r g b class", "x y z a b c intensity", [6]),
+    ],
+)
+def test_given_names_count_for_more_than_those_in_the_file_and_the_values(layout, given, found):
+    for head in ("", "x y z r g b other\n", "//X Y Z R G B Other\n"):
+        data = table(layout, head=head)
+        assert changed_columns(data, opened(data, columns=tuple(given.split()))) == found
+
+
+@pytest.mark.parametrize(
+    ("given", "cause"),
+    [
+        ("x y z r g b", "7 numbers each, but --columns has 6 names; give --columns"),
+        ("x y r g b s t", "have no x, y and z"),
+        ("x y z red g b s", "have no colours"),
+    ],
+)
+def test_names_that_do_not_fit_are_refused(given, cause):
+    with pytest.raises(InputError, match=cause):
+        opened(table("x y z r g b class"), columns=tuple(given.split())).painted()
+
+
+@pytest.mark.parametrize(
+    ("head", "separator"),
+    [
+        ("//X Y Z R G B Intensity\n", " "),
+        ("//X,Y,Z,R,G,B,Scalar field\n", ","),
+        ("# made on a b c d Monday\n# x y z r g b i\n", " "),
+        ("x,y,z,red,green,blue,scalar\n", ","),
+        ('"X";"Y";"Z";"Red";"Green";"Blue";"Scalar field #2"\n', ";"),
+        ("X\tY\tZ\tR\tG\tB\tGPS time\n", "\t"),
+        (f"//X Y Z R G B Return\n{COUNT}\n", " "),
+    ],
+)
+def test_names_in_the_file_decide(head, separator):
+    data = table("x y z r g b i8", separator, head)
+    assert changed_columns(data, opened(data)) == [3, 4, 5]
+
+
+def test_in_files_with_a_count_of_points_the_intensity_comes_first_if_it_can():
+    data = table("x y z i8 r g b", head=f"{COUNT}\n")
+    assert changed_columns(data, opened(data, "a.pts")) == [4, 5, 6]
+    data = table("x y z r g b i12", head=f"{COUNT}\n")
+    assert changed_columns(data, opened(data, "a.pts")) == [3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "written"), [("asc", "xyz"), ("txt", "xyz"), ("csv", "csv"), ("XYZ", "xyz")]
+)
+def test_other_suffixes_are_read_as_tables(suffix, written):
+    data = table("x y z r g b class", ",", "x,y,z,red,green,blue,class\n")
+    document = open_bytes(data, f"a.{suffix}", None)
+    assert document.format == written
+    assert changed_columns(data, document) == [3, 4, 5]
+
+
+@pytest.mark.parametrize("layout", ["x y z r g b i12", "x y z r g b class", "x y z i12 r g b"])
+def test_the_check_takes_the_columns_of_the_first_file_for_both(layout, tmp_path):
+    """Whatever the new colours look like: here they have few values, and so can be read in two ways."""
+    data = table(layout)
+    before, after = tmp_path / "a.xyz", tmp_path / "b.xyz"
+    before.write_bytes(data)
+    document = opened(data)
+    after.write_bytes(patched(document, np.rint(document.painted().colours)))
+    report = check_files(before, after)
+    assert report.faithful
+    assert [each.what for each in report.differences] == ["point colours"]
+    lines = data.splitlines(keepends=True)
+    moved = [column for column in range(7) if column not in document._columns.colours]
+    for column in moved:
+        words = lines[7].split()
+        words[column] = b"255"
+        after.write_bytes(b"".join([*lines[:7], b" ".join(words) + b"\n", *lines[8:]]))
+        assert not check_files(before, after).faithful
 
 
 def test_counts_may_head_several_scans():
@@ -120,7 +297,7 @@ def test_colours_that_stay_keep_their_bytes_to_the_last():
     document = opened(b"  1 2.50 3 010 +20 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60")
     same = document.painted().colours
     assert patched(document, same) == b"  1 2.50 3 010 +20 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60"
-    assert b"".join(document.patch(None, Naming("out")).main) == patched(document, same)
+    assert patched(document, None) == patched(document, same)
     # A change that is lost in rounding is none.
     assert patched(document, same + np.float32(1e-4)) == patched(document, same)
     other = same.copy()
@@ -140,31 +317,11 @@ def test_colours_that_stay_keep_their_bytes_to_the_last():
         (b"0 0 0 -9 1 2 3\n0 0 0 9 4 5 6", [[1, 0, 0], [0, 1, 0]], b"0 0 0 -9 255 0 0\n0 0 0 9 0 255 0"),
         (b"x y z b g r\n0 0 0 1 2 3", [1, 2 / 255, 0], b"x y z b g r\n0 0 0 0 2 255"),
         (b"0 0 0 200 0 7", [1.5, -1, 0.5], b"0 0 0 255 0 128"),
+        (b"1\r0;0;0;200; 0;7\r", [0, 1, 0], b"1\r0;0;0;0; 255;0\r"),
     ],
 )
 def test_new_colours_are_spelled_as_the_old_ones(text, new, expected):
     assert patched(opened(text), np.atleast_2d(new)) == expected
-
-
-@pytest.mark.slow
-@given(
-    st.lists(st.tuples(*[st.integers(0, 255)] * 6), min_size=1, max_size=20),
-    st.sampled_from([b" ", b"\t", b", ", b";"]),
-    st.sampled_from([b"\n", b"\r\n", b"\r"]),
-    st.booleans(),
-)
-def test_new_whole_colours_are_read_back_and_the_rest_is_as_it_was(rows, blank, line_end, counted):
-    lines = [blank.join(b"%d" % value for value in row[:3] + row[3:]) for row in rows]
-    head = [b"%d" % len(rows)] if counted else []
-    document = opened(line_end.join([*head, *lines, b""]))
-    new = np.array([row[3:] for row in rows[::-1]], np.float32) / 255
-    lines = [
-        blank.join(b"%d" % value for value in row[:3] + other[3:])
-        for row, other in zip(rows, rows[::-1], strict=True)
-    ]
-    # Where no colour is above 1 they count as of 0 to 1.
-    if max(max(row[3:]) for row in rows) > 1:
-        assert patched(document, new) == line_end.join([*head, *lines, b""])
 
 
 def test_other_columns_are_attributes():
@@ -174,24 +331,3 @@ def test_other_columns_are_attributes():
     assert document.attribute("normal").tolist() == [[0, 0, 1], [0, 0, 1]]
     with pytest.raises(InputError, match="no depth"):
         document.attribute("depth")
-
-
-def test_the_fingerprint_of_two_files_differs_in_colours_alone():
-    document = opened(PLAIN, "scan.pts")
-    other = opened(patched(document, 1 - document.painted().colours), "scan.pts")
-    assert other.fingerprint().parts == document.fingerprint().parts
-    assert np.allclose(
-        other.fingerprint().colours["point colours"], 1 - document.painted().colours, atol=1e-6
-    )
-    moved = opened(PLAIN.replace(b"0.5", b"0.6"), "scan.pts")
-    assert moved.fingerprint().parts != document.fingerprint().parts
-
-
-@pytest.mark.parametrize("writer", [write_xyz, write_pts])
-def test_what_is_written_is_read_back(writer):
-    contents = opened(b"# x y z r g b nx ny nz\n0.1 2e7 3 1 2 3 0 0 1\n4 5 6 7 8 9 0 1 0\n").contents()
-    written = writer(contents, "out")
-    again = opened(b"".join(written.main))
-    assert np.array_equal(again.painted().positions, contents.positions)
-    assert np.allclose(again.painted().colours, contents.colours, atol=1e-6)
-    assert np.array_equal(again.attribute("normal"), contents.normals)
