@@ -1,4 +1,4 @@
-"""OBJ files: every shape of vertex and face lines, an InputError for each fault, and patches of colour tokens alone."""
+"""OBJ files: vertex and face lines, colours of vertices and polypaint; a line for each fault; only colours change."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj.document import ObjDocument
-from beltrami_cli.formats.registry import open_bytes
+from formats.patching import patched
 
 THREE = b"v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n"
 
 
 def opened(data):
-    return ObjDocument(data, "some.obj", None)
+    return ObjDocument(data.encode() if isinstance(data, str) else data, "some.obj", None)
 
 
 def test_reading_agrees_with_trimesh():
@@ -42,11 +41,8 @@ def test_reading_agrees_with_trimesh():
      "f 1 \\\n2 3", "f 1 \\\r\n 2 3\r", "f 001 2 3"],
 )  # fmt: skip
 def test_every_shape_of_a_corner(face):
-    assert opened(THREE + face.encode()).painted().faces.tolist() == [[0, 1, 2]]
-
-
-def test_a_byte_order_mark_hides_no_vertex():
-    assert len(opened(b"\xef\xbb\xbf" + THREE).painted().positions) == 3
+    for mark in (b"", b"\xef\xbb\xbf"):
+        assert opened(mark + THREE + face.encode()).painted().faces.tolist() == [[0, 1, 2]]
 
 
 def test_negative_indices_count_back_from_the_vertices_before_the_face():
@@ -77,17 +73,14 @@ def test_weights_and_alpha_are_distinguished_from_colours(lines, alpha):
     assert (None if contents.alpha is None else contents.alpha.tolist()) == alpha
 
 
-def test_seven_numbers_with_red_and_opacity_full_are_colours():
-    assert opened(b"v 0 0 0 1 .2 .3 1\n").painted().colours.tolist() == np.float32([[1, 0.2, 0.3]]).tolist()
-
-
 def test_uncoloured_vertices_and_their_faces_take_no_part():
     document = opened(b"v 9 9 9\n" + THREE + b"f 1 2 3\nf 2 3 4\nf 4 1\n")
     assert document.painted().faces.tolist() == [[0, 1, 2]]
     assert document.painted().positions[0].tolist() == [0, 0, 0]
     assert "1 of 4 vertices have no colour" in document.notices[0]
-    patched = document.patch(np.full((3, 3), 0.5, np.float32), Naming("out"))
-    assert b"".join(patched.main).startswith(b"v 9 9 9\nv 0 0 0 0.500000 0.500000 0.500000\n")
+    assert patched(document, np.full((3, 3), 0.5)).startswith(
+        b"v 9 9 9\nv 0 0 0 0.500000 0.500000 0.500000\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -118,34 +111,9 @@ def test_the_message_names_the_cause_and_the_line(data, message):
     assert message in str(caught.value)
 
 
-def test_material_files_and_textures_inside_the_folder_are_referred_to(tmp_path):
-    model = tmp_path / "model"
-    (model / "sub dir").mkdir(parents=True)
-    for name in ("my one.mtl", "two.mtl", "a.png", "sub dir/b c.jpg"):
-        (model / name).write_bytes(b"")
-    (tmp_path / "outside.png").write_bytes(b"")
-    (model / "link.png").symlink_to(tmp_path / "outside.png")
-    (model / "my one.mtl").write_text(
-        "newmtl x\nmap_Kd -s 1 1 1 -o 0.5 0 -clamp on a.png\r\nmap_Ks -bm 0.3 sub dir\\b c.jpg\n"
-        f"map_Ka ../outside.png\nmap_d {tmp_path}/outside.png\nbump http://a.b/c.png\nnorm missing.png\n"
-        "map_Kd link.png\nmap_Ke C:\\a.png\n"
-    )
-    document = ObjDocument(b"mtllib my one.mtl two.mtl\nmtllib gone.mtl\n" + THREE, "x.obj", model)
-    assert sorted(document.references()) == ["a.png", "my one.mtl", "sub dir/b c.jpg", "two.mtl"]
-    assert len(document.notices) == 7
-    assert ObjDocument(b"mtllib two.mtl\n" + THREE, "x.obj", None).references() == []
-
-
 def test_facts_are_known_without_colours():
     facts = opened(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\n").facts()
     assert (facts["vertices"], facts["coloured_vertices"], facts["polygons"]) == (3, 0, 1)
-
-
-@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
-def test_text_in_utf_16_is_named(encoding):
-    data = "\ufeffv 0 0 0 1 0 0\n".encode(encoding)
-    with pytest.raises(InputError, match="UTF-16; save it as UTF-8"):
-        open_bytes(data, "x.obj", None)
 
 
 LINES = st.sampled_from([
@@ -188,6 +156,7 @@ def test_only_changed_tokens_change(file, data):
     source = "".join(pieces).encode()
     document = ObjDocument(source, "random.obj", None)
     before = document.painted().colours
+    assert patched(document, before.copy()) == patched(document, None) == source
     whole = "." not in tokens[0][0]
     stored = np.array(tokens, float) / (255 if whole else 1)
     np.testing.assert_array_equal(before, stored.astype(np.float32))
@@ -195,43 +164,88 @@ def test_only_changed_tokens_change(file, data):
     for _ in range(data.draw(st.integers(0, 4))):
         place = data.draw(st.integers(0, len(new) - 1)), data.draw(st.integers(0, 2))
         new[place] = data.draw(st.integers(0, 1000)) / 1000
-    patched = b"".join(document.patch(new, Naming("out")).main)
+    after = patched(document, new)
     changed = (new != before).ravel()
     style = r"\d+" if whole else r"\d\.\d{6}"
     pattern = [re.escape(piece) for piece in pieces]
     for entry in np.flatnonzero(changed):
         pattern[2 * entry + 1] = style
-    assert re.fullmatch("".join(pattern).encode(), patched)
-    again = ObjDocument(patched, "again.obj", None)
+    assert re.fullmatch("".join(pattern).encode(), after)
+    again = ObjDocument(after, "again.obj", None)
     if any("0..255" in notice for notice in again.notices) == whole:  # otherwise the brightest vertex is gone
         expected = np.rint(new.astype(float) * 255) / 255 if whole else np.round(new.astype(float), 6)
         np.testing.assert_array_equal(again.painted().colours, expected.astype(np.float32))
 
 
-@settings(max_examples=50, deadline=None)
-@given(files())
-def test_unchanged_colours_give_the_same_bytes(file):
-    source = "".join(file[0]).encode()
-    document = ObjDocument(source, "random.obj", None)
-    assert b"".join(document.patch(document.painted().colours.copy(), Naming("out")).main) == source
-    assert document.patch(None, Naming("out")).main == [source]
+@pytest.mark.parametrize(
+    ("text", "new", "expected"),
+    [
+        (b"v 0 0 0 1 0 0\n", [0.2, 0, 0], b"v 0 0 0 0.200000 0 0\n"),
+        (b"v 0 0 0 0.50000000 0 0\n", [0.2, 0, 0], b"v 0 0 0 0.20000000 0 0\n"),
+        (b"v 0 0 0 0.5000000000000000 0 0\n", [0.25, 0, 0], b"v 0 0 0 0.250000000 0 0\n"),
+        (b"v 0 0 0 5e-1 0 1E0\n", [0.25, 0, 1], b"v 0 0 0 0.25 0 1E0\n"),
+        (b"v 0 0 0 200 0 7\n", [1.5, -1, 0.5], b"v 0 0 0 255 0 128\n"),
+    ],
+)
+def test_new_colours_are_spelled_as_the_old_ones(text, new, expected):
+    document = opened(text)
+    assert patched(document, [new]) == expected
+    assert any("0..255" in notice for notice in document.notices) == (b"200" in text)
 
 
-def test_decimals_follow_the_source_within_what_loses_nothing():
-    for token, found in (("1", 6), ("0.5", 6), ("0.50000000", 8), ("0.5000000000000000", 9)):
-        document = ObjDocument(f"v 0 0 0 {token} 0 0\n".encode(), "x.obj", None)
-        patched = b"".join(document.patch(np.full((1, 3), 0.2, np.float32), Naming("out")).main)
-        assert len(patched.split()[-1]) == 2 + found
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
 
-def test_exponents_are_kept():
-    document = ObjDocument(b"v 0 0 0 5e-1 0 1E0\n", "x.obj", None)
-    patched = document.patch(np.array([[0.25, 0, 1]], np.float32), Naming("out"))
-    assert b"".join(patched.main) == b"v 0 0 0 0.25 0 1E0\n"
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_polypaint_keeps_masks_and_every_byte_that_is_no_changed_colour(data):
+    count = data.draw(st.integers(3, 140))
+    levels = np.random.default_rng(count).integers(0, 256, (count, 4), np.uint8)
+    style = data.draw(st.sampled_from(["{:02x}", "{:02X}"]))
+    newline = data.draw(st.sampled_from(["\n", "\r\n"]))
+    entries = ["".join(style.format(value) for value in row) for row in levels.tolist()]
+    blocks = [f"#MRGB {''.join(entries[first : first + 64])}" for first in range(0, count, 64)]
+    lines = [*(f"v 0 0 {i}" for i in range(count)), *blocks, "f 1 2 3", ""]
+    source = newline.join(lines).encode()
+    document = opened(source)
+    np.testing.assert_array_equal(np.rint(document.painted().colours * 255), levels[:, 1:])
+    new = levels[:, 1:] / np.float32(255)
+    rows = data.draw(st.lists(st.integers(0, count - 1), max_size=5))
+    new[rows] = np.random.default_rng(1).random((len(rows), 3), np.float32)
+    written = patched(document, new)
+    kept = {(i, c) for i in range(count) for c in range(4) if c == 0 or i not in rows}
+    again = np.array(
+        [
+            list(bytes.fromhex(entry))
+            for block in re.findall(rb"#MRGB (\w+)", written)
+            for entry in re.findall("........", block.decode())
+        ],
+        np.uint8,
+    )
+    np.testing.assert_array_equal(again[:, 1:], np.rint(new * 255))
+    assert all(again[i, c] == levels[i, c] for i, c in kept)
+    assert re.sub(rb"#MRGB \w+", b"", written) == re.sub(rb"#MRGB \w+", b"", source)
+    if not rows:
+        assert written == source
 
 
-def test_whole_numbers_of_0_to_255_stay_whole_and_in_range():
-    document = ObjDocument(b"v 0 0 0 200 0 7\n", "x.obj", None)
-    patched = document.patch(np.array([[1.5, -1, 0.5]], np.float32), Naming("out"))
-    assert b"".join(patched.main) == b"v 0 0 0 255 0 128\n"
-    assert "0..255" in document.notices[0]
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("#MRGB ffffffff\n", "there are 1 colours in its #MRGB lines, but 4 vertices"),
+        ("#MRGB " + "ffffffff" * 3 + "fffffff\n", "line 5: its #MRGB colours"),
+        ("#MRGB " + "ffffffff" * 3 + "fffffffg\n", "line 5: its #MRGB colours"),
+        ("#MRGB \n", "0 colours"),
+    ],
+)
+def test_damaged_polypaint_is_refused(lines, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        opened(SQUARE + lines).painted()
+
+
+def test_colours_of_vertices_go_before_polypaint_which_stays_and_is_mentioned():
+    source = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n#MRGB ff000000ff000000ff000000\nf 1 2 3\n"
+    document = opened(source)
+    written = patched(document, document.painted().colours * 0.5)
+    assert b"#MRGB ff000000ff000000ff000000\n" in written
+    assert any("#MRGB" in notice for notice in document.notices)

@@ -1,4 +1,4 @@
-"""Textures of OBJ files: which image lies where, and that only images and their names change."""
+"""Textures of OBJ files, in the dialects of programs: which image lies where, and only images and names change."""
 
 from __future__ import annotations
 
@@ -14,8 +14,13 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.obj.document import ObjDocument
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.inspect import check_files
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.records import ImageFile
 from formats.image_files import encode, noise
+from hostile.folders import snapshot
+from hostile.textured_models import ONCE, OTHER, PICTURE
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 CORNERS = "vt 0 0\nvt 1 0\nvt 1 0.75\nvt 0 1\n"
@@ -38,21 +43,6 @@ def model(folder, mtl, obj=None, **files):
     document = open_document(str(folder / "model.obj"))
     assert isinstance(document, ObjDocument)
     return document
-
-
-def test_coordinates_are_those_of_the_corners_with_v_turned_down(tmp_path):
-    document = model(tmp_path, "newmtl one\nmap_Kd a.png\n")
-    assert not document.has_vertex_colours()
-    assert document.slots() == ("baseColor",)
-    surface = document.textured("baseColor")
-    assert document.textured("baseColor") is surface
-    wanted = {0: (0, 1), 1: (1, 1), 2: (1, 0.25), 3: (0, 0)}
-    for face, uv in zip(surface.faces.tolist(), surface.uv.tolist(), strict=True):
-        assert [tuple(corner) for corner in uv] == [wanted[vertex] for vertex in face]
-    assert surface.texture_of.tolist() == [0, 0]
-    (texture,) = surface.textures
-    assert (texture.data, texture.name, texture.materials) == (b"image a", "a.png", ("one",))
-    assert texture.wrap == ("repeat", "repeat")
 
 
 def test_reading_agrees_with_trimesh(tmp_path):
@@ -129,6 +119,9 @@ def test_slots_are_recognised_by_their_keywords(tmp_path):
     assert document.textured("normal").textures[0].name == "a.png"
     with pytest.raises(InputError, match="no baseColor texture"):
         document.textured("baseColor")
+    strange = model(tmp_path, "newmtl two\nmap_Kd a.png\n")
+    with pytest.raises(InputError, match="no library has its material 'one'; correct the name at usemtl"):
+        strange.textured("baseColor")
 
 
 def test_materials_that_share_a_file_share_a_texture(tmp_path):
@@ -136,21 +129,6 @@ def test_materials_that_share_a_file_share_a_texture(tmp_path):
     obj = f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl two\nf 1/1 2/2 3/3\nusemtl one\nf 1/1 2/2 3/3\n"
     (texture,) = model(tmp_path, mtl, obj).textured("baseColor").textures
     assert sorted(texture.materials) == ["one", "two"]
-
-
-def test_a_missing_texture_is_an_error_only_if_there_is_no_other(tmp_path):
-    for name in ("gone.png", "../gone.png", "/etc/passwd", "http://a.b/c.png", "sub"):
-        (tmp_path / "sub").mkdir(exist_ok=True)
-        document = model(tmp_path, f"newmtl one\nmap_Kd {name}\n")
-        with pytest.raises(InputError, match="missing"):
-            document.textured("baseColor")
-    document = model(tmp_path, "newmtl two\nmap_Kd a.png\n")
-    with pytest.raises(
-        InputError, match="because no library has its material 'one'; correct the name at usemtl"
-    ):
-        document.textured("baseColor")
-    document = model(tmp_path, "", f"mtllib none.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}")
-    assert document.slots() == ()
 
 
 @pytest.mark.parametrize(
@@ -178,32 +156,6 @@ def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path):
         "a.exr": b"new",
         "m.mtl": b"newmtl one\nKd 1 1 1\nmap_Kd -o 1 1 a.exr\n",
     }
-
-
-def test_beside_the_source_only_names_change(tmp_path):
-    mtl = "# t\r\nnewmtl one\r\n"
-    mtl += "map_Kd -s 1 2 3 maps\\old model_Skin.png\t\r\nmap_Ka maps\\old model_Skin.png\r\nnorm a.png\r\n"
-    obj = f"# x\nmtllib my lib.mtl m.mtl\nmtllib my lib.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}"
-    files = {
-        "my lib.mtl": mtl,
-        "m.mtl": "newmtl x\n",
-        "maps/old model_Skin.png": b"skin",
-        "a.png": b"",
-        "old model.obj": obj,
-    }
-    folder_with(tmp_path, files)
-    document = open_document(str(tmp_path / "old model.obj"))
-    document.textured("baseColor")
-    key = "maps/old model_Skin.png"
-    written = document.patch(None, Naming("new"), images={("baseColor", key): NEW})
-    assert b"".join(written.main).decode() == obj.replace("my lib.mtl", "new.mtl")
-    assert dict(written.sidecars) == {
-        "maps/new_Skin.png": b"new image",
-        "new.mtl": mtl.replace("old model_Skin", "new_Skin").encode(),
-    }
-    for name, content in files.items():
-        assert (tmp_path / name).read_bytes() == (content if isinstance(content, bytes) else content.encode())
-    assert sorted(document.references()) == ["a.png", "m.mtl", "maps/old model_Skin.png", "my lib.mtl"]
 
 
 def test_names_without_the_models_stem_get_the_new_one_in_front_and_none_is_taken_twice(tmp_path):
@@ -262,3 +214,204 @@ def test_colours_and_names_change_together_and_nothing_else(tmp_path_factory, li
     assert document.has_vertex_colours()
     patched = document.patch(new, Naming("a longer"), images={("baseColor", "a.png"): NEW})
     assert b"".join(patched.main).decode() == "\n".join([*wanted, tail.replace("m.mtl", "a longer.mtl")])
+
+
+EVERYTHING = (
+    "# a comment with v 1 2 3\n"
+    "mtllib first one.mtl second.mtl\n"
+    "mtllib gone.mtl\n"
+    "o the object\n" + SQUARE + CORNERS + "vn 0 0 1\n"
+    "s 1\n"
+    "g left side\n"
+    "usemtl red brick\n"
+    "f 1/1/1 \\\n  2/2/1 3/3/1\n"
+    "usemtl slate\n"
+    "f -4/-4 -2/-2 \\\n-1/-1\n"
+    "l 1 2 3\n"
+    "p 1 4\n"
+    "g right f 1 2 3\n"
+    "usemtl red brick\n"  # again
+    "f 1//1 3//1 4//1\n"
+    "usemtl unknown\n"
+    "f 1/1 2/2 4/4\n"
+    "cstype bezier\ncurv 0 1 1 2\n"
+)
+FIRST = (
+    "# made by a program\n"
+    "newmtl red brick\n"
+    "Ka 1 1 1\n"
+    "map_Kd -s 1 1 1 -o 0 0 0 -mm 0 1 -bm 0.5 -texres 512 -imfchan m -clamp on maps\\red brick.png\n"
+    "map_Ka -blendu off -blendv off maps\\red brick.png\n"
+    "bump -bm 0.2 maps/normal.png\n"
+)
+SECOND = "newmtl slate\r\nmap_Kd\tmaps/slate.png  \r\nillum 2"
+
+
+def write_everything(folder, newline="\n"):
+    (folder / "maps").mkdir(parents=True)
+    (folder / "model.obj").write_bytes(EVERYTHING.replace("\n", newline).encode())
+    (folder / "first one.mtl").write_bytes(FIRST.replace("\n", newline).encode())
+    (folder / "second.mtl").write_bytes(SECOND.encode())
+    for name, image in {"red brick": PICTURE, "slate": OTHER, "normal": OTHER}.items():
+        (folder / "maps" / f"{name}.png").write_bytes(image)
+    return folder / "model.obj"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_all_dialects_together(newline, tmp_path):
+    model = write_everything(tmp_path, newline)
+    before = snapshot(tmp_path)
+    report = smooth_file(model, tmp_path / "clean.obj", ONCE)
+    after = snapshot(tmp_path)
+    assert {path: after[path] for path in before} == before
+    new = sorted(set(after) - set(before))
+    assert new == [
+        "clean-2.mtl",
+        "clean.mtl",
+        "clean.obj",
+        "maps/clean_red brick.png",
+        "maps/clean_slate.png",
+    ]
+
+    def text(name):
+        return after[name][1]
+
+    assert text("clean.obj") == before["model.obj"][1].replace(
+        b"first one.mtl second.mtl", b"clean.mtl clean-2.mtl"
+    )
+    assert text("clean.mtl") == before["first one.mtl"][1].replace(
+        b"maps\\red brick", b"maps\\clean_red brick"
+    )
+    assert text("clean-2.mtl") == before["second.mtl"][1].replace(b"slate.png", b"clean_slate.png")
+    assert open_document(str(tmp_path / "clean.obj")).textured("baseColor").textures[0].data == text(
+        "maps/clean_red brick.png"
+    )
+    assert [found["name"] for slot in report.textures for found in slot.textures] == [
+        "red brick.png",
+        "slate.png",
+    ]
+    assert any("'gone.mtl' is missing" in warning for warning in report.warnings)
+    assert any("1 triangles of textured materials have no texture coordinates" in w for w in report.warnings)
+    assert check_files(model, tmp_path / "clean.obj").faithful
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ("", "a.png"),
+        ("-s 2 3 1 -o 0.5 -.25 0", "a.png"),
+        ("-s 2", "a.png"),
+        ("-o .5 1e-3", "7.png"),
+        ("-t 1 1 1", "a b.png"),
+        ("-clamp off -blendu on -cc off -boost 1.5 -texres 64 -imfchan l -mm 0 1 -bm -2", "a -s b.png"),
+        ("-type sphere", "a.png"),
+        ("-s none -o -1e", "a.png"),
+    ],
+)
+def test_options_before_the_name_of_a_map(options, name, tmp_path):
+    (tmp_path / name).write_bytes(PICTURE)
+    (tmp_path / "m.mtl").write_text(f"newmtl m\nmap_Kd {options} {name}\n")
+    (tmp_path / "x.obj").write_text(f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n")
+    (texture,) = open_document(str(tmp_path / "x.obj")).textured("baseColor").textures
+    assert texture.name == name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["m a.mtl", '"m a.mtl"', "./m a.mtl", ".\\m a.mtl", "m a.mtl # why"])
+def test_a_library_is_found_however_it_is_named(name, tmp_path):
+    (tmp_path / "a.png").write_bytes(PICTURE)
+    (tmp_path / "m a.mtl").write_text('newmtl m\nmap_Kd "a.png"\n')
+    source = f"mtllib {name}\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n"
+    (tmp_path / "x.obj").write_text(source)
+    smooth_file(tmp_path / "x.obj", tmp_path / "y.obj")
+    assert (tmp_path / "y.obj").read_text() == source.replace("m a.mtl", "y.mtl")
+    assert (tmp_path / "y.mtl").read_text() == 'newmtl m\nmap_Kd "y_a.png"\n'
+
+
+def test_the_first_library_that_has_a_material_counts(tmp_path):
+    for name, image in {"a": PICTURE, "b": OTHER}.items():
+        (tmp_path / f"{name}.png").write_bytes(image)
+        (tmp_path / f"{name}.mtl").write_text(f"newmtl m\nmap_Kd {name}.png\n")
+    (tmp_path / "x.obj").write_text(f"mtllib a.mtl\nmtllib b.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3\n")
+    (texture,) = open_document(str(tmp_path / "x.obj")).textured("baseColor").textures
+    assert texture.data == PICTURE
+
+
+def two_squares(folder, mtl=b"newmtl m\nmap_Kd t.png\n", v="v 3 0 0", vt="vt 1 1", colour=""):
+    """A textured square, and another one that has a corner and coordinates of its own."""
+    square = "".join(f"{line}{colour}\n" for line in SQUARE.splitlines())
+    faces = "usemtl m\nf 1/1 2/2 3/3 4/4\nf 2/2 5/5 3/3\n"
+    (folder / "in.obj").write_text(f"mtllib in.mtl\n{square}{v}{colour}\n{CORNERS}{vt}\n{faces}")
+    (folder / "in.mtl").write_bytes(mtl)
+    pixels = np.rint(120 + 20 * np.random.default_rng(5).standard_normal((24, 24, 3))).astype(np.uint8)
+    (folder / "t.png").write_bytes(encode(pixels, "png"))
+    return folder / "t.png"
+
+
+def smoothed(folder, out="out.obj", **settings):
+    """Smooth and check; return what was said."""
+    report = smooth_file(folder / "in.obj", folder / out, ONCE, Job(overwrite=True), **settings)
+    assert check_files(folder / "in.obj", folder / out).faithful
+    return " ".join(report.warnings)
+
+
+def test_a_byte_order_mark_of_a_library_is_kept(tmp_path):
+    two_squares(tmp_path, b"\xef\xbb\xbfnewmtl m\nmap_Kd t.png\n")
+    smoothed(tmp_path)
+    assert (tmp_path / "out.mtl").read_bytes() == b"\xef\xbb\xbfnewmtl m\nmap_Kd out_t.png\n"
+
+
+PATHS = ["C:\\Users\\someone\\t.png", "/home/someone/t.png", "..\\maps\\t.png", "\\\\server\\share\\t.png"]
+
+
+@pytest.mark.parametrize("name", PATHS)
+@pytest.mark.parametrize("place", [".", "elsewhere"])
+def test_the_image_beside_the_model_is_taken_for_one_on_another_machine(tmp_path, name, place):
+    two_squares(tmp_path, f"newmtl m\nmap_Kd {name}\n".encode())
+    (tmp_path / "elsewhere").mkdir()
+    said = smoothed(tmp_path, f"{place}/out.obj")
+    assert f"'{name}' is not followed; 't.png' in the model's folder is taken" in said
+    assert (tmp_path / place / "out.mtl").read_text() == "newmtl m\nmap_Kd out_t.png\n"
+
+
+def test_a_library_in_a_folder_names_the_image_beside_the_model_from_there(tmp_path):
+    two_squares(tmp_path)
+    (tmp_path / "mats").mkdir()
+    (tmp_path / "in.mtl").rename(tmp_path / "mats" / "in.mtl")
+    text = (tmp_path / "in.obj").read_text().replace("mtllib in.mtl", "mtllib mats/in.mtl")
+    (tmp_path / "in.obj").write_text(text)
+    assert "'t.png' in the model's folder is taken" in smoothed(tmp_path)
+    assert (tmp_path / "mats" / "out.mtl").read_text() == "newmtl m\nmap_Kd ../out_t.png\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"), [("颜色", "gbk"), ("表面", "cp932"), ("été", "cp1252"), ("é", "utf-8")]
+)
+def test_names_in_the_encoding_of_an_exporter_are_those_in_the_folder(tmp_path, name, encoding):
+    two_squares(tmp_path, f"newmtl m\nmap_Kd maps\\{name}.png\n".encode(encoding))
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "t.png").rename(tmp_path / "maps" / f"{name}.png")
+    assert ("is taken for it" in smoothed(tmp_path)) == (encoding != "utf-8")
+    assert (tmp_path / "maps" / f"out_{name}.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("what", "number", "colour"),
+    [("v", "nan", ""), ("vt", "nan", " 0.2 0.3 0.4"), ("v", "-nan(ind)", " 0.2 0.3 0.4"), ("vt", "-nan(ind)", ""),
+     ("vt", "1.#QNAN", " 0.2 0.3 0.4"), ("v", "inf", " 0.2 0.3 0.4"), ("vt", "inf", "")],
+)  # fmt: skip
+def test_numbers_that_are_not_finite_leave_out_their_corners_alone(tmp_path, what, number, colour):
+    two_squares(tmp_path, colour=colour, **{what: f"{what} {number} 0{' 0' if what == 'v' else ''}"})
+    whole = open_document(str(tmp_path / "in.obj")).textured("baseColor")
+    assert (whole.texture_of >= 0).sum() == 2
+    assert np.isfinite(whole.positions).all()
+    assert np.isfinite(whole.uv).all()
+    said = smoothed(tmp_path)
+    assert (
+        "1 of 5 vertices have no finite position" in said
+        or "1 triangles of textured materials have no" in said
+    )
+    smooth_file(tmp_path / "in.obj", tmp_path / "o.glb", ONCE)
+    if colour:
+        smoothed(tmp_path, on="vertices")
