@@ -7,10 +7,13 @@ import struct
 import numpy as np
 import pytest
 
-from beltrami_cli.formats.registry import open_document
+from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.surface.geometry import dual
-from cli.commands import beltrami, refused
-from formats.image_files import encode
+from beltrami_cli.surface.records import ImageFile
+from formats.gltf_files import joined
+from formats.patching import patched
 from formats.ply_files import ENCODINGS, Table, build
 
 XYZ = [("x", "float"), ("y", "float"), ("z", "float")]
@@ -37,12 +40,13 @@ def packed(colour, kind):
     return [struct.unpack("<f" if kind == "float" else "<I", number)[0]]
 
 
-def smoothed(folder, tables, encoding, comments=None):
-    """Smooth a file, check that nothing but colours changed, and return them with full scale 255."""
-    (folder / "in.ply").write_bytes(build(tables, encoding, comments=comments).data)
-    beltrami("smooth", "in.ply", "out.ply", "--overwrite", "--noise", 20, cwd=folder)
-    assert "nothing else differs" in beltrami("check", "in.ply", "out.ply", cwd=folder, text=True).stdout
-    return open_document(str(folder / "out.ply"))
+def changed(document):
+    """Return a document with other colours, of which nothing else may differ."""
+    colours = document.painted().colours
+    assert patched(document, colours) == patched(document, None) == document.data
+    again = open_bytes(patched(document, 1 - colours), "out.ply", None)
+    assert again.fingerprint().parts == document.fingerprint().parts
+    return again
 
 
 DIALECTS = {
@@ -56,34 +60,28 @@ DIALECTS = {
 }
 
 
-# Each dialect in two of the three encodings; packed colours are never text.
-PAIRS = [(d, e) for i, d in enumerate(DIALECTS) for j, e in enumerate(ENCODINGS) if (i + j) % 3]
-
-
-@pytest.mark.slow
+# Packed colours are never text.
 @pytest.mark.parametrize(
-    ("dialect", "encoding"), [(d, e) for d, e in PAIRS if not (d.startswith("packed") and e == "ascii")]
+    ("dialect", "encoding"),
+    [(d, e) for d in DIALECTS for e in ENCODINGS if not (d.startswith("packed") and e == "ascii")],
 )
-def test_colours_under_other_names_are_smoothed_the_same(tmp_path, dialect, encoding):
-    plain = smoothed(tmp_path, grid(three("red green blue", "uchar"), COLOURS), encoding).painted().colours
+def test_colours_under_other_names_are_the_same(dialect, encoding):
     properties, value = DIALECTS[dialect]
-    document = smoothed(tmp_path, grid(properties, [value(colour) for colour in COLOURS]), encoding)
-    # Whole numbers are rounded, by half a step of 255 at most.
-    np.testing.assert_allclose(document.painted().colours, plain, atol=0.501 / 255 if "R" in dialect else 0)
+    data = build(grid(properties, [value(colour) for colour in COLOURS]), encoding).data
+    document = open_bytes(data, "in.ply", None)
+    np.testing.assert_allclose(document.painted().colours, np.array(COLOURS) / 255, atol=1e-6)
+    np.testing.assert_allclose(changed(document).painted().colours, 1 - np.array(COLOURS) / 255, atol=1e-6)
     assert ("rgb" in str(document.attributes())) <= dialect.startswith("packed")
-    beltrami("smooth", "out.ply", "o.glb", cwd=tmp_path)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_colours_of_faces_are_smoothed_across_edges_and_stay_colours_of_faces(tmp_path, encoding):
-    rng = np.random.default_rng(2)
-    noisy = np.clip(np.rint(120 + 20 * rng.standard_normal((len(CORNERS), 3))), 0, 255).astype(int).tolist()
-    tables = grid([], [[]] * len(PLACES), three("red green blue", "uchar"), noisy)
-    document = smoothed(tmp_path, tables, encoding)
-    assert document.painted().colours.shape == (len(CORNERS), 3)
-    assert document.painted().colours.std() * 255 < 10  # half of the noise
-    beltrami("smooth", "in.ply", "o.glb", cwd=tmp_path)
-    assert open_document(str(tmp_path / "o.glb")).painted().positions.shape == (len(PLACES), 3)
+def test_colours_of_faces_stay_colours_of_faces(encoding):
+    levels = np.random.default_rng(2).integers(60, 180, (len(CORNERS), 3))
+    tables = grid([], [[]] * len(PLACES), three("red green blue", "uchar"), levels.tolist())
+    document = open_bytes(build(tables, encoding).data, "in.ply", None)
+    np.testing.assert_allclose(document.painted().colours, levels / 255, atol=1e-6)
+    np.testing.assert_allclose(changed(document).painted().colours, 1 - levels / 255, atol=1e-6)
+    assert document.contents().colours.shape == document.contents().positions.shape == (len(PLACES), 3)
 
 
 def test_the_dual_of_a_grid_of_squares_is_a_smaller_grid():
@@ -101,19 +99,15 @@ def test_the_dual_of_a_grid_of_squares_is_a_smaller_grid():
 
 @pytest.mark.parametrize("spelling", ["1.#QNAN", "-1.#IND", "1.#INF00", "-nan(ind)"])
 @pytest.mark.parametrize("suffix", ["ply", "xyz"])
-def test_numbers_that_are_none_are_known_as_microsoft_spells_them(tmp_path, suffix, spelling):
+def test_numbers_that_are_none_are_known_as_microsoft_spells_them(suffix, spelling):
     points = [[*place, *colour] for place, colour in zip(PLACES, COLOURS, strict=True)]
     points[5][:3] = [spelling] * 3
     data = build([Table("vertex", [*XYZ, *three("red green blue", "uchar")], points)]).data
     data = data if suffix == "ply" else data[data.index(b"end_header\n") + 11 :]
-    (tmp_path / f"in.{suffix}").write_bytes(data)
-    beltrami("smooth", f"in.{suffix}", f"out.{suffix}", "--noise", 20, cwd=tmp_path)
-    new = (tmp_path / f"out.{suffix}").read_bytes()
+    document = open_bytes(data, f"in.{suffix}", None)
+    new = patched(document, 1 - document.painted().colours)
     assert new != data
     assert new.count(spelling.encode()) == 3
-    assert (
-        "nothing else" in beltrami("check", f"in.{suffix}", f"out.{suffix}", cwd=tmp_path, text=True).stdout
-    )
 
 
 def artec():
@@ -133,26 +127,24 @@ def listed(name):
     return grid([], [[]] * len(PLACES), [(name, "uchar float")], flat)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("encoding", "names"),
-    list(zip(ENCODINGS, [("t", "TexCoord"), ("uv", "t"), ("texture_uv", "uv")], strict=True)),
-)
-def test_texture_coordinates_of_all_dialects_are_the_same(tmp_path, encoding, names):
-    pixels = np.rint(120 + 20 * np.random.default_rng(3).standard_normal((24, 24, 3))).astype(np.uint8)
-    (tmp_path / "t.png").write_bytes(encode(pixels, "png"))
-    expected = None
-    for tables in (artec(), *map(listed, names)):
-        surface = smoothed(tmp_path, tables, encoding, ["TextureFile t.png"]).textured("baseColor")
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_texture_coordinates_of_all_dialects_are_the_same(tmp_path, encoding):
+    (tmp_path / "t.png").write_bytes(b"an image")
+    for tables in (artec(), *map(listed, ("t", "TexCoord", "uv", "texture_uv"))):
+        (tmp_path / "in.ply").write_bytes(build(tables, encoding, comments=["TextureFile t.png"]).data)
+        document = open_document(str(tmp_path / "in.ply"))
+        surface = document.textured("baseColor")
         shown = surface.positions[surface.faces][..., :2] / (SIDE - 1)
         np.testing.assert_allclose(surface.uv[..., 0], shown[..., 0], atol=1e-6)
         np.testing.assert_allclose(1 - surface.uv[..., 1], shown[..., 1], atol=1e-6)
-        data = [texture.data for texture in surface.textures]
-        assert data == (expected := expected or data)
+        assert [texture.data for texture in surface.textures] == [b"an image"]
+        images = {("baseColor", "t.png"): ImageFile(b"new", ".png")}
+        written = document.patch(None, Naming("in", keeps=True), images=images)
+        assert (joined(written), dict(written.sidecars)) == (document.data, {"t.png": b"new"})
 
 
-def test_gaussian_splats_are_refused_by_name(tmp_path):
+def test_gaussian_splats_are_refused_by_name():
     names = "f_dc_0 f_dc_1 f_dc_2 opacity scale_0 rot_0"
     tables = [Table("vertex", [*XYZ, *three(names, "float")], [[0] * 9])]
-    (tmp_path / "in.ply").write_bytes(build(tables, ENCODINGS[1]).data)
-    refused(tmp_path, "smooth", "in.ply", "out.ply", code=3, said="Gaussian splats")
+    with pytest.raises(InputError, match="Gaussian splats"):
+        open_bytes(build(tables, ENCODINGS[1]).data, "in.ply", None).painted()
