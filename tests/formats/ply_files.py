@@ -70,14 +70,7 @@ def coloured(
     vertices: int = 4, faces: list[list[int]] | None = None, colour: str = "uchar", value: float = 10
 ) -> list[Table]:
     """A plain coloured mesh, vertex i at (i, i², 0)."""
-    names = [
-        ("x", "float"),
-        ("y", "float"),
-        ("z", "float"),
-        ("red", colour),
-        ("green", colour),
-        ("blue", colour),
-    ]
+    names = [*((axis, "float") for axis in "xyz"), *((name, colour) for name in ("red", "green", "blue"))]
     rows: list[list[Value]] = [[i, i * i, 0, value, value, value] for i in range(vertices)]
     polygons: list[list[Value]] = [
         [face] for face in (faces if faces is not None else [[0, 1, 2], [0, 2, 3]])

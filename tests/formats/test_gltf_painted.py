@@ -174,15 +174,6 @@ def test_mixed_types_are_called_by_the_coarsest():
     np.testing.assert_array_equal(painted.colours, np.tile(np.eye(3, dtype=np.float32), (3, 1)))
 
 
-def test_facts_are_json_and_need_no_colours():
-    model = Model()
-    model.mesh({"attributes": {"POSITION": model.packed(TRIANGLE)}})
-    facts = document(model).facts()
-    assert json.loads(json.dumps(facts)) == facts
-    assert facts["colour accessors"] == []
-    assert facts["meshes"] == facts["primitives"] == 1
-
-
 def test_normals_turn_as_surfaces_do_under_uneven_and_mirrored_scales():
     rng, model = np.random.default_rng(3), Model()
     for scale in ([1, 2, 5], [-1, 2, 0.5]):

@@ -210,16 +210,6 @@ def test_a_name_that_stays_keeps_its_spelling(tmp_path):
     assert written.sidecars == {"skin,(1).png": new_image(1).data}
 
 
-def test_writing_beside_itself_spares_the_source_too(tmp_path):
-    source = with_images(tmp_path, 1, "gltf", "file")
-    wanted = {("baseColor", "image 0"): new_image(1)}
-    first = open_document(str(source)).patch(None, Naming("model"), images=wanted)
-    assert list(first.sidecars) == ["maps/model_0.png"]
-    again = open_document(str(save(first, "model.gltf", tmp_path)))
-    second = again.patch(None, Naming("model"), images={("baseColor", "image 0"): new_image(2)})
-    assert list(second.sidecars) == ["maps/model_0-2.png"]
-
-
 @pytest.mark.parametrize(
     ("form", "place"),
     [("glb", "view"), ("glb", "file"), ("gltf", "view"), ("gltf", "data"), ("gltf", "file")],

@@ -146,13 +146,6 @@ def test_lightness_and_hues_are_refused():
         read_image(saved(Image.fromarray(noise("uint8", 3), "LAB")), "x.tif")
 
 
-def test_grey_of_few_bits_is_reported():
-    grey = Image.fromarray(noise("uint8", 1)[..., 0]).convert("1")
-    assert read_image(saved(grey, ".png"), "x.png").notices == (
-        "x.png has 1-bit samples, which become 8-bit ones.",
-    )
-
-
 @pytest.mark.parametrize(("channels", "colour"), [(1, b"\0\7"), (3, b"\0\7\0\7\0\7")])
 def test_a_transparent_colour_of_png_is_reported(channels, colour):
     pixels = np.full((2, 2, channels), 7, np.uint8)

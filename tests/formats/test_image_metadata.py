@@ -11,7 +11,6 @@ import OpenImageIO
 import pytest
 from PIL import Image
 
-from beltrami_cli import smooth_file
 from beltrami_cli.formats.image import read_image, write_image
 from formats.image_files import SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, riff, riff_chunks
 from formats.tiff_files import described, exr_attributes, exr_file, tiff_file, tiff_tags
@@ -124,16 +123,6 @@ def test_levels_that_tags_speak_of_stay_unless_samples_change():
     file = rewritten(few, "x.tif")
     assert file.notices == ("x.tif: these metadata are not kept in TIF: TIFF tag 280, TIFF tag 281.",)
     assert not {280, 281} & tiff_tags(file.data).keys()
-
-
-def test_smoothing_a_georeferenced_image_keeps_its_place(tmp_path):
-    source = tmp_path / "ortho.tif"
-    source.write_bytes(tiff_file(noise("uint8", 3, 32, 32), _GEOREFERENCE))
-    report = smooth_file(source, tmp_path / "o.tif", iterations=1, beta=1.0, t=1.0)
-    assert described((tmp_path / "o.tif").read_bytes()) == described(source.read_bytes())
-    assert not report.warnings
-    report = smooth_file(source, tmp_path / "o.png", iterations=1, beta=1.0, t=1.0)
-    assert all(str(tag) in report.warnings[0] for tag in _GEOREFERENCE)
 
 
 _EXR = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
@@ -16,7 +15,6 @@ from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.surface.records import MovedVertices
 from formats.gltf_comparison import json_differences
 from formats.gltf_files import Model, joined, numbers, unpacked
-from formats.gltf_validator import issues, needs_validator
 from formats.ply_files import ENCODINGS, Table, build
 
 RANDOM = np.random.default_rng(7)
@@ -238,20 +236,3 @@ def test_positions_that_cannot_be_replaced_are_reported_before_anything_is_compu
     model.mesh(square(model, positions=arguments.get("positions")), **arguments.get("node", {}))
     with pytest.raises(InputError, match=said):
         GltfDocument(model.glb(), "model.glb", None).require_movable()
-
-
-@needs_validator
-@pytest.mark.parametrize("placed", [{}, TURNED], ids=["plain", "turned"])
-def test_the_validator_finds_nothing_new_in_moved_files(placed, tmp_path):
-    model = Model()
-    model.mesh(square(model), **placed)
-    source, target = tmp_path / "source.glb", tmp_path / "target.glb"
-    source.write_bytes(model.glb())
-    document = GltfDocument(model.glb(), "model.glb", None)
-    moves = RANDOM.normal(size=(4, 3))
-    normals = RANDOM.normal(size=(4, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    places = MovedVertices(document.painted().positions + moves, normals.astype(np.float32))
-    target.write_bytes(joined(document.patch(None, Naming("out"), places=places)))
-    before, after = issues(source, target)
-    assert json.dumps(before) == json.dumps(after)

@@ -158,21 +158,6 @@ def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path):
     }
 
 
-def test_names_without_the_models_stem_get_the_new_one_in_front_and_none_is_taken_twice(tmp_path):
-    mtl = "newmtl one\nmap_Kd a.png\nmap_Ke model.png\nnorm out_a.png\n"
-    document = model(tmp_path, mtl, **{"out_a.png": b"", "model.png": b"", "out.mtl": b""})
-    images = {("baseColor", "a.png"): NEW, ("emissive", "model.png"): ImageFile(b"light", ".jpg")}
-    written = document.patch(None, Naming("out"), images=images)
-    assert dict(written.sidecars) == {
-        "out_a-2.png": b"new image",
-        "out.jpg": b"light",
-        "out.mtl": b"newmtl one\nmap_Kd out_a-2.png\nmap_Ke out.jpg\nnorm out_a.png\n",
-    }
-    same = document.patch(None, Naming("model"), images={("emissive", "model.png"): NEW})
-    assert "model.png" not in same.sidecars
-    assert "m.mtl" not in same.sidecars
-
-
 def test_an_image_in_two_slots_is_replaced_in_one(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke a.png\n"
     document = model(tmp_path, mtl)

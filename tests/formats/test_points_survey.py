@@ -125,22 +125,3 @@ def test_points_are_compressed_and_unpacked(tmp_path):
     beltrami("check", "in.las", "b.las", cwd=tmp_path)
     beltrami("smooth", "in.las", "c.ply", cwd=tmp_path)
     refused(tmp_path, "smooth", "c.ply", "c.las", code=2, said="a .ply file is not converted to .las")
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "said"),
-    [
-        ("a.fbx", b"Kaydara FBX Binary  \0", "FBX file, which is not read; open it in Blender"),
-        ("a", b"BLENDER-v400", "Blender file"),
-        (
-            "a.vtk",
-            b"# vtk DataFile Version 3.0\n",
-            "VTK file, which is not read; convert it to PLY with ParaView",
-        ),
-        ("a.bin", b'<?xml version="1.0"?>\n<VTKFile type="PolyData">', "VTK file"),
-        ("a.b3dm", b"b3dm\1\0\0\0", "3D Tiles file, which is not read; extract the model with: npx"),
-    ],
-)
-def test_formats_that_are_not_read_are_named_with_what_converts_them(tmp_path, name, data, said):
-    (tmp_path / name).write_bytes(data)
-    refused(tmp_path, "smooth", name, "o.ply", code=3, said=said)

@@ -68,7 +68,16 @@ def test_images_and_volumes_are_no_models():
         (b"something", "x.dat", "of no known format"),
         (b"LASF\0\0", "x.laz", "damaged|package laspy"),
         (b"# .PCD v0.7 - Point Cloud Data\n", "x.xyz", "damaged|package laspy"),
-        (b"ASTM-E57\1", "x.e57", "damaged|package laspy"),
+        (b"<GeometryModel3D></GeometryModel3D>", "x.xaml", "no known format"),
+        (b"Kaydara FBX Binary  \0", "x.fbx", "FBX file, which is not read; open it in Blender"),
+        (b"BLENDER-v400", "x", "Blender file"),
+        (
+            b"# vtk DataFile Version 3.0\n",
+            "x.vtk",
+            "VTK file, which is not read; convert it to PLY with ParaView",
+        ),
+        (b'<?xml version="1.0"?>\n<VTKFile type="PolyData">', "x.bin", "VTK file"),
+        (b"b3dm\1\0\0\0", "x.b3dm", "3D Tiles file, which is not read; extract the model with: npx"),
     ],
 )
 def test_other_files_are_refused_with_the_cause(data, name, cause):

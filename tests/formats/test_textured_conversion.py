@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
@@ -145,17 +144,6 @@ def test_a_reader_of_others_sees_the_same_triangles(model, tmp_path):
     assert np.array_equal(pixels, read_image(IMAGES["skin"], "skin.png").pixels)
 
 
-def test_images_are_named_after_the_output(model, tmp_path):
-    converted(model, tmp_path / "out" / "new.gltf")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(
-        ["new.gltf", "new.bin", *(f"new_{name}.png" for name in NAMES)]
-    )
-    converted(tmp_path / "out" / "new.gltf", tmp_path / "back" / "back.obj")
-    assert sorted(path.name for path in (tmp_path / "back").iterdir()) == sorted(
-        ["back.obj", "back.mtl", *(f"back_{name}.png" for name in NAMES)]
-    )
-
-
 def test_what_is_lost_is_said_in_one_line(model, tmp_path):
     (_, said) = converted(model, tmp_path / "out.ply")
     lines = [line for line in said if line.startswith("Not converted")]
@@ -189,26 +177,6 @@ def test_the_validator_has_nothing_against_it(name, model, tmp_path):
         assert {code for severity, code, *_ in found if severity == 1} <= {
             "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE"
         }
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["head-tex-noisy.obj", "mirrored-noisy.obj", "torus-two-noisy.gltf", "tiled-noisy.glb"]
-)
-def test_pictures_look_the_same(name, tmp_path):
-    pytest.importorskip("embreex")
-    from beltrami_cli.view.render import render_file
-    from beltrami_cli.view.settings import RenderSettings
-
-    other = "out.obj" if name.endswith(("glb", "gltf")) else "out.glb"
-    converted(SAMPLES / name, tmp_path / other)
-    pictures = []
-    for path in (SAMPLES / name, tmp_path / other):
-        target = tmp_path / f"{path.suffix[1:]}.png"
-        render_file([str(path)], str(target), RenderSettings(size=(96, 96)))
-        pictures.append(read_image(target.read_bytes(), target.name).pixels.astype(int))
-    assert np.abs(pictures[0] - pictures[1]).max() <= 1
-    assert pictures[0].std() > 10
 
 
 def test_smoothed_textures_and_colours_are_those_of_the_own_format(model, tmp_path):
@@ -309,12 +277,6 @@ def test_colours_beside_textures_do_not_tint_them_and_survive(model, tmp_path):
             textured = "baseColorTexture" in tree["materials"][primitive["material"]]["pbrMetallicRoughness"]
             assert ("_COLOR_0" in primitive["attributes"]) == textured
             assert ("COLOR_0" in primitive["attributes"]) != textured
-
-
-def test_formats_without_textures_are_refused(tmp_path):
-    with pytest.raises(UsageError, match=r"a \.xyz file has no textures"):
-        smooth_file(SAMPLES / "mirrored-noisy.obj", tmp_path / "out.xyz", iterations=0)
-    assert not list(tmp_path.glob("out*"))
 
 
 def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_obstacle(tmp_path):

@@ -131,29 +131,6 @@ def test_tiles_may_differ_in_size_and_depth(tmp_path):
     assert (picture.stored, picture.pixels.shape) == ("uint16", (SIDE // 2, SIDE // 2, 3))
 
 
-def test_materials_may_have_a_tile_each(tmp_path):
-    """As programs export that know no tiles: coordinates stay in the plane, where images are repeated."""
-    positions, uv, quads = sheet(1)
-    both = [positions, positions + np.array([uv.max(), 0, 0.1 * np.sin(3)])]
-    text = obj_text(np.concatenate([uv, uv + np.array([1, 0])]), np.concatenate(both), quads)
-    text += "usemtl other\n" + "".join(
-        f"f {' '.join(f'{corner}/{corner}' for corner in row)}\n" for row in (quads + len(uv) + 1).tolist()
-    )
-    (tmp_path / "model.obj").write_text(text)
-    (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd a.1001.png\nnewmtl other\nmap_Kd a.1002.png\n")
-    for tile in TILES[:2]:
-        path = tmp_path / tile_name("a.<UDIM>.png", tile)
-        path.write_bytes(encode(part(painting(), tile), "png"))
-    smooth_file(tmp_path / "model.obj", tmp_path / "one.obj", GIVEN)
-    (tmp_path / "model.mtl").write_text(
-        "newmtl skin\nmap_Kd a.<UDIM>.png\nnewmtl other\nmap_Kd a.<UDIM>.png\n"
-    )
-    smooth_file(tmp_path / "model.obj", tmp_path / "two.obj", GIVEN)
-    for number in (1001, 1002):
-        one, two = (pixels(tmp_path / f"{name}_a.{number}.png") for name in ("one", "two"))
-        assert np.abs(one - two).max() <= 1
-
-
 @pytest.mark.parametrize("suffix", ["glb", "obj", "ply"])
 def test_converted_tiles_show_the_same_colours(suffix, tmp_path):
     if suffix == "obj":

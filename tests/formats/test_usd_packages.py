@@ -19,19 +19,17 @@ from beltrami_cli.formats.usd.layers import Package, layer_from
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.surface.baking import look_up
 from cli.commands import beltrami
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from formats.image_files import encode
-from formats.tile_files import TILES, obj_text, painting, sheet
+from formats.tile_files import TILES, painting
 from formats.usd_files import (
     BOUND,
     GIVEN,
     PICTURE,
     POINTS,
-    QUADS,
     material_text,
     members,
     mesh_text,
@@ -69,15 +67,6 @@ def test_a_scan_keeps_its_layers_and_gets_new_images_in_their_place(scan, smooth
 
     stage = Usd.Stage.Open(str(smoothed))
     assert len(UsdGeom.Mesh(stage.GetPrimAtPath("/scan/mesh")).GetPointsAttr().Get()) == len(POINTS)
-
-
-def test_a_scan_is_smoothed_as_the_same_mesh_in_another_format(smoothed, tmp_path):
-    (tmp_path / "a.obj").write_text(obj_text(sheet()[1].round(6) / 2, POINTS.round(6), QUADS))
-    (tmp_path / "model.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
-    (tmp_path / "skin.png").write_bytes(PICTURE)
-    smooth_file(tmp_path / "a.obj", tmp_path / "b.obj", GIVEN)
-    other = pixels(members(smoothed)["0/baked_tex0.png"])
-    assert np.abs(pixels((tmp_path / "b_skin.png").read_bytes()) - other).max() <= 1
 
 
 def test_a_package_goes_through_a_pipe(scan, tmp_path):
@@ -135,16 +124,6 @@ def test_vertex_colours_become_linear_light_and_come_back(tmp_path):
     one, other = (open_document(str(tmp_path / name)).painted() for name in ("a.obj", "c.obj"))
     np.testing.assert_allclose(other.colours, one.colours, atol=1e-5)
     np.testing.assert_array_equal(other.faces, one.faces)
-
-
-@pytest.mark.usefixtures("usd_core_here")
-def test_converted_images_lie_where_they_did(scan, tmp_path):
-    smooth_file(scan, tmp_path / "new.obj", GIVEN, iterations=0)
-    surface = open_document(str(tmp_path / "new.obj")).textured("baseColor")
-    picture = read_image(surface.textures[0].data, "a").pixels / 255
-    middles = surface.positions[surface.faces].mean(axis=1)[:, :2] * [0.5, -0.5] + [0, 1]
-    shown = look_up(picture, surface.uv.mean(axis=1), ("repeat", "repeat"))
-    np.testing.assert_allclose(shown, look_up(painting() / 255, middles, ("repeat", "repeat")), atol=1e-3)
 
 
 def damaged(scan, kind):

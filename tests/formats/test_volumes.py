@@ -225,7 +225,7 @@ FALSE = [
     changed(b"dimension: 3", b"dimension: 3\nbyte skip: -1"),
     changed(b"dimension: 3", b"dimension: 3\nspace directions: (1,0,0) (0,1,0) (1,1,0)"),
     changed(b"dimension: 3", b"dimension: 3\nspace directions: (1,0) (0,1) (1,1)"),
-    changed(b"NRRD000", b"NRRD009"),
+    changed(b"NRRD0005", b"NRRD0009"),
     nrrd_file(VALUES, "gzip")[:-20],
     nrrd_file(VALUES, "gzip")[:60],
     b" BDV\0\0\0\0" + bytes(50),
