@@ -18,8 +18,8 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from formats.gltf_comparison import EXTENSIONS, with_better_image
 from formats.gltf_files import only_input_errors, opened
-from formats.gltf_images import EXTENSIONS, with_better_image
 from formats.image_files import encode
 from fuzz.test_replay import mutated
 

@@ -13,8 +13,7 @@ from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
-from formats.gltf_files import SLOT_PATHS, WEBP, Textured, joined, opened, picture, unpacked
-from formats.gltf_images import (
+from formats.gltf_comparison import (
     HEADS,
     SQUARE,
     check_rest,
@@ -27,6 +26,7 @@ from formats.gltf_images import (
     with_better_image,
     with_images,
 )
+from formats.gltf_files import SLOT_PATHS, WEBP, Textured, joined, opened, picture, unpacked
 
 
 @st.composite

@@ -11,8 +11,8 @@ from beltrami_cli.jobs.job import Job, NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from formats.gltf_comparison import with_better_image
 from formats.gltf_files import Textured
-from formats.gltf_images import with_better_image
 from formats.gltf_showcase import showcase
 from formats.image_files import encode
 from formats.tile_files import painting as painted_tiles
