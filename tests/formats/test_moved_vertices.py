@@ -22,21 +22,20 @@ CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 MOVES = np.array([[0, 0, 0], [0.25, 0, 0], [0, 0, -0.5], [0, 0.125, 0.0625]])
 
 
-def ply(kind="float", normal="float", encoding="ascii", extra=()):
+def ply(kind="float", normal="float", encoding="ascii"):
     properties = [("quality", "double"), *((name, kind) for name in "xyz")]
     properties += [("red", "uchar"), ("green", "uchar"), ("blue", "uchar")]
     properties += [(name, normal) for name in ("nx", "ny", "nz")] if normal else []
-    rows = [
-        [0.1 + i, *(corner.tolist() if "f" in kind or "d" in kind else map(int, corner)), 10, 20, 30]
-        + ([0, 0, 1] if normal else [])
-        for i, corner in enumerate(CORNERS)
-    ]
+    places = CORNERS.astype(int if kind == "int" else float).tolist()
+    rows = [[0.1 + i, *place, 10, 20, 30, *([0, 0, 1] if normal else [])] for i, place in enumerate(places)]
     faces = Table("face", [("vertex_indices", "uchar int")], [[[0, 1, 2]], [[0, 2, 3]]])
     return build([Table("vertex", properties, rows), faces], encoding)
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize("kind", ["float", "double"])
+@pytest.mark.parametrize(
+    ("encoding", "kind"),
+    [(ENCODINGS[0], "float"), (ENCODINGS[0], "double"), (ENCODINGS[1], "double"), (ENCODINGS[2], "float")],
+)
 def test_only_coordinates_that_differ_change_in_a_ply_file(encoding, kind):
     built = ply(kind, encoding=encoding)
     document = PlyDocument(built.data, "model.ply", None)
@@ -49,6 +48,11 @@ def test_only_coordinates_that_differ_change_in_a_ply_file(encoding, kind):
     again = PlyDocument(patched, "model.ply", None)
     assert np.array_equal(again.painted().positions, CORNERS + MOVES)
     assert np.allclose(again.attribute("normal"), [[0, 0, 1], [0, 0, 1], [0.6, 0, 0.8], [0, 0, 1]])
+    assert joined(document.patch(None, Naming("out"), places=MovedVertices(CORNERS))) == built.data
+    colours = 1 - document.painted().colours
+    both = PlyDocument(joined(document.patch(colours, Naming("out"), places=places)), "model.ply", None)
+    assert np.array_equal(both.painted().positions, CORNERS + MOVES)
+    assert np.allclose(both.painted().colours, colours, atol=1 / 510)
     # Between the numbers that change every byte is as it was, in the same order.
     changed = [("vertex", r, "xyz"[a]) for r, a in zip(*np.nonzero(MOVES), strict=True)]
     changed += [("vertex", 2, "nx"), ("vertex", 2, "nz")]
@@ -59,18 +63,6 @@ def test_only_coordinates_that_differ_change_in_a_ply_file(encoding, kind):
         assert found >= 0
         patched, at = patched[found + len(piece) :], end
     assert patched.endswith(built.data[at:])
-
-
-def test_places_and_colours_change_together():
-    document = PlyDocument(ply(encoding="binary_big_endian").data, "model.ply", None)
-    colours = document.painted().colours.copy()
-    colours[1] = [0.2, 0.4, 0.6]
-    written = document.patch(colours, Naming("out"), places=MovedVertices(CORNERS + MOVES))
-    again = PlyDocument(joined(written), "model.ply", None)
-    assert np.array_equal(again.painted().positions, CORNERS + MOVES)
-    assert np.allclose(again.painted().colours, colours, atol=1 / 510)
-    same = document.patch(None, Naming("out"), places=MovedVertices(CORNERS))
-    assert joined(same) == ply(encoding="binary_big_endian").data
 
 
 def test_whole_numbers_cannot_hold_smoothed_positions():

@@ -122,12 +122,17 @@ def test_coordinates_normals_names_groups_maps_and_colours_come_through(way, mod
     old, new = (mesh.normals[~np.isnan(mesh.normals).any(axis=(1, 2))] for mesh in (before, after))
     assert {*map(tuple, new.reshape(-1, 9).tolist())} <= {*map(tuple, old.reshape(-1, 9).tolist())}
     assert len(new) == len(old) == 4
-    rows = {
-        tuple(p): tuple(c)
-        for p, c in zip(after.positions.tolist(), after.colours.colours.round(3).tolist(), strict=True)
-    }
     if after.colours.encoding == "srgb":
-        assert rows[0.5, 0.5, 1.0] == pytest.approx((0.2, 0.4, 0.6), abs=2e-3)
+        tips = after.colours.colours[(after.positions == [0.5, 0.5, 1]).all(axis=1)]
+        np.testing.assert_allclose(tips.max(axis=0), (0.2, 0.4, 0.6), atol=2e-3)
+        return
+    tree = opened(source)[0]
+    for primitive in (part for mesh in tree["meshes"] for part in mesh["primitives"]):
+        # Colours beside a texture do not tint it, and survive.
+        is_textured = "baseColorTexture" in tree["materials"][primitive["material"]]["pbrMetallicRoughness"]
+        assert (
+            ("_COLOR_0" in primitive["attributes"]) == is_textured != ("COLOR_0" in primitive["attributes"])
+        )
 
 
 def test_a_reader_of_others_sees_the_same_triangles(model, tmp_path):
@@ -148,15 +153,8 @@ def test_what_is_lost_is_said_in_one_line(model, tmp_path):
     (_, said) = converted(model, tmp_path / "out.ply")
     lines = [line for line in said if line.startswith("Not converted")]
     assert len(lines) == 1
-    for what in (
-        "quads",
-        "emissive maps",
-        "normal maps",
-        "metallicRoughness maps",
-        "names of materials",
-        "groups",
-    ):
-        assert what in lines[0]
+    maps = (f"{slot} maps" for slot in ("emissive", "normal", "metallicRoughness"))
+    assert all(what in lines[0] for what in ("quads", *maps, "names of materials", "groups"))
     (_, said) = converted(model, tmp_path / "out.glb")
     assert any("quads" in line for line in said)
     assert any("_COLOR_0" in line for line in said)
@@ -221,35 +219,25 @@ def test_transparent_images_stay_transparent_and_cut_outs_sharp(values, mode, tm
 
 
 def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):
-    vertices = Table(
-        "vertex", [(axis, "float") for axis in "xyz"], [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
-    )
-    faces = Table(
-        "face",
-        [("vertex_indices", "uchar int"), ("texcoord", "uchar float"), ("texnumber", "int")],
-        [
-            [[0, 1, 2], [0, 0, 1, 0, 1, 1], 1],
-            [[0, 2, 3], [0, 0, 1, 1, 0, 1], 0],
-            [[1, 2, 3], [0, 0, 1, 1, 0, 1], -1],
-        ],
-    )
-    data = build([vertices, faces], comments=["TextureFile skin.png", "TextureFile glow.png"]).data
+    places = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    properties = [("vertex_indices", "uchar int"), ("texcoord", "uchar float"), ("texnumber", "int")]
+    wedges = [
+        [[0, 1, 2], [0, 0, 1, 0, 1, 1], 1],
+        [[0, 2, 3], [0, 0, 1, 1, 0, 1], 0],
+        [[1, 2, 3], [0] * 6, -1],
+    ]
+    tables = [Table("vertex", [(axis, "float") for axis in "xyz"], places), Table("face", properties, wedges)]
+    data = build(tables, comments=["TextureFile skin.png", "TextureFile glow.png"]).data
     folder = write(tmp_path / "in", x_ply=data, skin_png=IMAGES["skin"], glow_png=IMAGES["glow"])
     before = open_document(str(folder / "x.ply")).textured_mesh()
+    assert [before.materials[index].name for index in before.material_of] == ["glow", "skin", "untextured"]
+    alone = {"materials": False, "groups": False, "normals": False}
     for name in ("out.glb", "out.obj", "out.ply"):
         after, said = converted(folder / "x.ply", tmp_path / name)
-        assert corners(after, materials=False, groups=False, normals=False) == corners(
-            before, materials=False, groups=False, normals=False
-        )
-        names = [before.materials[index].name for index in before.material_of]
-        assert names == ["glow", "skin", "untextured"]
-        of_image = {data: name for name, data in IMAGES.items()}
-        images = {
-            of_image[after.images[after.materials[index].maps["baseColor"].image].file.data]
-            for index in after.material_of
-            if after.materials[index].maps
-        }
-        assert images == {"skin", "glow"}
+        assert corners(after, **alone) == corners(before, **alone)
+        used = (after.materials[index].maps for index in after.material_of)
+        images = {after.images[maps["baseColor"].image].file.data for maps in used if maps}
+        assert images == {IMAGES["skin"], IMAGES["glow"]}
         assert not any("comments" in line for line in said)
 
 
@@ -267,16 +255,6 @@ def test_every_place_where_a_gltf_mesh_is_shown_is_in_the_obj(tmp_path):
     assert mesh.groups[-2:] == ("first", "second")
     assert sorted({z for _, _, z in mesh.positions.tolist()}) == [0, 5]
     assert len(mesh.faces) == 2
-
-
-def test_colours_beside_textures_do_not_tint_them_and_survive(model, tmp_path):
-    converted(model, tmp_path / "out.glb")
-    tree = opened(tmp_path / "out.glb")[0]
-    for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            textured = "baseColorTexture" in tree["materials"][primitive["material"]]["pbrMetallicRoughness"]
-            assert ("_COLOR_0" in primitive["attributes"]) == textured
-            assert ("COLOR_0" in primitive["attributes"]) != textured
 
 
 def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_obstacle(tmp_path):

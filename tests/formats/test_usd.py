@@ -96,34 +96,25 @@ def test_colours_of_a_palette_get_one_of_their_own_at_each_place(tmp_path):
 
 
 def test_the_surface_is_that_which_is_shown(tmp_path):
+    painted = coloured(COLOURS[: len(POINTS)])
     moved = (
         "        matrix4d xformOp:transform = ( (0, 2, 0, 0), (-2, 0, 0, 0), (0, 0, 2, 0), (5, 6, 7, 1) )\n"
     )
     moved += '        uniform token[] xformOpOrder = ["xformOp:transform"]\n'
-    extra = coloured(COLOURS[: len(POINTS)]) + moved
-    left = extra + '        uniform token orientation = "leftHanded"\n        int[] holeIndices = [0, 3]\n'
-    hidden = coloured(COLOURS[: len(POINTS)]) + '        token visibility = "invisible"\n'
-    guide = coloured(COLOURS[: len(POINTS)]) + '        uniform token purpose = "guide"\n'
+    left = '        uniform token orientation = "leftHanded"\n        int[] holeIndices = [0, 3]\n'
+    hidden = '        token visibility = "invisible"\n', '        uniform token purpose = "guide"\n'
     flat = '        color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = "constant" )\n'
-    text = scene(
-        mesh_text(extra),
-        mesh_text(left, "l"),
-        mesh_text(hidden, "h"),
-        mesh_text(guide, "g"),
-        mesh_text(flat, "f"),
-    )
+    bodies = [painted + moved, painted + moved + left, *(painted + line for line in hidden), flat]
+    text = scene(*(mesh_text(body, f"mesh{number}") for number, body in enumerate(bodies)))
     (tmp_path / "a.usda").write_text(text)
     document = open_document(str(tmp_path / "a.usda"))
-    painted = document.painted()
+    found = document.painted()
     wanted = POINTS.round(6).astype(np.float32) @ [[0, 2, 0], [-2, 0, 0], [0, 0, 2]] + [5, 6, 7]
-    np.testing.assert_allclose(painted.positions, np.concatenate([wanted, wanted]), atol=1e-6)
-    areas = np.cross(
-        *(painted.positions[painted.faces[:, k]] - painted.positions[painted.faces[:, 0]] for k in (1, 2))
-    )
+    np.testing.assert_allclose(found.positions, np.concatenate([wanted, wanted]), atol=1e-6)
+    a, b, c = found.positions[found.faces].transpose(1, 0, 2)
+    upright = np.cross(b - a, c - a)[:, 2] > 0
     count = 2 * len(QUADS)
-    assert len(painted.faces) == 2 * count - 4
-    assert (areas[:count, 2] > 0).all()
-    assert (areas[count:, 2] < 0).all()
+    assert upright.tolist() == [True] * count + [False] * (count - 4)
     said = " ".join(document.notices)
     assert "2 mesh(es) are invisible" in said
     assert "1 mesh(es) have one colour" in said
@@ -229,24 +220,18 @@ def test_instances_are_smoothed_once(tmp_path):
 
 
 def test_layers_outside_are_not_read(tmp_path):
+    layers = "@../secret.usda@, @http://x/y.usda@, @gone.usda@, @a.png@"
     write(tmp_path, {
         "secret.usda": scene(mesh_text(coloured(COLOURS[: len(POINTS)]))),
-        "in/a.usda": '#usda 1.0\n( subLayers = [@../secret.usda@, @%s@, @http://x/y.usda@, @gone.usda@, @a.png@] )\n'
-        % (tmp_path / "secret.usda"),
+        "in/a.usda": f"#usda 1.0\n( subLayers = [{layers}] )\n",
         "in/a.png": PICTURE,
     })  # fmt: skip
     document = open_document(str(tmp_path / "in" / "a.usda"))
     with pytest.raises(UnpaintedError):
         document.painted()
     said = " ".join(document.notices)
-    for cause in (
-        "leaves the model's folder",
-        "is not a relative path",
-        "'gone.usda' is missing",
-        "is no USD layer",
-    ):
+    for cause in ("leaves the model's folder", "is not a relative path", "is missing", "is no USD layer"):
         assert cause in said
-    assert "4 " not in said
 
 
 MTLX = """    def Material "skin"
