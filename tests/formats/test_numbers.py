@@ -53,19 +53,6 @@ def test_the_full_scale_is_that_of_the_bits_whatever_type_holds_them(tmp_path, k
     assert facts(path)["colours"]["full_scale"] == 2**bits - 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".xyz", ".npz"])
-def test_other_files_of_points_tell_their_range_too(tmp_path, suffix):
-    path = tmp_path / f"in{suffix}"
-    places = np.stack([*np.divmod(np.arange(SIDE * SIDE), SIDE), np.zeros(SIDE * SIDE, int)], axis=1)
-    noisy = scan("ushort", 10)
-    if suffix == ".npz":
-        np.savez(path, positions=places.astype(float), colours=noisy.astype(np.uint16))
-    else:
-        np.savetxt(path, np.hstack([places, noisy]), fmt="%d")
-    assert facts(path)["colours"]["full_scale"] == 1023
-
-
 def test_opacity_says_the_range_of_dark_colours(tmp_path):
     rows = [[x, y, 0, 40, 50, 200, 65535] for x, y in ((0, 0), (1, 0), (1, 1))]
     names = [

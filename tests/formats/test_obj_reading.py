@@ -111,11 +111,6 @@ def test_the_message_names_the_cause_and_the_line(data, message):
     assert message in str(caught.value)
 
 
-def test_facts_are_known_without_colours():
-    facts = opened(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\n").facts()
-    assert (facts["vertices"], facts["coloured_vertices"], facts["polygons"]) == (3, 0, 1)
-
-
 LINES = st.sampled_from([
     "", "# v 9 9 9 9 9 9", "vn 0 0 1", "vt 0.5 0.5", "usemtl red", "s off", "g a b", "f 1 1 1", "f -1/2/3 1//1 1/1",
     "\tf 1 1 -1 1 # why", "l 1 1", "#", "p 1", "o v", "mtllib none.mtl", "vp 1 2",

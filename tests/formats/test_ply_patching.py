@@ -81,7 +81,7 @@ def files(draw):
     built = build(
         draw(st.permutations([vertex, face, other])),
         draw(st.sampled_from(ENCODINGS)),
-        draw(st.sampled_from(["\n", "\r\n"])),
+        draw(st.sampled_from(["\n", "\r\n", "\r"])),
         draw(st.lists(st.sampled_from(["made by hand", "element vertex 7"]), max_size=2)),
     )
     return built, names, kind, colours

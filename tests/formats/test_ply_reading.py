@@ -56,14 +56,6 @@ def test_strips_are_unrolled_with_one_orientation(encoding):
     assert faces.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [5, 6, 7]]
 
 
-def test_points_have_no_faces_and_lines_may_end_as_on_old_macs():
-    assert PlyDocument(build(coloured()[:1]).data, "x.ply").painted().faces.shape == (0, 3)
-    built = build(coloured(), "binary_little_endian", "\r")
-    document = PlyDocument(built.data, "x.ply")
-    assert len(document.painted().positions) == 4
-    assert document.painted() is document.painted()
-
-
 def test_grey_intensity_in_range_is_a_colour_and_elsewhere_a_scalar():
     tables = coloured(colour="float", value=0.25)
     tables[0].properties[3:] = [(name, "float") for name in ("intensity", "quality", "r")]

@@ -40,6 +40,7 @@ def unnpz(data):
     [
         ("colours", COLOURS, 3, [0, 0.2, 1]),
         ("colors", COLOURS.astype(np.uint16) * 257, 3, [0, 0.2, 1]),
+        ("colors", COLOURS.astype(np.uint16) * 4, 3, [0, 204 / 1023, 1020 / 1023]),
         ("rgb", COLOURS.astype(np.int64), 3, [0, 0.2, 1]),
         ("rgb", COLOURS / 255, 3, [0, 0.2, 1]),
         ("rgba", np.column_stack([COLOURS, COLOURS[:, 0]]), 3, [0, 0.2, 1]),

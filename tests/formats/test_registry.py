@@ -16,7 +16,6 @@ from beltrami_cli.formats.registry import (
     open_bytes,
     recognised,
     sidecar_names,
-    write_textured,
 )
 from beltrami_cli.jobs.job import Job, NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
@@ -85,11 +84,7 @@ def test_images_and_volumes_are_no_models():
         (b"<GeometryModel3D></GeometryModel3D>", "x.xaml", "no known format"),
         (b"Kaydara FBX Binary  \0", "x.fbx", "FBX file, which is not read; open it in Blender"),
         (b"BLENDER-v400", "x", "Blender file"),
-        (
-            b"# vtk DataFile Version 3.0\n",
-            "x.vtk",
-            "VTK file, which is not read; convert it to PLY with ParaView",
-        ),
+        (b"# vtk DataFile Version 3.0\n", "x.vtk", "VTK file, which is not read; convert it to PLY"),
         (b'<?xml version="1.0"?>\n<VTKFile type="PolyData">', "x.bin", "VTK file"),
         (b"b3dm\1\0\0\0", "x.b3dm", "3D Tiles file, which is not read; extract the model with: npx"),
     ],
@@ -106,11 +101,6 @@ def test_sidecars_follow_from_the_format():
     assert sidecar_names("glb", "a", ".png") == sidecar_names("ply", "a", None) == []
     with pytest.raises(UsageError, match="no textures"):
         sidecar_names("xyz", "a", ".png")
-
-
-def test_points_have_no_texture():
-    with pytest.raises(UsageError, match="no textures"):
-        write_textured(None, "pts", "a")
 
 
 def test_the_registry_loads_no_format():
