@@ -64,6 +64,15 @@ def test_damage_gives_pixels_or_an_input_error(known, data):
     assert OpenImageIO.geterror() == ""
 
 
+@pytest.mark.parametrize("known", ["openexr", "tiff", "png"])
+def test_errors_that_quote_bytes_of_the_file_are_input_errors(known):
+    """Names of attributes and chunks reach the message of the decoder, and need not be text."""
+    whole = sample(known, 8)
+    for at in range(300):
+        with contextlib.suppress(InputError):
+            read_image(whole[:at] + b"\x80" + whole[at + 1 :], "x" + SUFFIXES[known])
+
+
 @pytest.mark.parametrize("size", [(0, 4), (4, 0), (1 << 30, 1), (1, 1 << 30), (65535, 65535)])
 def test_images_of_no_or_too_large_a_size_are_refused_by_their_header(size):
     begin = time.perf_counter()

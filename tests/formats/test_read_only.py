@@ -145,9 +145,12 @@ def test_vertices_have_the_mean_of_their_corners_and_nothing_beyond(data):
             assert (result[vertex] <= own.max(axis=0) + 1e-6).all()
 
 
-def test_3mf_colours_of_corners():
-    document = opened(threemf(model(OBJECT)), "x.3mf")
-    painted = document.painted()
+@pytest.mark.parametrize("relations", ["_rels/.rels", "_rels/none"])  # else the usual name counts
+def test_3mf_colours_of_corners(relations):
+    data = threemf(model(OBJECT)).replace(b"_rels/.rels", relations.encode().ljust(11))
+    painted = opened(data, "x.3mf").painted()
+    with pytest.raises(InputError, match=r"bytes, more than the .* that are read; raise --max-memory"):
+        opened(data, "x.3mf", 100).painted()
     np.testing.assert_array_equal(painted.positions, SQUARE)
     np.testing.assert_array_equal(painted.faces, FACES)
     np.testing.assert_allclose(painted.colours, LEVELS / 255, atol=1e-7)

@@ -64,6 +64,7 @@ CONTENTS = [
 def test_what_is_written_is_read_back(tmp_path, form, stored, encoding, channels, dtype, has_more):
     dtype = np.float32 if form in OF_SINGLE_PRECISION else dtype
     sizes = (3, 4, 300, 3, 7) if form in MESHES else (3, 3) if form == "npz" else ()
+    sizes = () if stored == "text" else sizes
     contents = mesh(sizes, stored, channels, encoding, dtype)
     if has_more:
         normals = np.random.default_rng(6).normal(size=(300, 3))
