@@ -59,7 +59,7 @@ def test_each_file_is_as_smooth_makes_it_to_the_last_byte(scans, tmp_path):
 def test_failures_are_reported_and_the_others_go_on(scans, tmp_path):
     (scans / "0.ply").write_bytes(b"no model")
     said = batch(scans, "--out-dir", tmp_path / "out", *QUICK, code=1)
-    assert "0.ply: the content is of no known format" in said
+    assert said.count("0.ply: the content is of no known format") == 1
     assert "1 of 4 files failed" in said.splitlines()[-1]
     found = statuses(tmp_path / "out")
     assert found == {"0.ply": "failed", "a.ply": "done", "b.obj": "done", "deep/c.glb": "done"}
@@ -259,7 +259,6 @@ def test_noise_is_added_as_alone_and_another_kind_is_another_job(scans, tmp_path
     assert statuses(out)["a.ply"] == "skipped"
     batch(scans / "a.ply", "--out-dir", out, "--add-noise", "--kind", "camera", "--resume")
     assert statuses(out)["a.ply"] == "done"
-    refused(tmp_path, "batch", scans, "--out-dir", "no", "--sigma", "20", code=2, said="--add-noise")
 
 
 def test_files_in_manifests_lie_beside_them(scans, tmp_path):
@@ -313,11 +312,6 @@ def test_names_of_outputs(options, name, scans, tmp_path):
     batch("*.ply", "--out-dir", tmp_path, *options, *QUICK, cwd=scans)
     assert list(report_of(tmp_path)) == [name]
     assert open_document(str(tmp_path / name)).format == name.rsplit(".", 1)[1]
-
-
-@pytest.mark.parametrize("suffix", ["/x", "a/b", "x/", "/", "/.", "-a/../b", ".v/2.obj"])
-def test_a_suffix_that_leads_to_another_folder_is_refused_in_one_line(suffix, scans, tmp_path):
-    refused(tmp_path, "batch", scans / "a.ply", "--out-dir", "out", f"--suffix={suffix}", code=2, said=suffix)
 
 
 def test_two_files_never_become_one(scans, tmp_path):

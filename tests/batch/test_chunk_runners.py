@@ -5,17 +5,14 @@ from __future__ import annotations
 import errno
 import os
 import re
-import signal
-import subprocess
 import threading
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from batch.batches import QUICK, batch, files_in
+from batch.batches import batch, files_in
 from batch.chunk_work import add, die, die_once, refuse, sleep
 from beltrami_cli.batch import chunk_runners
 from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
@@ -26,9 +23,8 @@ from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.replacing import writing
-from cli.commands import COMMAND, SAMPLES
+from cli.commands import SAMPLES
 from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
-from formats.image_files import encode
 
 CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
 
@@ -120,52 +116,6 @@ def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
     assert files_in(tmp_path / "pieces") == files_in(tmp_path / "whole")
 
 
-# A command starts, loads its modules, and starts processes that load theirs.
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
-def test_an_interruption_ends_processes_and_leaves_nothing(tmp_path):
-    pixels = np.random.default_rng(0).integers(0, 255, (800, 800, 3), np.uint8)
-    (tmp_path / "large.png").write_bytes(encode(pixels, "png"))
-    out = tmp_path / "out"
-    command = [
-        *COMMAND,
-        "batch",
-        tmp_path / "large.png",
-        "--out-dir",
-        out,
-        "--pieces",
-        2,
-        "-j",
-        2,
-        *QUICK,
-        "-n",
-        9999,
-    ]
-    with subprocess.Popen(list(map(str, command)), stderr=subprocess.DEVNULL) as run:
-        deadline = time.monotonic() + 60
-        # Two processes for chunks, and one of multiprocessing that watches over them.
-        while len(workers := children(run.pid)) < 3 and time.monotonic() < deadline:
-            time.sleep(0.1)
-        run.send_signal(signal.SIGINT)
-        assert run.wait(timeout=30) == 130
-    assert not (out / "large.png").exists()
-    assert len(workers) == 3
-    # The one that watches ends when it sees that the command has.
-    while (left := [pid for pid in workers if is_running(pid)]) and time.monotonic() < deadline + 30:
-        time.sleep(0.1)
-    assert not left
-
-
-def is_running(pid):
-    status = Path(f"/proc/{pid}/stat")
-    return status.exists() and status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
-
-
-def children(pid):
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(each) for task in tasks for each in task.read_text().split()]
-
-
 def given_up_while(do, monkeypatch):
     """Leave an executor while its thread does a file by `do`, which gets an event to say that it has begun."""
     begun, seen = threading.Event(), []
@@ -254,11 +204,3 @@ def test_the_message_names_what_failed_on_dask(nthreads, result, said):
     pytest.importorskip("distributed")
     with pytest.raises(ProcessingError, match=said):
         done(DaskRunner(Client(nthreads, result)), Work(add, ()))
-
-
-def test_vertices_are_not_moved_in_pieces_which_is_said_at_once(tmp_path):
-    (tmp_path / "damaged.ply").write_bytes(b"ply")
-    arguments = tmp_path / "damaged.ply", "--out-dir", tmp_path / "out", "--pieces", 2, "--smooth-geometry"
-    said = batch(*arguments, code=2)
-    assert "damaged.ply: vertices are not moved in pieces; leave out --pieces, or --smooth-geometry" in said
-    assert not (tmp_path / "out").exists()

@@ -220,20 +220,6 @@ def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_pat
         assert run.returncode == (0 if not more else 1 if "--scheduler" in more else 3)
 
 
-@pytest.mark.parametrize(
-    ("options", "words", "code"),
-    [
-        (("--scheduler", "nonsense"), "no Dask scheduler answers there", 1),
-        (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers there", 1),
-        (("--scheduler", "missing.json"), "no Dask scheduler answers there", 1),
-        (("--out-dir", "memory://x"), "name it with --report", 2),
-    ],
-)
-def test_what_does_not_fit_is_refused_in_one_line(options, words, code, scans, tmp_path):
-    said = batch(scans / "knot.ply", "--out-dir", tmp_path / "out", *options, code=code)
-    assert words in said.splitlines()[-1]
-
-
 def reset_at_once(connection):
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
-from cli.commands import beltrami, refused
+from cli.commands import beltrami
 
 SIDE = 12
 NAMES = "x,y,z,r,g,b,scalar"
-FOUND = ["x", "y", "z", "r", "g", "b", "scalar"]
 
 
 @pytest.fixture
@@ -53,33 +50,12 @@ def test_every_command_that_reads_points_takes_their_columns(command, scan, monk
     beltrami(*arguments, "--columns", NAMES)
 
 
-@pytest.mark.slow
-def test_a_configuration_a_variable_and_a_manifest_may_name_the_columns(scan):
-    folder = scan.parent
-    (folder / "beltrami.toml").write_text(f'columns = "{NAMES}"\n')
-    facts = json.loads(beltrami("info", "scan.txt", "--json", cwd=folder).stdout)
-    assert facts["file"]["columns"] == FOUND
-    (folder / "beltrami.toml").unlink()
-    facts = beltrami("info", "scan.txt", "--json", cwd=folder, env={"BELTRAMI_INFO_COLUMNS": NAMES})
-    assert json.loads(facts.stdout)["file"]["columns"] == FOUND
-    (folder / "jobs.csv").write_text(f'input,output,columns\nscan.txt,a.txt,"{NAMES}"\n')
-    beltrami("batch", "jobs.csv", "--out-dir", "out", "-n", "2", "--beta", "1", cwd=folder)
-    before, after = (np.loadtxt(folder / name, delimiter=",") for name in ("scan.txt", "out/a.txt"))
-    assert np.flatnonzero((before != after).any(axis=0)).tolist() == [3, 4, 5]
-
-
 def test_columns_of_guides_are_their_own(scan):
     folder = scan.parent
     rows = np.loadtxt(scan, delimiter=",")
     np.savetxt(folder / "guide.xyz", rows[:, :6], "%d")
     guided = ("--guide", "guide.xyz", "--columns", NAMES, "--fast")
     beltrami("smooth", "scan.txt", "out.txt", *guided, cwd=folder)
-
-
-def test_a_name_that_is_missing_is_asked_for(scan):
-    said = refused(scan.parent, "info", "scan.txt", "--columns", "x,y,z,r,g,b", code=3)
-    assert "7 numbers each, but --columns has 6 names; give --columns" in said
-    refused(scan.parent, "info", "scan.txt", "--columns", ",", code=2)
 
 
 def test_texts_and_tables_in_a_folder_are_no_points_unless_they_are_named(scan):

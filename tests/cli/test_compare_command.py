@@ -22,11 +22,10 @@ from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.job import Limits, NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.layers.settings import SmoothSettings
-from cli.commands import COMMAND, SAMPLES, beltrami, refused
+from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
 from formats.volume_files import sphere_file
 from jobs.cut_boards import CHART, SIDE, painted, write_board
-from small_models import textured_squares
 
 DOCS = Path(__file__).parents[2] / "docs"
 CLEAN, NOISY = SAMPLES / "head-tex-clean.glb", SAMPLES / "head-tex-noisy.glb"
@@ -290,19 +289,6 @@ def test_a_limit_that_cannot_be_measured_is_no_success(limit, settings):
         compare_files(ball, ball, Limits(**limit), settings)
     assert str(ball) in str(caught.value)
     assert "leave that limit out" in str(caught.value)
-
-
-def test_a_limit_must_be_measured_for_every_part(tmp_path):
-    """A texture much smaller than another has no window of 11 x 11; no map is drawn then, and nothing is printed."""
-    for folder in ("one", "other"):
-        (tmp_path / folder).mkdir()
-        textured_squares(tmp_path / folder / "m.obj", ("a.png", 0, (0, 1)), ("b.png", 2, (0, 1)))
-        picture(tmp_path / folder / "a.png", np.full((64, 64, 3), 9, np.uint8))
-        picture(tmp_path / folder / "b.png", np.full((6, 6, 3), 9, np.uint8))
-    files = tmp_path / "one" / "m.obj", tmp_path / "other" / "m.obj"
-    limit = ("--min-ssim", 0.9, "--map", "map.png", "--json")
-    refused(tmp_path, "compare", *files, *limit, code=3, said="b.png: --min-ssim")
-    beltrami("compare", *files, "--min-ssim", 0.9, "--texture", "a.png", "-q")
 
 
 def test_where_no_seam_is_nothing_jumps_and_a_seam_that_cannot_be_measured_is_no_success(tmp_path):

@@ -168,6 +168,12 @@ def test_what_is_shown_of_values_that_are_parsed_can_be_given_again(run, tmp_pat
     assert tomllib.loads(run("--config", again, "config")) == tomllib.loads(output)
 
 
+def test_denoise_is_smooth_with_what_is_configured_for_it(run, tmp_path):
+    (tmp_path / "beltrami.toml").write_text("[smooth]\nn = 0\n")
+    run("denoise", NOISY, "same.ply")
+    assert (tmp_path / "same.ply").read_bytes() == NOISY.read_bytes()
+
+
 def test_variables_for_other_things_do_no_harm(run):
     assert "Usage" in run("smooth", "--help", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")
     assert "no file" in run("config", BELTRAMI_VERSION="1.0", BELTRAMI_HELP="me")

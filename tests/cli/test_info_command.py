@@ -50,29 +50,6 @@ def test_a_closed_mesh_has_no_boundary_and_an_open_one_has():
     assert info("terrain-clean.ply")["surface"]["boundary_edges"] > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
-def test_the_same_mesh_is_the_same_surface_in_every_format(extension):
-    facts, reference = info(f"terrain-clean.{extension}")["surface"], info("terrain-clean.ply")["surface"]
-    for key in ("samples", "triangles", "edges", "boundary_edges", "isolated_vertices"):
-        assert facts[key] == reference[key]
-
-
-@pytest.mark.slow
-def test_noise_is_in_units_of_full_scale():
-    noisy, clean = info("nonmanifold-noisy.ply")["noise"], info("nonmanifold-clean.ply")["noise"]
-    for channel in ("red", "green", "blue"):
-        # Clipping takes some away, the pattern adds some.
-        assert 15 / 255 < noisy[channel] < 27 / 255
-        assert clean[channel] < 3 / 255
-
-
-@pytest.mark.slow
-def test_a_larger_time_step_holds_more_samples():
-    few, many = (info("nonmanifold-noisy.ply", "-t", t)["smooth"] for t in ("0.5", "5"))
-    assert many["samples_per_kernel"] > 1.5 * few["samples_per_kernel"]
-
-
 def test_the_text_has_the_same_sections():
     run = beltrami("info", SAMPLES / "nonmanifold-noisy.ply", "-v")
     for section in ("file", "colours", "surface", "noise", "smooth"):
@@ -109,13 +86,6 @@ def test_a_range_image_has_no_triangles_in_the_short_text(tmp_path):
     np.savez(tmp_path / "range.npz", positions=np.dstack([x, y, 0 * x]).astype(float), colours=colours)
     line = beltrami("info", tmp_path / "range.npz", "--fast", text=True).stdout.splitlines()[0]
     assert line.endswith("npz, 48 vertices")
-
-
-def test_a_file_without_colours_is_refused(tmp_path):
-    plain = tmp_path / "plain.obj"
-    plain.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    run = beltrami("info", plain, code=3)
-    assert run.stdout == b""
 
 
 def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
@@ -238,3 +208,52 @@ def test_noise_that_samples_share_is_that_which_smooth_finds(tmp_path):
     facts, report = info(noisy), json.loads(done.read_text())["image"]
     assert facts["noise_model"]["grain"] > 1
     assert facts["noise"] == report["noise"]
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "options"),
+    [
+        ("nonmanifold-noisy.ply", "100", ("--strength", "strong", "-n", 2)),
+        ("mirrored-noisy.obj", "0.4,0.4", ("--fast",)),
+        ("torus-two-noisy-dough.png", "90,70", ()),
+    ],
+)
+@pytest.mark.slow
+def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, options, tmp_path):
+    source, record = SAMPLES / name, tmp_path / "run.json"
+    smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)
+    shown = beltrami("kernel", source, tmp_path / "kernel.csv", "--at", at, *options, text=True).stderr
+    done = json.loads(record.read_text())
+    done = done["vertices"] or done["image"] or done["textures"][0]
+    info = json.loads(beltrami("info", source, "--json", *options).stdout)
+    planned = info["smooth"] if "smooth" in info else info["textures"][0]["smooth"]
+    for key in ("beta", "iterations"):
+        assert done[key] == planned[key]
+    assert f"in iteration 1 of {planned['iterations']}," in shown
+    assert f"beta {planned['beta']:.3g}\n" in shown
+    assert f"beta {planned['beta']:.3g}," in smooth.stderr.decode()
+
+
+@pytest.mark.slow
+def test_samples_of_a_kernel_are_said_of_the_first_iteration_or_of_all(tmp_path):
+    record = tmp_path / "run.json"
+    parameters = ("-n", 1, "-t", 2, "--beta", 8)
+    smooth = beltrami(
+        "smooth", SAMPLES / "head-noisy.ply", tmp_path / "o.ply", "--report", record, *parameters
+    )
+    of_one = json.loads(record.read_text())["vertices"]["counts"]["samples_per_kernel"]
+    planned = json.loads(beltrami("info", SAMPLES / "head-noisy.ply", "--json", *parameters).stdout)[
+        "smooth"
+    ]["samples_per_kernel"]
+    assert planned == pytest.approx(of_one, rel=0.05)  # from some of the kernels
+    assert f"{of_one:.0f} samples a kernel, mean" in smooth.stderr.decode()
+    assert (
+        b"in the first iteration\n" in beltrami("info", SAMPLES / "head-noisy.ply", *parameters, "-v").stdout
+    )
+    parameters = ("-n", 3, *parameters[2:])
+    smooth = beltrami("smooth", SAMPLES / "head-noisy.ply", tmp_path / "p.ply", *parameters)
+    assert b" samples a kernel on average over 3 iterations, mean" in smooth.stderr
+    assert (
+        b"in the first of 3 iterations; smooth gives the mean over all\n"
+        in beltrami("info", SAMPLES / "head-noisy.ply", *parameters, "-v").stdout
+    )

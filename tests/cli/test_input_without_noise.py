@@ -38,15 +38,6 @@ def test_a_mesh_at_one_place_is_said_to_have_no_area(tmp_path):
     )
 
 
-def test_a_jpeg_texture_is_not_encoded_anew(square, tmp_path):
-    result = tmp_path / "result" / "square.obj"
-    result.parent.mkdir()
-    run = beltrami("smooth", square, result)
-    assert b"left as they are" in run.stderr
-    for name in ("square.obj", "square.mtl", "square.jpg"):
-        assert (result.parent / name).read_bytes() == (square.parent / name).read_bytes()
-
-
 @pytest.mark.parametrize("name", ["other.obj", "square.obj"])
 def test_beside_the_source_no_files_pile_up(name, square):
     before = {path.name: path.read_bytes() for path in square.parent.iterdir()}
@@ -89,12 +80,6 @@ def test_the_table_of_a_batch_and_info_say_it_too(tmp_path):
     assert b"left as it is" in beltrami(*common, "out", cwd=tmp_path).stderr
     assert b"left as it is" not in beltrami(*common, "given", "-n", 0, cwd=tmp_path).stderr
     assert b"give --strength strong" in beltrami("info", SAMPLES / "head-clean.ply").stdout
-
-
-def test_nothing_is_said_to_be_smoothed_where_nothing_is(tmp_path):
-    run = beltrami("smooth", SAMPLES / "tiled-clean.glb", tmp_path / "tiled.glb")
-    assert b"left as they are" in run.stderr
-    assert b"was smoothed" not in run.stderr
 
 
 def test_where_there_are_no_samples_no_strength_is_advised(tmp_path):

@@ -16,7 +16,7 @@ from beltrami_cli.jobs.job import PLAIN_JOB
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.layers.texel_colours import dithered
-from cli.commands import SAMPLES, refused
+from cli.commands import SAMPLES
 from cli.commands import beltrami as run_beltrami
 from levelling.exposure_scene import ExposureScene, stored_colours
 from small_models import COLOURED, ply
@@ -116,19 +116,6 @@ def test_gutters_do_not_depend_on_the_command_where_paint_differs_over_seams(tmp
 def test_texels_at_several_places_are_not_said_to_be_smoothed(tmp_path):
     done = beltrami("level", SAMPLES / "mirrored-clean.obj", tmp_path / "out.obj", "--dry-run")
     assert "overlapping charts); each is taken at one of them" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "code", "said"),
-    [
-        ("head-noisy.ply", (), 3, "nothing says which photograph"),
-        ("head-tex-clean.png", (), 2, "head-tex-clean.png: an image has no charts"),
-        ("head-tex-clean.glb", ("--reference", "absent*"), 2, "--reference absent*"),
-        ("head-tex-clean.glb", ("--reference", "*"), 2, "keeps all charts"),
-    ],
-)
-def test_what_has_no_charts_is_refused_with_a_reason(name, options, code, said, tmp_path):
-    refused(tmp_path, "level", SAMPLES / name, f"out{name[-4:]}", *options, code=code, said=said)
 
 
 @pytest.mark.slow

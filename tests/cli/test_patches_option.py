@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-import signal
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pytest
 
-from cli.commands import SAMPLES, beltrami, interrupted
+from cli.commands import beltrami
 from cli.pictures import painted_file
 from formats.image_files import encode
 from oracles import surfaces
@@ -76,15 +72,6 @@ def test_by_default_there_are_none_where_the_kernel_is_set_by_hand(options, mesh
 
 
 @pytest.mark.slow
-def test_a_texture_reports_its_share_and_takes_a_bound_on_memory(tmp_path):
-    report = tmp_path / "report.json"
-    options = ["--report", report, "--overwrite", "--max-memory", "2G"]
-    beltrami("smooth", SAMPLES / "mirrored-noisy.obj", tmp_path / "out.obj", *options, text=True)
-    (slot,) = json.loads(report.read_text())["textures"]
-    assert 0 <= slot["patches"] <= 1
-
-
-@pytest.mark.slow
 def test_info_shows_what_would_be_done(mesh):
     for options, shown in (
         ((), "on"),
@@ -95,87 +82,3 @@ def test_info_shows_what_would_be_done(mesh):
         run = beltrami("info", mesh, "--json", *options, text=True)
         assert json.loads(run.stdout)["smooth"]["patches"] == shown, options
     assert re.search(r"^ +patches +on$", beltrami("info", mesh, "-v", text=True).stdout, re.MULTILINE)
-
-
-def test_a_bad_value_is_refused(mesh):
-    run = beltrami("smooth", mesh, mesh.with_stem("other"), "--patches", "some", text=True, code=2)
-    assert "'auto', 'on', 'off'" in run.stderr
-
-
-@pytest.mark.slow
-def test_configuration_variables_and_manifests_take_it(mesh):
-    _, _, kernel = smoothed(mesh, "--patches", "off")
-    (mesh.parent / "beltrami.toml").write_text('[smooth]\npatches = "off"\n')
-
-    def smooth(name, **variables):
-        beltrami("smooth", mesh.name, name, cwd=mesh.parent, env=variables, text=True)
-        return (mesh.parent / name).read_bytes()
-
-    assert smooth("a.ply") == kernel
-    assert smooth("b.ply", BELTRAMI_SMOOTH_PATCHES="on") != kernel
-    (mesh.parent / "beltrami.toml").unlink()
-    (mesh.parent / "jobs.jsonl").write_text(
-        '{"input": "noisy.ply", "output": "c.ply", "patches": "off"}\n{"input": "noisy.ply", "output": "d.ply"}\n'
-    )
-    beltrami("batch", "jobs.jsonl", "--out-dir", "out", cwd=mesh.parent, text=True)
-    assert (mesh.parent / "out" / "c.ply").read_bytes() == kernel
-    assert (mesh.parent / "out" / "d.ply").read_bytes() == smooth("e.ply")
-
-
-@pytest.mark.parametrize("name", ["head-clean.ply", "head-tex-clean.png"])
-def test_clean_files_stay_byte_for_byte(name, tmp_path):
-    beltrami("smooth", SAMPLES / name, tmp_path / name, "--patches", "on")
-    assert (tmp_path / name).read_bytes() == (SAMPLES / name).read_bytes()
-
-
-# Says when the patches begin, and runs the command.
-REPORTING = """
-import sys
-from beltrami_cli.cli.main import main
-from beltrami_cli.flow.{module} import {manifold}
-
-own = {manifold}.collaborate
-
-def reported(*arguments, **others):
-    print("patches begin", file=sys.stderr, flush=True)
-    return own(*arguments, **others)
-
-{manifold}.collaborate = reported
-main()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("source", "module", "manifold"),
-    [("big.png", "grid_manifold", "GridManifold"), ("big.ply", "mesh_manifold", "MeshManifold")],
-)
-def test_an_interrupt_while_patches_are_estimated_ends_at_once(source, module, manifold, tmp_path):
-    side = 500 if source == "big.png" else 280
-    noisy = with_noise(photograph(side), 20 / 255)
-    if source == "big.png":
-        (tmp_path / source).write_bytes(encode(np.uint8(np.round(255 * noisy)), "png"))
-    else:
-        painted_file(tmp_path / source, *surfaces.plane(side, side), noisy.reshape(-1, 3))
-    arguments = [
-        "smooth",
-        source,
-        f"out{source[3:]}",
-        "--patches",
-        "on",
-        "-n",
-        "1",
-        "-t",
-        "0.5",
-        "--threads",
-        "1",
-    ]
-    command = [sys.executable, "-P", "-c", REPORTING.format(module=module, manifold=manifold), *arguments]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, cwd=tmp_path) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if line == b"patches begin\n":
-                break
-        time.sleep(0.1)
-        interrupted(process, signal.SIGINT)  # a second, where nothing else runs
-    assert [path.name for path in tmp_path.iterdir()] == [source]

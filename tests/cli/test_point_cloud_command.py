@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.ply.document import PlyDocument
-from beltrami_cli.formats.points.text_document import TextPointsDocument
-from cli.commands import beltrami, refused
+from cli.commands import beltrami
 from small_models import COLOURED, ply
 
 SIDE = 30
@@ -69,17 +68,6 @@ def test_points_of_every_format_are_smoothed_and_outliers_are_counted(clouds, tm
     same = tmp_path / f"same.{extension}"
     beltrami("smooth", source, same, "-n", "0")
     assert same.read_bytes() == source.read_bytes()
-
-
-def test_noise_goes_and_the_edge_and_the_outliers_stay(clouds, tmp_path):
-    _, colours, clean = scan()
-    target = tmp_path / "clean.xyz"
-    beltrami("smooth", clouds / "scan.xyz", target)
-    done = TextPointsDocument(target.read_bytes(), "clean.xyz").painted().colours * 255
-    before = np.sqrt(np.mean((colours[: len(clean)].astype(float) - clean) ** 2))
-    after = np.sqrt(np.mean((done[: len(clean)] - clean) ** 2))
-    assert after < before / 3
-    assert np.array_equal(np.rint(done[len(clean) :]), colours[len(clean) :])
 
 
 def test_all_formats_give_the_same_colours(clouds, tmp_path):
@@ -165,19 +153,6 @@ def test_points_that_were_not_measured_stay_and_do_not_count(tmp_path, extension
     else:
         found = np.load(target)["colours"] if extension == "npz" else np.loadtxt(target)[:, 3:]
     assert np.abs(found.astype(int) - expected).max() <= 1
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "code", "said"),
-    [
-        ("scan.xyz", ("--smooth-geometry",), 3, "no triangles"),
-        ("scan.xyz", ("--unwrap",), 2, ".xyz file has no textures"),
-        ("scan.ply", ("--unwrap",), 3, "triangulate the points first"),
-    ],
-)
-def test_what_needs_faces_is_refused(clouds, tmp_path, name, options, code, said):
-    target = f"out{clouds.joinpath(name).suffix}"
-    refused(tmp_path, "smooth", clouds / name, target, *options, code=code, said=said)
 
 
 def test_faces_are_dropped_with_a_word_when_a_mesh_becomes_points(tmp_path):

@@ -15,7 +15,7 @@ from beltrami_cli.jobs.compare.figures import ComparedColours
 from beltrami_cli.view import report
 from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.report import changes_of, histogram
-from cli.commands import SAMPLES, beltrami, refused
+from cli.commands import SAMPLES, beltrami
 from cli.pictures import encode, textured_square
 
 
@@ -49,11 +49,6 @@ def test_a_name_that_is_no_text_is_shown_as_far_as_it_goes(tmp_path):
     shutil.copy(SAMPLES / "knot-clean.ply", knot)
     page = reported(knot, knot, tmp_path / "page.html")
     assert "kn?t.ply" in page.read_text(encoding="utf-8")
-
-
-def test_equal_colours_are_called_equal(tmp_path):
-    knot = SAMPLES / "knot-clean.ply"
-    assert "<td>equal</td>" in reported(knot, knot, tmp_path / "page.html").read_text()
 
 
 @pytest.mark.slow
@@ -131,25 +126,3 @@ def test_pictures_are_scaled_to_the_size_of_a_page_unless_full_size_is_wanted(ki
     run = beltrami("report", *pair, tmp_path / "large.html", "--full-size")
     assert (tmp_path / "large.html").stat().st_size > 2.9e6
     assert b"--full-size" not in run.stderr
-
-
-@pytest.mark.slow
-def test_what_cannot_be_shown_is_said_and_nothing_written(tmp_path):
-    plain = tmp_path / "run.json"
-    plain.write_text("[]")
-    page = tmp_path / "page.html"
-    pair = SAMPLES / "knot-noisy.ply", SAMPLES / "knot-clean.ply"
-    for arguments, code in (
-        ((*pair, page, "--parameters", plain), 3),
-        ((pair[0], SAMPLES / "head-clean.ply", page), 3),
-        ((pair[0], SAMPLES / "scan-clean.jpg", page), 3),
-        (("-", pair[1], page), 2),
-        ((*pair, tmp_path / "page.txt"), 2),
-        ((pair[0], pair[1], pair[1], "--overwrite"), 4),
-    ):
-        refused(tmp_path, "report", *arguments, code=code)
-
-
-def test_help_does_not_promise_to_smooth():
-    run = beltrami("report", "--help")
-    assert b"Smooth the" not in run.stdout

@@ -5,18 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import re
-import shutil
 
 import pytest
 
-from beltrami_cli.formats.image import reading
-from beltrami_cli.view import tracing
-from cli.commands import SAMPLES, beltrami, refused
+from cli.commands import SAMPLES, beltrami
 from cli.pictures import pixels
 
 pytest.importorskip("embreex")
 NOISY, CLEAN = (SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean"))
-KNOT = SAMPLES / "knot-clean.ply"
 
 
 def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_path):
@@ -67,19 +63,6 @@ def test_without_a_reference_the_gain_is_estimated_and_goes_to_a_pipe():
 
 
 @pytest.mark.slow
-def test_the_input_is_decoded_once_and_one_tracer_serves_all(tmp_path, monkeypatch):
-    decoded, tracers = [], []
-    decode, trace = reading._decoded, tracing.Tracer.__init__
-    monkeypatch.setattr(reading, "_decoded", lambda *image: decoded.append(image[1]) or decode(*image))
-    monkeypatch.setattr(tracing.Tracer, "__init__", lambda *own: tracers.append(own) or trace(*own))
-    shutil.copy(SAMPLES / "mirrored-noisy.png", tmp_path)
-    options = ("--beta", "3,6,9", "-n", 1, "-t", 1, "--size", 40)
-    beltrami("sweep", SAMPLES / "mirrored-noisy.obj", tmp_path / "page.html", *options)
-    assert len(tracers) == 1
-    assert len(decoded) == 1 + 4  # the input, and each result to be drawn
-
-
-@pytest.mark.slow
 def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
     sheet, default, one = (tmp_path / f"{name}.png" for name in ("sheet", "default", "one"))
     smooth = tmp_path / "smooth.ply"
@@ -93,18 +76,3 @@ def test_a_picture_begins_the_trials_in_a_row_of_their_own(tmp_path):
     assert (image[: strip + 64, 2 * 66 :] == 255).all()
     assert (image[strip : strip + 64, 66 : 66 + 64] == pixels(default)).all()
     assert (image[-64:, :64] == pixels(one)).all()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "said"),
-    [
-        (("-", "a.png", "--beta", "1"), 2, "not a pipe"),
-        ((NOISY, "a.png", "--beta", "1,x"), 2, "list of numbers"),
-        ((NOISY, "a.png", "--beta", "-3"), 2, "beta is -3"),
-        ((NOISY, "a.txt"), 2, "no image format"),
-        ((NOISY, "a.png", "-n", ",".join(map(str, range(300)))), 2, "too many"),
-        ((NOISY, "a.png", "-n", "1", "--reference", KNOT, "--size", "32"), 3, NOISY.name),
-    ],
-)
-def test_what_cannot_be_swept_is_said_and_nothing_written(arguments, code, said, tmp_path):
-    refused(tmp_path, "sweep", *arguments, code=code, said=said)

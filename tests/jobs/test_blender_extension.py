@@ -11,7 +11,6 @@ import zipfile
 import pytest
 
 from beltrami_cli.cli.blender_extension import declared_parameters, write_blender_extension
-from beltrami_cli.errors import OutputError
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
 
@@ -66,11 +65,8 @@ def test_parameters_are_those_that_the_program_declares(archive):
     assert not {"on", "image_suffix", "height", "guides"} & found.keys()
 
 
-def test_two_of_them_are_equal_and_nothing_is_replaced_unasked(tmp_path):
+def test_two_of_them_are_equal(tmp_path):
     one, two = tmp_path / "one.zip", tmp_path / "two.zip"
     write_blender_extension(str(one), overwrite=False)
     write_blender_extension(str(two), overwrite=False)
     assert one.read_bytes() == two.read_bytes()
-    with pytest.raises(OutputError, match="exists"):
-        write_blender_extension(str(one), overwrite=False)
-    write_blender_extension(str(one), overwrite=True)

@@ -238,17 +238,6 @@ def test_a_seed_gives_its_noise_and_another_seed_another(kind, name, tmp_path):
     assert made[0] == made[1] != made[2]
 
 
-def test_what_makes_no_sense_is_refused_in_a_line(tmp_path):
-    for words, said in (
-        (["--kind", "jpeg"], "beltrami bake"),
-        (["--kind", "grain"], "--sigma"),
-        (["--kind", "jpeg", "--quality", "0"], "quality is 0"),
-    ):
-        run = beltrami("noise", SAMPLES / "knot-clean.ply", tmp_path / "o.ply", *words, code=2)
-        (line,) = run.stderr.decode().splitlines()
-        assert said in line
-
-
 def test_warnings_name_the_file(tmp_path):
     source = SAMPLES / "knot-clean.ply"
     run = beltrami("noise", source, tmp_path / "n.glb", "--sigma", 5)

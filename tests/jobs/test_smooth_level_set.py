@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
 
 import numpy as np
@@ -12,6 +13,7 @@ from beltrami_cli import InputError, KernelParameters, SmoothSettings, UsageErro
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.layers.settings import LevelSetSettings
+from cli.commands import beltrami
 from formats.volume_files import lattice_fields, npz, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
 from small_models import ply
@@ -145,6 +147,15 @@ def test_a_grid_is_held_to_the_memory_that_may_be_taken(tmp_path):
     path = sphere_file(tmp_path, 0.2)
     with pytest.raises(InputError, match="are allowed"):
         opened(path, access=Access(memory=2 * path.stat().st_size))
+
+
+def test_info_describes_the_grid_and_its_surface_by_the_level_that_is_given(tmp_path):
+    source = sphere_file(tmp_path, 0.15, values=0.5 - sphere(0.15)[0])
+    facts = json.loads(beltrami("info", source, "--json", "--iso", 0.5, "--inside", "above").stdout)
+    assert facts["file"]["format"] == "level set"
+    assert facts["file"]["level"] == 0.5
+    assert facts["surface"]["boundary_edges"] == facts["surface"]["degenerate_faces"] == 0
+    assert facts["smooth"]["samples_per_kernel"] > 1
 
 
 def test_options_of_level_sets_are_refused_for_meshes_and_out_of_range(tmp_path):

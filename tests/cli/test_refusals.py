@@ -1,0 +1,199 @@
+"""What cannot be done is refused in one line that names the cause, with the documented code, and nothing is written."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+
+import numpy as np
+import pytest
+
+from cli.commands import SAMPLES, beltrami, refused
+from cli.pictures import painted_file
+from formats.image_files import encode
+from small_models import textured_squares
+
+VERTICES = 2539  # of terrain-noisy.ply
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Files that do not fit; no test may change them."""
+    path = tmp_path_factory.mktemp("inputs")
+    hollow = np.zeros(VERTICES)
+    hollow[7] = np.inf
+    arrays = {
+        "odd": np.zeros((3, 3)),
+        "hollow": hollow,
+        "words": np.array(["a"] * VERTICES),
+        "damaged": hollow,
+    }
+    for name, array in arrays.items():
+        np.save(path / f"{name}.npy", array)
+    (path / "damaged.npy").write_bytes((path / "damaged.npy").read_bytes()[:-9])
+    np.savez(path / "many.npz", one=np.zeros(VERTICES), two=np.zeros(VERTICES))
+    painted_file(path / "points.ply", np.eye(3), np.zeros((0, 3), int), np.eye(3))
+    numbers = np.random.default_rng(0).integers(0, 256, (9, 7))
+    np.savetxt(path / "scan.txt", numbers, "%d", ",")
+    (path / "colourless.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (path / "bad.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nend_header\n")
+    (path / "list.json").write_text("[]")
+    (path / "kept").mkdir()
+    (path / "kept" / "there.ply").write_bytes(b"kept")
+    (path / "frames").mkdir()
+    shutil.copy(SAMPLES / "head-tex-clean.png", path / "frames" / "1.png")
+    for name in ("one", "other"):  # with one image too small for a window of 11 x 11
+        (path / name).mkdir()
+        textured_squares(path / name / "m.obj", ("a.png", 0, (0, 1)), ("b.png", 2, (0, 1)))
+        for image, side in (("a", 64), ("b", 6)):
+            (path / name / f"{image}.png").write_bytes(encode(np.full((side, side, 3), 9, np.uint8), "png"))
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(path / "fifo.ply")
+    return path
+
+
+# Of each command: the words, in which @ stands for the folder of samples; the exit code; what the line says.
+REFUSED = [
+    # inputs
+    ("smooth missing.ply out.ply", 3, "missing.ply"),
+    ("smooth . out.ply", 3, "it is a folder"),
+    ("smooth frames out", 3, "beltrami batch frames --out-dir OUT"),
+    ("batch frames --out-dir out", 3, "'frames/*.png'"),
+    ("smooth fifo.ply out.ply", 3, "pipe"),
+    ("info colourless.obj", 3, "colourless.obj: "),
+    ("info bad.ply", 3, "bad.ply: "),
+    ("check bad.ply bad.ply", 3, "bad.ply: "),
+    ("info none*.ply", 3, "none*.ply"),
+    ("info scan.txt --columns x,y,z,r,g,b", 3, "7 numbers each, but --columns has 6 names; give --columns"),
+    ("info scan.txt --columns ,", 2, "columns"),
+    # outputs
+    ("smooth @knot-noisy.ply", 2, "OUTPUT"),
+    ("smooth @knot-noisy.ply ''", 4, "OUTPUT: its name is empty; name a file, or - for standard output"),
+    ("smooth @knot-noisy.ply out.abc", 2, ".abc"),
+    ("smooth @knot-noisy.ply out.stl", 2, "out.stl: .stl files are read, but not written: the STL format"),
+    ("smooth @knot-noisy.ply kept", 4, "kept: is a folder; name a file"),
+    ("smooth @knot-noisy.ply none/x.ply", 4, "none/x.ply: the folder none does not exist; make it first"),
+    ("smooth @knot-noisy.ply kept/there.ply/x.ply", 4, "kept/there.ply is no folder; choose another place"),
+    (f"smooth @knot-noisy.ply kept/{300 * 'x'}.ply", 4, ".ply: no file can be called so (File name too long)"),
+    ("smooth @knot-noisy.ply picture.png", 2, "picture.png draws it"),
+    ("smooth @knot-noisy.ply out.ply --report nowhere/r.json", 4, "nowhere"),
+    ("smooth @knot-noisy.ply out.ply --report -", 4, "standard output is for OUTPUT"),
+    ("smooth @knot-noisy.ply out.ply --report .", 4, "folder"),
+    ("smooth @knot-noisy.ply out.ply --preview a.txt", 2, "a.txt"),
+    ("smooth @knot-noisy.ply out.ply --preview a.png --dry-run", 2, "--preview"),
+    ("smooth - out.ply --preview a.png", 2, "--preview"),
+    ("render @mirrored-noisy.png out.ply", 2, "call it .png"),
+    ("report @knot-noisy.ply @knot-clean.ply page.txt", 2, "page.txt"),
+    ("sweep @nonmanifold-noisy.ply a.txt", 2, "no image format"),
+    ("bake @nonmanifold-noisy.ply out.abc --to texture", 2, "no format is known"),
+    ("bake @nonmanifold-noisy.ply - --to texture", 4, "<stdout>: there is no folder for its sidecar files; "),
+    ("bake @nonmanifold-noisy.ply - --to texture --format obj", 4, "there is no folder for its sidecar files; "),
+    ("batch @nonmanifold-noisy.ply --out-dir out --suffix=/x", 2, "/x"),
+    ("batch @nonmanifold-noisy.ply --out-dir out --suffix=-a/../b", 2, "-a/../b"),
+    ("batch @nonmanifold-noisy.ply --out-dir memory://x", 2, "name it with --report"),
+    # values
+    ("smooth @terrain-noisy.ply out.ply --bogus", 2, "--bogus"),
+    ("smooth @terrain-noisy.ply out.ply --gutter ²", 2, "gutter"),
+    (f"smooth @terrain-noisy.ply out.ply --gutter {5000 * '9'}", 2, "gutter"),
+    ("smooth @terrain-noisy.ply out.ply --channels infrared", 2, "infrared"),
+    ("smooth @terrain-noisy.ply out.ply --channels ' , '", 2, "--channels names nothing"),
+    ("smooth @terrain-noisy.ply out.ply --slots ''", 2, "--slots names nothing"),
+    ("smooth @terrain-noisy.ply out.ply --slots paint", 2, "one of --slots is paint, but must be baseColor"),
+    ("smooth @terrain-noisy.ply out.ply --texture-format gif", 2, "--texture-format is .gif, but must be .png"),
+    ("smooth @terrain-noisy.ply out.ply --patches some", 2, "'auto', 'on', 'off'"),
+    ("smooth @terrain-noisy.ply out.ply --max-memory lots", 2, "no size"),
+    ("smooth @terrain-noisy.ply out.ply --max-memory 0", 2, "no memory"),
+    ("noise @terrain-noisy.ply out.ply --sigma 300", 2, "beltrami: --sigma is 300"),
+    ("render @head-clean.ply a.png --size big", 2, "1280x720"),
+    ("render @head-clean.ply a.png --crop 2,3", 2, "X,Y,SIDE"),
+    ("render @head-clean.ply a.png --background blue", 2, "#rrggbb"),
+    ("render @head-clean.ply a.png --label a --label ''", 2, "2 labels for 1 files"),
+    ("render @head-clean.ply a.png --turntable 360 --size 2000", 2, "lower --size"),
+    ("sweep @nonmanifold-noisy.ply a.png --beta 1,x", 2, "list of numbers"),
+    ("sweep @nonmanifold-noisy.ply a.png --beta -3", 2, "beta is -3"),
+    (f"sweep @nonmanifold-noisy.ply a.png -n {','.join(map(str, range(300)))}", 2, "too many"),
+    # options that need, or contradict, each other
+    ("smooth @terrain-noisy.ply out.ply --units world", 2, "--units world needs -t"),
+    ("smooth @terrain-noisy.ply out.ply --units world --preset paper", 2, "--units world needs -t"),
+    ("smooth @terrain-noisy.ply out.ply --channels r --space oklab", 2, "oklab"),
+    ("smooth @terrain-noisy.ply out.ply --metric-channels r --space oklab", 2, "oklab"),
+    ("smooth @terrain-noisy.ply out.ply --metric-channels x", 2, "no channel x"),
+    ("smooth @terrain-noisy.ply out.ply --metric-channels r,none", 2, "or none"),
+    ("smooth @terrain-noisy.ply out.ply --normal-beta 1", 2, "add --smooth-geometry"),
+    ("smooth @terrain-noisy.ply out.ply --guide-beta 1", 2, "add --guide"),
+    ("smooth @terrain-noisy.ply out.ply --guide @terrain-clean.ply --guide-beta 1 --guide-beta 2", 2, "has 2 values"),
+    ("smooth @terrain-noisy.ply out.glb --texture-size 64", 2, "--unwrap"),
+    ("smooth @terrain-noisy.ply out.glb --unwrap --smooth-geometry", 2, "--unwrap"),
+    ("smooth @terrain-noisy.ply out.glb --unwrap --on both", 2, "--on"),
+    ("smooth @terrain-noisy.ply out.glb --unwrap --slots normal", 2, "--slots"),
+    ("smooth @terrain-noisy.ply out.glb --unwrap --texture-format tif", 2, "PNG and JPEG"),
+    ("smooth @head-tex-noisy.glb out.glb --unwrap --guide normal", 2, "--unwrap"),
+    ("noise @knot-clean.ply o.ply --kind jpeg", 2, "beltrami bake"),
+    ("noise @knot-clean.ply o.ply --kind grain", 2, "--sigma"),
+    ("bake @nonmanifold-noisy.ply out.glb", 2, "--to"),
+    ("render @nonmanifold-noisy.ply a.gif", 2, "--turntable"),
+    ("sweep - a.png --beta 1", 2, "not a pipe"),
+    ("report - @knot-clean.ply page.html", 2, "pipe"),
+    ("level @head-tex-clean.glb out.glb --reference absent*", 2, "--reference absent*"),
+    ("level @head-tex-clean.glb out.glb --reference *", 2, "keeps all charts"),
+    ("batch @nonmanifold-noisy.ply --out-dir out --sigma 20", 2, "--add-noise"),
+    ("batch bad.ply --out-dir out --pieces 2 --smooth-geometry", 2, "bad.ply: vertices are not moved in pieces"),
+    # options and files that do not fit each other
+    ("smooth @terrain-noisy.ply out.ply --on texture", 3, "terrain-noisy.ply: "),
+    ("smooth @terrain-noisy.ply out.ply --on both", 3, "terrain-noisy.ply: "),
+    ("smooth @mirrored-noisy.obj out.obj --on vertices", 3, "mirrored-noisy.obj: "),
+    ("smooth @mirrored-noisy.obj out.obj --on both", 3, "mirrored-noisy.obj: "),
+    ("smooth @torus-two-noisy.gltf o.gltf --slots normal", 3, "it has no normal textures, but baseColor textures"),
+    ("smooth @terrain-noisy.ply o.ply --slots normal", 3, "it has no normal textures, but no textures at all"),
+    ("smooth @terrain-noisy.ply out.ply --guide nothing", 3, "no such file, and no attribute"),
+    ("smooth @terrain-noisy.ply out.ply --guide @knot-noisy.ply", 3, f"do not fit the {VERTICES} vertices"),
+    ("smooth @terrain-noisy.ply out.ply --guide odd.npy", 3, "3 x 3 numbers do not fit"),
+    ("smooth @terrain-noisy.ply out.ply --guide many.npz", 3, "which of its arrays one, two is meant"),
+    ("smooth @terrain-noisy.ply out.ply --guide hollow.npy", 3, "its row 7 is not finite"),
+    ("smooth @terrain-noisy.ply out.ply --guide words.npy", 3, "not of real numbers"),
+    ("smooth @terrain-noisy.ply out.ply --guide damaged.npy", 3, "too few numbers"),
+    ("smooth @head-tex-noisy.obj out.obj --guide normal", 3, "the slots of"),
+    ("smooth @head-tex-noisy.obj out.obj --guide @scan-clean.jpg", 3, "do not fit the"),
+    ("smooth @head-tex-noisy.obj out.obj --guide @terrain-noisy.ply", 3, "no known image format"),
+    ("smooth @torus-two-noisy.gltf o.gltf --guide @head-tex-noisy.png", 2, "--texture"),
+    ("smooth @head-tex-noisy.png out.png --guide @scan-clean.jpg", 3, "do not fit the"),
+    ("smooth @head-tex-noisy.obj out.obj --smooth-geometry", 2, "--on vertices"),
+    ("smooth @head-tex-noisy.png out.png --smooth-geometry", 2, "--smooth-geometry"),
+    ("smooth points.ply out.ply --smooth-geometry", 3, "no triangles"),
+    ("smooth scan.txt out.xyz --columns x,y,z,r,g,b,scalar --unwrap", 2, ".xyz file has no textures"),
+    ("smooth points.ply out.ply --unwrap", 3, "triangulate the points first"),
+    ("smooth @terrain-noisy.ply out.glb --unwrap --on texture", 3, "no texture"),
+    ("smooth @head-tex-noisy.png out.png --unwrap", 3, "head-tex-noisy.png: it is an image"),
+    ("smooth @terrain-noisy.ply out.ply --colours missing.npz", 2, "--colours"),
+    ("level @head-noisy.ply out.ply", 3, "nothing says which photograph"),
+    ("level @head-tex-clean.png out.png", 2, "head-tex-clean.png: an image has no charts"),
+    ("bake points.ply out.glb --to texture", 3, "no triangles"),
+    ("bake @nonmanifold-noisy.ply out.ply --to vertices", 3, "no texture"),
+    ("bake @nonmanifold-noisy.ply out.glb --to texture --max-unwrap-faces 9", 3, "--max-unwrap-faces "),
+    ("bake @nonmanifold-noisy.ply out.glb --to texture --size 16 --padding 3", 1, "do not fit"),
+    ("render @head-clean.ply a.png --show texture", 3, "has no baseColor texture"),
+    ("check @nonmanifold-noisy.ply @nonmanifold-noisy.obj", 2, "nonmanifold-noisy.obj"),
+    ("compare one/m.obj other/m.obj --min-ssim 0.9 --map map.png --json", 3, "b.png: --min-ssim"),
+    ("report @knot-noisy.ply @knot-clean.ply page.html --parameters list.json", 3, "list.json"),
+    ("report @knot-noisy.ply @head-clean.ply page.html", 3, "head-clean.ply"),
+    ("report @knot-noisy.ply @scan-clean.jpg page.html", 3, "scan-clean.jpg"),
+    ("sweep @nonmanifold-noisy.ply a.png -n 1 --reference @knot-clean.ply --size 32", 3, "nonmanifold-noisy.ply"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "code", "said"), REFUSED, ids=[words[:99] for words, *_ in REFUSED])
+def test_it_is_refused_in_one_line_and_nothing_is_written(words, code, said, folder):
+    if "fifo" in words and not hasattr(os, "mkfifo"):
+        pytest.skip("there are no FIFOs")
+    if words.startswith(("render", "sweep")):
+        pytest.importorskip("embreex")
+    refused(folder, *(word.replace("@", f"{SAMPLES}/") for word in shlex.split(words)), code=code, said=said)
+
+
+@pytest.mark.parametrize("command", ["info bad.ply", "check bad.ply bad.ply", "smooth bad.ply out.ply"])
+def test_a_traceback_comes_on_demand_only(command, folder):
+    plain = refused(folder, *command.split(), code=3)
+    reported = beltrami(*command.split(), "-vv", code=3, cwd=folder, text=True)
+    assert "Traceback" in reported.stderr
+    assert reported.stderr.endswith(plain)
