@@ -25,26 +25,33 @@ from batch.batches import (
 )
 from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami, refused
-from hostile.textured_models import OTHER, PICTURE, write_model
 
-KINDS = ("terrain-noisy.ply", "nonmanifold-noisy.obj", "terrain-noisy.glb")
+SAMPLE_OF = {
+    "a.ply": "terrain-noisy.ply",
+    "b.obj": "nonmanifold-noisy.obj",
+    "deep/c.glb": "terrain-noisy.glb",
+}
+SCANS = (*SAMPLE_OF, "skin/model.obj")
+
+
+def make_scans(folder):
+    """Write meshes, and a model with a library and a texture."""
+    for place, name in SAMPLE_OF.items():
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(SAMPLES / name, folder / place)
+    (folder / "skin").mkdir()
+    write_textured(folder / "skin")
+    return folder
 
 
 @pytest.fixture
 def scans(tmp_path):
-    folder = tmp_path / "scans"
-    (folder / "deep").mkdir(parents=True)
-    for name, place in zip(KINDS, ("a.ply", "b.obj", "deep/c.glb"), strict=True):
-        shutil.copy(SAMPLES / name, folder / place)
-    return folder
+    return make_scans(tmp_path / "scans")
 
 
 # 2 s: the processes of a batch are the point here, and in the tests below that kill some.
 @pytest.mark.slow
 def test_each_file_is_as_smooth_makes_it_to_the_last_byte(scans, tmp_path):
-    textured = scans / "skin"
-    textured.mkdir()
-    write_textured(textured)
     out, single = tmp_path / "out", tmp_path / "single"
     batch(scans, "--out-dir", out, "-j", 3, *QUICK)
     for name, line in report_of(out).items():
@@ -60,9 +67,8 @@ def test_failures_are_reported_and_the_others_go_on(scans, tmp_path):
     (scans / "0.ply").write_bytes(b"no model")
     said = batch(scans, "--out-dir", tmp_path / "out", *QUICK, code=1)
     assert said.count("0.ply: the content is of no known format") == 1
-    assert "1 of 4 files failed" in said.splitlines()[-1]
-    found = statuses(tmp_path / "out")
-    assert found == {"0.ply": "failed", "a.ply": "done", "b.obj": "done", "deep/c.glb": "done"}
+    assert "1 of 5 files failed" in said.splitlines()[-1]
+    assert statuses(tmp_path / "out") == {"0.ply": "failed", **dict.fromkeys(SCANS, "done")}
     assert report_of(tmp_path / "out")["0.ply"]["exit_code"] == 3
 
 
@@ -74,58 +80,80 @@ def test_fail_fast_starts_nothing_more(scans, tmp_path):
     found = statuses(out)
     assert found.pop("0.ply") == "failed"
     assert set(found.values()) == {"not started"}
-    shutil.copy(SAMPLES / KINDS[0], scans / "0.ply")
+    shutil.copy(SAMPLES / "terrain-noisy.ply", scans / "0.ply")
     batch(scans, "--out-dir", out, "--resume", *QUICK)
     assert set(statuses(out).values()) == {"done"}
 
 
+def cut_off(record):
+    record.write_text(record.read_text()[:-20])
+
+
+# What changes below a folder after a batch; the options of the next run; the files that are not skipped.
+CHANGES = {
+    "nothing": (lambda folder: None, (), {}),
+    "the threads": (lambda folder: None, ("--threads", 1), {}),
+    "a parameter": (lambda folder: None, ("--beta", 20), dict.fromkeys(SCANS, "done")),
+    "a mesh": (
+        lambda folder: shutil.copy(SAMPLES / "terrain-clean.ply", folder / "scans" / "a.ply"), (),
+        {"a.ply": "done"},
+    ),
+    "a sidecar file": (
+        lambda folder: shutil.copy(SAMPLES / "mirrored-clean.png", folder / "scans" / "skin" / "skin.png"), (),
+        {"skin/model.obj": "done"},
+    ),
+    "a result is gone": (lambda folder: (folder / "out" / "b.obj").unlink(), (), {"b.obj": "done"}),
+    "a result is edited": (
+        lambda folder: (folder / "out" / "a.ply").write_bytes(b"by hand"), (), {"a.ply": "failed"}
+    ),
+    "a result is edited, which may be replaced": (
+        lambda folder: (folder / "out" / "a.ply").write_bytes(b"by hand"), ("--overwrite",), {"a.ply": "done"}
+    ),
+    "the end of the record": (
+        lambda folder: cut_off(folder / "out" / "batch.jsonl"), ("--overwrite",), {"skin/model.obj": "done"}
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("finished")
+    make_scans(folder / "scans")
+    batch("scans", "--out-dir", "out", *QUICK, cwd=folder)
+    return folder
+
+
+@pytest.fixture
+def finished(template, tmp_path):
+    """A folder of its own in which a batch is done."""
+    shutil.copytree(template, tmp_path, dirs_exist_ok=True)
+    record = tmp_path / "out" / "batch.jsonl"
+    record.write_text(record.read_text().replace(str(template), str(tmp_path)))
+    return tmp_path
+
+
 @pytest.mark.slow
-def test_resume_does_again_what_changed_and_nothing_else(scans, tmp_path):
-    out = tmp_path / "out"
-    arguments = (scans, "--out-dir", out, "--resume")
-    batch(*arguments, *QUICK)
-    batch(*arguments, *QUICK)
-    assert set(statuses(out).values()) == {"skipped"}
-
-    shutil.copy(SAMPLES / "terrain-clean.ply", scans / "a.ply")  # other content
-    batch(*arguments, *QUICK)
-    assert statuses(out) == {"a.ply": "done", "b.obj": "skipped", "deep/c.glb": "skipped"}
-    assert (out / "a.ply").read_bytes() == smoothed(scans / "a.ply", tmp_path / "one.ply", *QUICK)
-
-    (out / "b.obj").unlink()  # a result that is gone
-    batch(*arguments, *QUICK)
-    assert statuses(out) == {"a.ply": "skipped", "b.obj": "done", "deep/c.glb": "skipped"}
-
-    batch(*arguments, *QUICK, "--threads", 1)  # of no influence on the result
-    assert set(statuses(out).values()) == {"skipped"}
-    batch(*arguments, *QUICK, "--beta", 20)  # other parameters
-    assert set(statuses(out).values()) == {"done"}
+@pytest.mark.parametrize("change", CHANGES)
+def test_resume_does_again_what_changed_and_nothing_else(change, finished):
+    make, options, again = CHANGES[change]
+    make(finished)
+    out, before = finished / "out", files_in(finished / "out")
+    has_failed = "failed" in again.values()
+    batch("scans", "--out-dir", "out", "--resume", *QUICK, *options, cwd=finished, code=int(has_failed))
+    found = {line["output"].removeprefix("out/"): line["status"] for line in lines_of(out / "batch.jsonl")}
+    assert found == dict.fromkeys(SCANS, "skipped") | again
+    if has_failed:
+        assert files_in(out) == before
+    else:
+        batch("scans", "--out-dir", "fresh", *QUICK, *options, cwd=finished)
+        assert files_in(out) == files_in(finished / "fresh")
 
 
-@pytest.mark.slow
-def test_resume_sees_that_a_file_beside_a_model_changed(tmp_path):
-    folder = tmp_path / "in"
-    folder.mkdir()
-    write_textured(folder)
-    out = tmp_path / "out"
-    batch(folder, "--out-dir", out, "--resume", *QUICK)
-    before = (out / "model_skin.png").read_bytes()
-    shutil.copy(SAMPLES / "mirrored-clean.png", folder / "skin.png")
-    batch(folder, "--out-dir", out, "--resume", *QUICK)
-    assert set(statuses(out).values()) == {"done"}
-    assert (out / "model_skin.png").read_bytes() != before
-
-
-@pytest.mark.slow
-def test_resume_does_not_replace_what_somebody_else_changed(scans, tmp_path):
-    out = tmp_path / "out"
-    batch(scans, "--out-dir", out, *QUICK)
-    (out / "a.ply").write_bytes(b"edited by hand")
-    said = batch(scans, "--out-dir", out, "--resume", *QUICK, code=1)
-    assert "a.ply: exists already" in said
-    assert (out / "a.ply").read_bytes() == b"edited by hand"
-    batch(scans, "--out-dir", out, "--resume", "--overwrite", *QUICK)
-    assert statuses(out) == {"a.ply": "done", "b.obj": "skipped", "deep/c.glb": "skipped"}
+def test_a_report_with_a_line_of_something_else_is_refused(finished):
+    record = finished / "out" / "batch.jsonl"
+    record.write_text("{}\n" + record.read_text())
+    words = ("scans", "--out-dir", "out", "--resume")
+    assert "line 1 is not of a report" in batch(*words, *QUICK, cwd=finished, code=3)
 
 
 @pytest.mark.slow
@@ -191,18 +219,6 @@ def command_line(process):
         return Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:
         return b""
-
-
-@pytest.mark.slow
-def test_a_last_line_of_the_report_that_was_cut_off_is_left_out(scans, tmp_path):
-    out = tmp_path / "out"
-    batch(scans, "--out-dir", out, *QUICK)
-    whole = (out / "batch.jsonl").read_text()
-    (out / "batch.jsonl").write_text(whole[:-20])
-    batch(scans, "--out-dir", out, "--resume", "--overwrite", *QUICK)
-    assert statuses(out) == {"a.ply": "skipped", "b.obj": "skipped", "deep/c.glb": "done"}
-    (out / "batch.jsonl").write_text("{}\n" + whole)
-    assert "line 1 is not of a report" in batch(scans, "--out-dir", out, "--resume", *QUICK, code=3)
 
 
 MANIFESTS = {
@@ -332,26 +348,6 @@ def test_a_file_that_wants_more_than_its_share_of_memory_is_done_alone(scans, tm
     said = batch(*inputs, "--out-dir", tmp_path / "out", "-j", 2, "--max-memory", 2 * share, "-v", *QUICK)
     assert "b.obj: wants more than its share of memory" in said
     assert set(statuses(tmp_path / "out").values()) == {"done"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["obj", "gltf"])
-def test_models_whose_textures_have_one_name_go_to_one_folder(kind, tmp_path):
-    pictures = {"one": PICTURE, "two": OTHER}
-    for name, picture in pictures.items():
-        write_model(tmp_path / name, kind, "skin.png").rename(tmp_path / name / f"{name}.{kind}")
-        (tmp_path / name / "skin.png").write_bytes(picture)
-    out = tmp_path / "out"
-    batch(*(tmp_path / name / f"{name}.{kind}" for name in pictures), "--out-dir", out, "-j", 2, *QUICK)
-    assert set(statuses(out).values()) == {"done"}
-    for name in pictures:
-        alone = tmp_path / "alone" / f"{name}.{kind}"
-        alone.parent.mkdir(exist_ok=True)
-        smoothed(tmp_path / name / f"{name}.{kind}", alone, *QUICK)
-        for path in alone.parent.glob(f"{name}*"):
-            assert (out / path.name).read_bytes() == path.read_bytes()
-    expected = {path.name for path in alone.parent.iterdir()} | {"batch.jsonl"}
-    assert {path.name for path in out.iterdir()} == expected
 
 
 def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Future
 from importlib.util import find_spec
 
 import numpy as np
@@ -23,9 +22,8 @@ from beltrami_cli.batch import cluster as cluster_module
 from beltrami_cli.batch.chunk_runners import DaskRunner
 from beltrami_cli.batch.item import Item, do_item
 from beltrami_cli.cli.main import group
-from beltrami_cli.errors import ProcessingError
 from beltrami_cli.flow import chunks
-from beltrami_cli.flow.chunks import Chunk, Work, in_chunks
+from beltrami_cli.flow.chunks import in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
 from cli.commands import COMMAND, SAMPLES
@@ -121,46 +119,6 @@ def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
     assert np.array_equal(parts.colours, whole.colours)
 
 
-@pytest.mark.parametrize("kind", [KeyError, OSError, ValueError, RuntimeError, AssertionError])
-def test_a_chunk_is_sent_again_whatever_dask_raises_and_not_for_ever(kind):
-    """Dask raises many kinds of exceptions when a worker dies; exceptions of the work itself are its answer."""
-    lost = [1]
-
-    class Client:
-        status = "running"
-
-        def nthreads(self):
-            return {"one": 1, "two": 1}
-
-        def scatter(self, value, **_):
-            return value
-
-        def submit(self, function, chunk, job, version, **_):
-            future = Future()
-            if lost[0] and chunk.part == 1:
-                lost[0] -= 1
-                future.set_exception(kind("two"))
-            else:
-                future.set_result(function(chunk, job, version))
-            return future
-
-        def cancel(self, futures, **_):
-            pass
-
-    cut = [Chunk(part, kept=slice(None)) for part in range(4)]
-    work = Work(lambda part, stacks, threads: (stacks[0] + part, (1.0, 0)), ())
-
-    def done():
-        answers = DaskRunner(Client()).run(cut, work, lambda chunk: [np.zeros(1, np.float32)])
-        return sorted((number, values.tolist()) for number, values, _ in answers)
-
-    assert done() == [(number, [number]) for number in range(4)]
-    assert lost == [0]
-    lost[0] = 1000
-    with pytest.raises(ProcessingError, match="workers died or failed 5 times"):
-        done()
-
-
 @pytest.mark.slow
 def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
     """In one process, whose memory is a file system for all threads."""
@@ -195,14 +153,6 @@ def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
         }
         assert "memory:///beltrami/in/deep/skin.png" in lines["model.obj"]["read"]
     memory.rm("/beltrami", recursive=True)
-
-
-@pytest.mark.slow
-def test_file_urls_are_paths(scans, tmp_path):
-    batch(f"file://{scans}/*.ply", "--out-dir", f"file://{tmp_path}/out", *QUICK)
-    (line,) = lines_of(tmp_path / "out" / "batch.jsonl")
-    assert (line["input"], line["output"]) == (f"{scans}/knot.ply", f"{tmp_path}/out/knot.ply")
-    assert set(files_in(tmp_path / "out")) == {"knot.ply"}
 
 
 @pytest.mark.slow

@@ -159,12 +159,19 @@ def kinds_in(value):
     return {type(value)}.union(*map(kinds_in, inner))
 
 
-@pytest.mark.parametrize("options", [("--fast",), ("--fast", "--smooth-geometry"), ("--preset", "paper")])
-def test_facts_are_of_json_types_alone_and_can_be_shown(options):
-    name = SAMPLES / "nonmanifold-noisy.obj"
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("nonmanifold-noisy.obj", ("--fast", "--smooth-geometry")),
+        ("nonmanifold-noisy.obj", ("--preset", "paper")),
+        ("torus-two-noisy-dough.png", ("--fast",)),
+    ],
+)
+def test_facts_are_of_json_types_alone_and_can_be_shown(name, options):
+    source = SAMPLES / name
     settings = override(SmoothSettings(), smooth_geometry="--smooth-geometry" in options)
-    assert kinds_in(inspect_file(name, settings)) <= {dict, list, str, int, float, bool, type(None)}
-    assert beltrami("info", name, *options).stderr == b""
+    assert kinds_in(inspect_file(source, settings)) <= {dict, list, str, int, float, bool, type(None)}
+    assert beltrami("info", source, *options).stderr == b""
 
 
 @pytest.mark.slow

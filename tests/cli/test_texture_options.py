@@ -221,7 +221,13 @@ def test_another_image_format_is_written_without_iterations(target, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", [*TEXTURED, *(f"nonmanifold-noisy.{each}" for each in ("ply", "obj", "glb"))]
+    "name",
+    [
+        *TEXTURED,
+        *(f"nonmanifold-noisy.{each}" for each in ("ply", "obj", "glb")),
+        "scan-noisy.jpg",
+        "mirrored-noisy.png",
+    ],
 )
 def test_no_iterations_carry_every_file_byte_by_byte_to_another_folder(name, tmp_path):
     smooth(SAMPLES / name, tmp_path / name, "-n", "0")

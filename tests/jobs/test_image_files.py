@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
-
 import numpy as np
 import pytest
 
@@ -15,7 +12,6 @@ from beltrami_cli import (
     SmoothSettings,
     TextureSettings,
     UsageError,
-    inspect_file,
     smooth_file,
     smooth_image,
 )
@@ -23,7 +19,7 @@ from beltrami_cli.fields import override
 from beltrami_cli.formats.image import read_image, to_float
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.image_surface import ImageSurface
-from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode, icc_profile
+from formats.image_files import RARER_SUFFIXES, SUFFIXES, encode
 from hostile.textured_models import ONCE
 
 ROWS, COLUMNS = 36, 44
@@ -98,32 +94,6 @@ def test_floats_are_linear_light_that_is_smoothed_as_the_eye_sees_it(tmp_path):
     smooth_file(tmp_path / "a.exr", tmp_path / "c.exr", SmoothSettings(space="data"))
     expected = smooth_image(pixels, space="data").colours
     assert np.abs(load(tmp_path / "c.exr").pixels - expected).max() < 1e-6
-
-
-def test_profile_and_texts_stay(tmp_path):
-    for name in ("a.png", "a.tif", "a.jpg"):
-        source = save(tmp_path / name, pixels_of("uint8", 3), ICCProfile=icc_profile(), Artist="me")
-        target = tmp_path / f"b{source.suffix}"
-        smooth_file(source, target, ONCE)
-        old, new = load(source).spec, load(target).spec
-        assert new.getattribute("Artist") == old.getattribute("Artist") == "me"
-        if name != "a.png":  # where OpenImageIO writes no profile as small as this one
-            assert bytes(new.getattribute("ICCProfile")) == icc_profile()
-
-
-@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.gif", "a.exr"])
-def test_without_iterations_the_file_is_copied(name, tmp_path):
-    pixels = (
-        np.zeros((5, 7, 3), np.uint8)
-        if name == "a.gif"
-        else pixels_of("half" if name == "a.exr" else "uint8", 3)
-    )
-    source, target = (
-        save(tmp_path / name, pixels, kind=str(pixels.dtype).replace("float16", "half")),
-        tmp_path / f"b{name}",
-    )
-    smooth_file(source, target, SmoothSettings(KernelParameters(iterations=0)))
-    assert target.read_bytes() == source.read_bytes()
 
 
 @pytest.mark.slow
@@ -324,16 +294,3 @@ def test_settings_of_images_contradict_neither_each_other_nor_the_file(tmp_path)
         smooth_file(
             save(tmp_path / "g.png", pixels_of("uint8", 1)), tmp_path / "b.png", SmoothSettings(space="oklab")
         )
-
-
-@pytest.mark.slow
-def test_the_report_and_info_describe_the_image_in_json_types(tmp_path):
-    source = save(tmp_path / "a.png", pixels_of("uint8", 4))
-    report = asdict(smooth_file(source, tmp_path / "b.png", job=Job(dry_run=True)))
-    assert json.loads(json.dumps(report))["image"]["image"]["width"] == COLUMNS
-    assert report["written"] == []
-    assert not (tmp_path / "b.png").exists()
-    facts = json.loads(json.dumps(inspect_file(source)))
-    assert (facts["image"]["width"], facts["image"]["height"]) == (COLUMNS, ROWS)
-    assert facts["noise"] == report["image"]["noise"]
-    assert facts["smooth"]["beta"] == report["image"]["beta"]

@@ -155,7 +155,6 @@ def test_info_describes_the_grid_and_its_surface_by_the_level_that_is_given(tmp_
     assert facts["file"]["format"] == "level set"
     assert facts["file"]["level"] == 0.5
     assert facts["surface"]["boundary_edges"] == facts["surface"]["degenerate_faces"] == 0
-    assert facts["smooth"]["samples_per_kernel"] > 1
 
 
 def test_options_of_level_sets_are_refused_for_meshes_and_out_of_range(tmp_path):

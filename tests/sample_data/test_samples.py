@@ -1,48 +1,21 @@
-"""What SOURCES.md claims about the sample meshes is true, and the files are what the script makes."""
+"""The files are what the script makes, and what SOURCES.md claims about them is true."""
 
 from __future__ import annotations
 
+import json
+import struct
 import sys
-from collections import Counter
-from pathlib import Path
 
 import numpy as np
+import OpenImageIO
 import pytest
 
-FOLDER = Path(__file__).parents[2] / "sample_data"
+import beltrami_cli
+from cli.commands import SAMPLES
+
 NAMES = ("knot", "head", "terrain", "nonmanifold")
-
-
-@pytest.fixture(scope="module")
-def samples(make):
-    return dict(make.samples())
-
-
-def edges(triangles):
-    """Return how many triangles hold each edge."""
-    pairs = np.sort(
-        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1
-    )
-    return np.unique(pairs, axis=0, return_counts=True)
-
-
-def border_loops(triangles):
-    """Return the number of closed curves that the edges with one triangle form."""
-    pairs, count = edges(triangles)
-    beside = {}
-    for a, b in pairs[count == 1].tolist():
-        beside.setdefault(a, []).append(b)
-        beside.setdefault(b, []).append(a)
-    loops, seen = 0, set()
-    for start in beside:
-        if start in seen:
-            continue
-        loops, todo = loops + 1, [start]
-        while todo:
-            here = todo.pop()
-            seen.add(here)
-            todo += [other for other in beside[here] if other not in seen]
-    return loops
+PLAIN = beltrami_cli.SmoothSettings(beltrami_cli.KernelParameters())  # in which nothing is chosen by the data
+TEXTURED = ("head-tex", "torus-two", "mirrored", "tiled", "sphere-exr", "scan")
 
 
 # 4 s: all samples are made.
@@ -67,76 +40,153 @@ def test_check_reports_a_changed_and_a_missing_file_and_writes_nothing(make, cap
     assert not missing.exists()
 
 
+def test_check_looks_at_pixels_not_at_how_they_are_packed(make, tmp_path):
+    path, clean = tmp_path / "again.png", pixels("mirrored-clean.png")[0].copy()
+    same = sys.modules["comparison"].same
+    made = (SAMPLES / "mirrored-clean.png").read_bytes()
+    for change, expected in ((0, True), (1, False)):
+        clean[5, 7] += change
+        spec = OpenImageIO.ImageSpec(clean.shape[1], clean.shape[0], 1, "uint8")
+        spec["png:compressionLevel"] = 1
+        output = OpenImageIO.ImageOutput.create(str(path))
+        output.open(str(path), spec)
+        output.write_image(clean)
+        output.close()
+        assert path.read_bytes() != made
+        assert same(path.read_bytes(), made, ".png") is expected
+
+
+def test_check_sees_what_changes_in_a_glb_besides_the_packing_of_its_images(make):
+    same = sys.modules["comparison"].same
+    data = (SAMPLES / "scan-clean.glb").read_bytes()
+    start = 28 + len(chunk(SAMPLES / "scan-clean.glb"))
+    assert same(data, data, ".glb")
+    moved = bytearray(data)
+    moved[start] ^= 1
+    assert not same(bytes(moved), data, ".glb")
+    assert not same(data[:1000], data, ".glb")
+
+
 def test_all_files_together_are_small():
-    assert sum(p.stat().st_size for p in FOLDER.iterdir() if p.suffix not in {".py", ".md"}) < 10e6
+    assert sum(p.stat().st_size for p in SAMPLES.iterdir() if p.suffix not in {".py", ".md"}) < 10e6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "triangles", "charts", "euler"),
+    [
+        ("knot-clean.ply", 10_368, None, 0),
+        ("head-clean.ply", 13_520, None, 2),
+        ("terrain-clean.ply", 4844, None, None),
+        ("nonmanifold-clean.ply", 2594, None, None),
+        ("head-tex-clean.glb", 3380, 24, 2),
+        ("torus-two-clean.gltf", 3072, 2, 0),
+        ("mirrored-clean.obj", 2880, 2, None),  # both halves on the same texels
+        ("tiled-clean.glb", 3072, 1, None),
+        ("sphere-exr-clean.obj", 2352, 6, 2),
+        ("scan-clean.ply", 4010, 100, None),
+    ],
+)
+def test_surfaces_are_as_stated(name, triangles, charts, euler):
+    facts = beltrami_cli.inspect_file(SAMPLES / name, PLAIN)
+    surface, is_special = facts["surface"], name.startswith("nonmanifold")
+    assert surface["triangles"] == triangles
+    assert (surface["boundary_edges"] == 0) == (euler is not None)
+    vertices = surface["vertices"] - surface["coincident_vertices"]
+    assert euler in (None, vertices - surface["edges"] + surface["triangles"])
+    assert (surface["non_manifold_edges"] > 0) == (surface.get("hard_edge_samples", 0) > 0) == is_special
+    for fault in ("duplicate_faces", "degenerate_faces", "isolated_vertices"):
+        assert surface[fault] == is_special
+    if charts is not None:
+        (slot,) = facts["textures"]
+        assert slot["charts"] == charts
+        shared = slot["overlapped"] / slot["covered"]
+        assert shared == (1 if name.startswith(("mirrored", "tiled")) else pytest.approx(0, abs=1e-3))
+        # Paintings are continuous across seams: one chart half as bright would be found.
+        assert not (slot["exposure"] or {}).get("is_exposure")
+
+
+@pytest.fixture(scope="module")
+def samples(make):
+    return dict(make.samples())
+
+
+@pytest.fixture(scope="module")
+def textured(make):
+    return dict(make.textured_samples())
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_noise_is_gaussian_of_20_levels_away_from_clipping(samples, name):
-    clean, noisy = (samples[f"{name}-{kind}"].colours.astype(float) for kind in ("clean", "noisy"))
-    # Five standard deviations from either end nothing is clipped.
-    inside = (clean > 100) & (clean < 155)
-    noise = (noisy - clean)[inside]
-    # Rounding to 8 bit adds 1/12 to the variance; bounds are four standard errors.
-    sigma = np.hypot(20, 12**-0.5)
-    assert abs(noise.mean()) < 4 * sigma / len(noise) ** 0.5
-    assert abs(noise.std() / sigma - 1) < 4 / (2 * len(noise)) ** 0.5
-    assert abs((np.abs(noise) < sigma).mean() - 0.6827) < 0.02 + 4 * 0.47 / len(noise) ** 0.5
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_coincident_vertices_of_one_colour_stay_of_one_colour(samples, name):
+def test_noise_is_gaussian_of_20_levels_and_one_at_one_place(samples, name):
     clean, noisy = samples[f"{name}-clean"], samples[f"{name}-noisy"]
-    points = np.unique(np.hstack([clean.positions, clean.colours]), axis=0)
-    assert len(np.unique(np.hstack([clean.positions, clean.colours, noisy.colours]), axis=0)) == len(points)
     assert clean.polygons == noisy.polygons
     assert np.array_equal(clean.positions, noisy.positions)
+    points = np.unique(np.hstack([clean.positions, clean.colours]), axis=0)
+    assert len(np.unique(np.hstack([clean.positions, clean.colours, noisy.colours]), axis=0)) == len(points)
+    # Five standard deviations from either end nothing is clipped. Rounding to 8 bit adds 1/12 to the variance.
+    inside = (clean.colours > 100) & (clean.colours < 155)
+    check_gaussian((noisy.colours.astype(float) - clean.colours)[inside], np.hypot(20, 12**-0.5))
 
 
-@pytest.mark.parametrize(("name", "euler"), [("knot", 0), ("head", 2)])
-def test_closed_samples_are_closed_oriented_outwards_and_of_the_stated_genus(samples, name, euler):
-    sample = samples[f"{name}-clean"]
-    triangles = sample.triangles()
-    pairs, count = edges(triangles)
-    assert (count == 2).all()
-    assert len(sample.positions) - len(pairs) + len(triangles) == euler
-    directed = Counter((t[i], t[i - 2]) for t in triangles.tolist() for i in range(3))
-    assert max(directed.values()) == 1
-    a, b, c = (sample.positions[triangles[:, k]] for k in range(3))
-    assert (np.cross(a, b) * c).sum() > 0
+def check_gaussian(noise, sigma):
+    """Check mean, deviation, and the share within one deviation, each to four standard errors."""
+    assert abs(noise.mean()) < 4 * sigma / noise.size**0.5
+    assert abs(noise.std() / sigma - 1) < 4 / (2 * noise.size) ** 0.5
+    assert abs((np.abs(noise) < sigma).mean() - 0.6827) < 0.02 + 4 * 0.47 / noise.size**0.5
 
 
-def test_the_terrain_is_open_with_one_hole_of_quads_and_triangles(samples):
-    sample = samples["terrain-clean"]
-    _, count = edges(sample.triangles())
-    assert set(count.tolist()) == {1, 2}
-    assert border_loops(sample.triangles()) == 2
-    assert {len(p) for p in sample.polygons} == {3, 4}
-    assert len(np.unique(sample.triangles())) == len(sample.positions)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TEXTURED)
+def test_noise_of_textures_is_on_painted_texels_alone(textured, name):
+    pairs = zip(textured[f"{name}-clean"].paintings, textured[f"{name}-noisy"].paintings, strict=True)
+    for clean, noisy in pairs:
+        noise = noisy.pixels - clean.pixels
+        assert (noise[~clean.painted] == 0).all()
+        check_gaussian(noise[clean.painted] * 255, 20)
 
 
-def test_three_sheets_meet_along_the_spine_and_nowhere_else(samples, make):
-    sheets = sys.modules["nonmanifold"]
-    sample = samples["nonmanifold-clean"]
-    triangles = sample.triangles()
-    kept = np.unique(np.sort(triangles, axis=1), axis=0)
-    assert len(triangles) - len(kept) == 1  # the duplicate face
-    pairs, count = edges(kept)
-    crowded = pairs[count == 3]
-    assert count.max() == 3
-    assert (crowded.max(axis=1) < sheets.HEIGHT).all()
-    assert len(crowded) == sheets.HEIGHT - 1
-    corners = sample.positions[kept]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    assert (area < 1e-5).sum() == 1  # the face without area, up to the rounding of positions
-    assert len(sample.positions) - len(np.unique(triangles)) == 1  # the lone vertex
+def pixels(name):
+    """Return the pixels of an image file of the folder in their stored type."""
+    image = OpenImageIO.ImageInput.open(str(SAMPLES / name))
+    spec = image.spec()
+    found = np.asarray(image.read_image(0, 0, 0, spec.nchannels, spec.format))
+    image.close()
+    return found.reshape(spec.height, spec.width, spec.nchannels), spec
 
 
-def test_the_hard_edge_and_the_seam_are_coincident_vertices(samples):
-    sheets = sys.modules["nonmanifold"]
-    sample = samples["nonmanifold-clean"]
-    _, place_of, copies = np.unique(sample.positions, axis=0, return_inverse=True, return_counts=True)
-    doubled = np.flatnonzero(copies[place_of.reshape(-1)] == 2)
-    points = np.unique(np.hstack([sample.positions, sample.colours])[doubled], axis=0)
-    assert len(doubled) == 2 * (sheets.HEIGHT + sheets.ACROSS)
-    assert len(points) == 2 * sheets.HEIGHT + sheets.ACROSS
+@pytest.mark.parametrize(
+    ("file", "kind", "channels", "size"),
+    [
+        ("head-tex-{}.png", "uint8", 3, (416, 416)),
+        ("torus-two-{}-icing.png", "uint8", 3, (512, 136)),
+        ("torus-two-{}-dough.png", "uint8", 3, (320, 88)),
+        ("mirrored-{}.png", "uint8", 1, (256, 320)),
+        ("sphere-exr-{}.exr", "half", 3, (288, 192)),
+        ("scan-{}.jpg", "uint8", 3, (512, 512)),
+    ],
+)
+def test_images_are_of_the_stated_kind_and_size(file, kind, channels, size):
+    for which in ("clean", "noisy"):
+        found, spec = pixels(file.format(which))
+        assert (str(spec.format), spec.nchannels, (spec.width, spec.height)) == (kind, channels, size)
+        assert spec.getattribute("jpeg:subsampling") == ("4:2:0" if file.endswith("jpg") else None)
+        assert kind != "half" or found.max() > 2  # the glint of the sun is brighter than white
+
+
+@pytest.mark.parametrize("kind", ["clean", "noisy"])
+def test_glb_files_hold_the_same_images_as_the_files_beside_them(kind):
+    for name, suffix in (("head-tex", ".png"), ("scan", ".jpg")):
+        image = (SAMPLES / f"{name}-{kind}{suffix}").read_bytes()
+        assert image in (SAMPLES / f"{name}-{kind}.glb").read_bytes()
+    document = json.loads(chunk(SAMPLES / f"tiled-{kind}.glb"))
+    assert document["samplers"] == [{"wrapS": 10497, "wrapT": 10497}]
+    view = document["bufferViews"][document["images"][0]["bufferView"]]
+    data = (SAMPLES / f"tiled-{kind}.glb").read_bytes()[-document["buffers"][0]["byteLength"] :]
+    header = data[view["byteOffset"] : view["byteOffset"] + 25]
+    assert struct.unpack_from(">II", header, 16) == (256, 256)
+    assert header[24] == 16
+
+
+def chunk(path):
+    data = path.read_bytes()
+    return data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
