@@ -2,12 +2,45 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import re
+import signal
+import subprocess
+
 import pytest
 
 from beltrami_cli.formats.image import read_image
+from cli.commands import COMMAND
 
 RED, BLUE, WHITE = (255, 0, 0), (0, 0, 255), (255, 255, 255)
 WIDTHS = (320, 768, 1280)
+
+
+class Served:
+    """A running `beltrami view`, with the address of its page."""
+
+    def __init__(self, source, folder, *arguments):
+        # The choice of parameters is not the point here.
+        command = [*COMMAND, "view", source, "--no-open", "--fast", *arguments]
+        self.process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
+        self.address = re.search(r"http://\S+", self.process.stderr.readline())[0]
+        self.host, self.token = self.address.removeprefix("http://").strip("/").split("/")
+
+    def ask(self, path, method="GET", body=None, **headers):
+        connection = http.client.HTTPConnection(self.host, timeout=10)
+        with contextlib.closing(connection):
+            connection.request(method, path, body, {"Host": self.host, **headers})
+            answer = connection.getresponse()
+            return answer.status, answer.read()
+
+    def end(self):
+        """End it as Ctrl-C does; return its exit code."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            return self.process.wait(timeout=20)
+        finally:
+            self.process.stderr.close()
 
 
 class Page:

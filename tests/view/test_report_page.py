@@ -9,9 +9,9 @@ import pytest
 
 from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.view.models import ModelWriter
-from cli.commands import SAMPLES, beltrami
+from cli.commands import beltrami
 from cli.pictures import painted_square, plain_image, textured_square
-from view.browsing import BLUE, RED, WHITE, WIDTHS, Viewer
+from view.browsing import BLUE, RED, WHITE, Viewer
 
 pytestmark = pytest.mark.slow
 
@@ -26,14 +26,6 @@ def squares(tmp_path_factory):
     folder = tmp_path_factory.mktemp("squares")
     files = painted_square(folder / "a.ply", (1, 0, 0)), painted_square(folder / "b.ply", (0, 0, 1))
     return reported(*files, folder / "page.html")
-
-
-@pytest.fixture(scope="module")
-def head(tmp_path_factory):
-    page = tmp_path_factory.mktemp("head") / "page.html"
-    address = reported(SAMPLES / "head-tex-noisy.glb", SAMPLES / "head-tex-clean.glb", page)
-    assert page.stat().st_size < 2_000_000
-    return address
 
 
 def test_the_line_parts_both_models_and_one_camera_turns_them(browser, squares):
@@ -169,19 +161,6 @@ def test_images_and_points_are_drawn(browser, tmp_path):
     ).is_visible()  # points have nothing to choose there
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_the_page_fits_and_nothing_bars_anybody(browser, head, width):
-    viewer = Viewer(browser, head, width=width, color_scheme="dark" if width == 768 else "light")
-    assert viewer.overflow() <= 0
-    place = viewer.part("place").bounding_box()
-    assert 0.6 * width < place["width"] <= width
-    for name in ("lit", "wires", "charts", "seams", "texels"):
-        viewer.part(name).check()
-    viewer.page.get_by_label("difference", exact=True).check()
-    assert viewer.violations() == []
-    assert viewer.errors == []
-
-
 RESTORED = """async (packed) => {
   const { scene } = await new THREE.GLTFLoader().parseAsync(await Unpacking.restored(packed), "");
   const { index, attributes } = scene.children[0].geometry;
@@ -221,18 +200,3 @@ def test_what_is_packed_is_restored_and_takes_little_space(browser, squares):
     assert {tuple(face) for face in np.sort(np.reshape(index, (-1, 3))).tolist()} == {
         tuple(face) for face in np.sort(writer.row_of[painted.faces]).tolist()
     }
-
-
-def test_names_that_are_markup_stay_text(browser, tmp_path):
-    name = "<img src=x onerror=alert(1)>&amp;'\"</script>".replace("/", "-")
-    image = "<b>bold.png"
-    before = textured_square(tmp_path / f"{name}.obj", np.full((2, 2, 3), 90))
-    for path in list(tmp_path.iterdir()):
-        if path.suffix == ".png":
-            path.rename(tmp_path / image)
-    (tmp_path / "m.mtl").write_text(f"newmtl m0\nmap_Kd {image}\n")
-    before.write_text(before.read_text().replace(f"{name}.mtl", "m.mtl"))
-    viewer = Viewer(browser, reported(before, before, tmp_path / "page.html"))
-    assert name in viewer.page.locator("h1").inner_text()
-    assert viewer.page.locator("main b, main img").count() == 0
-    assert viewer.errors == []

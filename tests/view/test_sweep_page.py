@@ -12,7 +12,7 @@ from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sweep import sweep_file
 from cli.commands import SAMPLES, beltrami
-from view.browsing import WIDTHS, Page
+from view.browsing import Page
 
 pytestmark = pytest.mark.slow
 NOISY, CLEAN = (SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean"))
@@ -50,16 +50,6 @@ def test_results_are_sorted_and_open_beside_the_input(browser, swept):
     assert not dialog.is_visible()
     assert sheet.errors == []
     assert sheet.fetched() == [swept]
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-def test_the_page_fits_and_nothing_bars_anybody(browser, swept, width):
-    sheet = Page(browser, swept, width=width, color_scheme="dark" if width == 768 else "light")
-    assert sheet.overflow() <= 0
-    assert sheet.violations() == []
-    sheet.page.locator("#views button").nth(2).click()
-    assert sheet.overflow() <= 0
-    assert sheet.violations() == []
 
 
 def sweep_watched(target, watch, count=4):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from beltrami_cli.view.drawing import (
     is_lost_on_white,
     richest_window,
 )
-from beltrami_cli.view.settings import Crop, RenderSettings
+from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView, TexturePaint, VertexPaint
 from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
 from oracles import surfaces
@@ -332,13 +331,3 @@ def test_discs_of_any_size_cover_the_samples_within_their_radius():
     for place, radius, colour in zip(at, radii, colours, strict=True):
         expected[(x - place[0]) ** 2 + (y - place[1]) ** 2 <= radius**2] = [*colour, 1]
     assert np.array_equal(_discs(at, radii, colours, (80, 70)), expected)
-
-
-@pytest.mark.slow
-def test_a_few_points_are_drawn_in_a_moment():
-    colours = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]])
-    view = CloudView(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), colours)
-    start = time.process_time()
-    picture = draw_views([view], [""], RenderSettings(size=(600, 600), crops=(Crop(0.1, (0.5, 0.5)),)))
-    assert time.process_time() - start < 10
-    assert [255, 255, 0] in picture[:600, :600].tolist()[300]
