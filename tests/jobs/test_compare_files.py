@@ -13,7 +13,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.job import Limits
 from beltrami_cli.layers.settings import SmoothSettings
-from cli.commands import beltrami
+from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 
 SLOTS = {"baseColor": "colour.png", "emissive": "glow.png", "normal": "bumps.png"}
@@ -58,15 +58,6 @@ def test_whatever_differs_is_found_and_held_to_the_limits(other, tmp_path):
     assert b"are equal" not in page.stderr
 
 
-def test_equal_files_are_equal_in_everything(tmp_path):
-    one = write(tmp_path / "a")
-    compared = compare_files(one, one, Limits(min_psnr=60, max_delta_e=0, min_ssim=1))
-    assert compared.passed
-    assert len(compared.parts) == 4
-    assert compared.overall["samples"] == 32 * 32  # the measured part, the base colour
-    assert b"nothing differs" in beltrami("report", one, one, tmp_path / "page.html").stderr
-
-
 @pytest.mark.parametrize(
     ("options", "compared", "left_out"),
     [
@@ -95,29 +86,73 @@ def test_what_is_not_compared_is_said(options, compared, left_out, tmp_path):
     assert f"not compared: {left_out}".encode() in run.stderr
 
 
-def test_what_only_one_file_has_is_no_success(tmp_path):
-    one, test = write(tmp_path / "a"), write(tmp_path / "b", without="normal")
-    for pair in ((one, test), (test, one)):
-        with pytest.raises(InputError, match=r"b.m\.obj: it has no normal textures.*choose what both have"):
-            compare_files(*pair)
-    assert compare_files(one, test, settings=SmoothSettings()).passed
+def unfit(kind, folder):
+    """Write two files that cannot be compared, or not by what is asked for; return the arguments."""
+    if kind == "a slot in one file alone":
+        return write(folder / "a"), write(folder / "b", without="normal")
+    if kind == "a missing image":
+        pair = write(folder / "a"), write(folder / "b")
+        (pair[0].parent / SLOTS["emissive"]).unlink()
+        return pair
+    if kind == "Delta E of a normal map":
+        return write(folder / "a"), write(folder / "b", other="normal"), Limits(max_delta_e=5)
+    if kind == "other texture coordinates":
+        pair = write(folder / "a"), write(folder / "b")
+        pair[1].write_text(pair[1].read_text().replace("vt 1 1", "vt 0.9 1"))
+        return pair
+    if kind == "points elsewhere":
+        places, colours = np.random.default_rng(1).random((2, 30, 3))
+        for name, order in (("a", 1), ("b", -1)):
+            np.savez(folder / f"{name}.npz", positions=places[::order], colours=colours)
+        return folder / "a.npz", folder / "b.npz"
+    if kind == "nothing that is seen":
+        (folder / "a.png").write_bytes(encode(np.uint8([[[9, 9, 9, 0]]]), "png"))
+        return folder / "a.png", folder / "a.png", Limits(min_psnr=30)
+    (folder / "line.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 2 0 0 0 0 1\nf 1 2 3\n")
+    return folder / "line.obj", folder / "line.obj", Limits(min_psnr=99)
 
 
-def test_a_slot_that_neither_can_be_read_in_is_left_out_and_named(tmp_path):
-    one, test = write(tmp_path / "a"), write(tmp_path / "b")
-    (one.parent / SLOTS["emissive"]).unlink()
-    with pytest.raises(InputError, match="emissive"):
-        compare_files(one, test)
-    (test.parent / SLOTS["emissive"]).unlink()
-    compared = compare_files(one, test)
+HEAD = SAMPLES / "head-clean.ply"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("a slot in one file alone", r"b.m\.obj: it has no normal textures.*choose what both have"),
+        ("a missing image", "emissive"),
+        ("Delta E of a normal map", r"normal bumps\.png: --max-delta-e cannot be tested"),
+        ("other texture coordinates", "texture coordinates"),
+        ("points elsewhere", "points are at other places"),
+        ("nothing that is seen", "nothing of it can be compared"),
+        ("no area", "no area"),
+        ((HEAD, SAMPLES / "knot-clean.ply"), r"knot-clean.*coloured vertices.*head-clean"),
+        ((SAMPLES / "head-tex-clean.obj", SAMPLES / "mirrored-clean.obj"), "mirrored-clean.*triangles"),
+        ((SAMPLES / "head-tex-clean.png", SAMPLES / "mirrored-clean.png"), "mirrored-clean.*pixels"),
+        ((HEAD, SAMPLES / "head-tex-clean.png"), "head-tex-clean.*an image"),
+        # Vertices have no windows of pixels; numbers that are no colours, or two channels of some, have no Delta E.
+        ((HEAD, HEAD, Limits(min_ssim=0.5)), "head-clean.*--min-ssim cannot be tested.*leave that limit out"),
+        ((HEAD, HEAD, Limits(max_delta_e=50.0), SmoothSettings(space="data")), "--max-delta-e cannot be tested"),
+        ((HEAD, HEAD, Limits(max_delta_e=50.0), SmoothSettings(channels=("red", "green"))), "--max-delta-e cannot"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_compared_is_no_success(arguments, said, tmp_path):
+    if isinstance(arguments, str):
+        arguments = unfit(arguments, tmp_path)
+    one, other, *more = arguments
+    weights = "area" if said == "no area" else "uniform"
+    with pytest.raises(InputError, match=said):
+        compare_files(one, other, *more, weights=weights)
+    with pytest.raises(InputError):
+        compare_files(other, one, *more, weights=weights)
+
+
+def test_a_slot_that_neither_can_be_read_in_is_left_out(tmp_path):
+    pair = write(tmp_path / "a"), write(tmp_path / "b")
+    for model in pair:
+        (model.parent / SLOTS["emissive"]).unlink()
+    compared = compare_files(*pair)
     assert not any("emissive" in part["name"] for part in compared.parts)
-
-
-def test_a_limit_that_a_differing_part_cannot_have_is_no_success(tmp_path):
-    one, test = write(tmp_path / "a"), write(tmp_path / "b", other="normal")
-    with pytest.raises(InputError, match=r"normal bumps\.png: --max-delta-e cannot be tested"):
-        compare_files(one, test, Limits(max_delta_e=5))
-    assert compare_files(one, one, Limits(max_delta_e=5)).passed
+    assert len(compared.parts) == 3
 
 
 @pytest.mark.parametrize("on", ["vertices", "texture"])
