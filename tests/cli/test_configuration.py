@@ -136,16 +136,6 @@ def test_faults_are_reported_with_the_file(text, words, code, run, tmp_path):
     assert not (tmp_path / "out.ply").exists()
 
 
-@pytest.mark.parametrize("value", ["1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", "4", "0.5", "[[1]]"])
-@pytest.mark.parametrize("option", ["fast", "t", "iterations", "space", "channels"])
-def test_values_of_any_kind_are_taken_or_refused_with_the_file(option, value, run, tmp_path):
-    (tmp_path / "beltrami.toml").write_text(written({option: value}))
-    done = beltrami("config", "smooth", code=None, cwd=tmp_path)
-    assert done.returncode in (0, 2)
-    assert b"unexpected error" not in done.stderr
-    assert done.returncode == 0 or b"beltrami.toml: " in done.stderr
-
-
 def test_flags_may_be_numbers_as_in_the_environment(run, tmp_path):
     (tmp_path / "beltrami.toml").write_text(written({"fast": 1}))
     assert in_force(run("config"), "smooth", "fast")[0] is True

@@ -13,7 +13,6 @@ import pytest
 from beltrami_cli.cli.commands import DAILY, options_by_name, values_for
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.manual import manual
-from beltrami_cli.cli.options import ParameterOption
 from cli.commands import SAMPLES, beltrami
 
 
@@ -71,22 +70,6 @@ def test_no_command_loads_what_it_does_not_need(words, needless, tmp_path):
     assert words[-1] == "--help" or (tmp_path / words[-1]).exists()
 
 
-def test_the_commands_with_many_options_have_them_in_groups():
-    assert set(LONG) == {
-        "batch",
-        "compare",
-        "info",
-        "kernel",
-        "level",
-        "noise",
-        "render",
-        "smooth",
-        "sweep",
-        "view",
-    }
-    assert {"Textures", "Images", "Level sets"} < set(groups_of("smooth"))
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_describes_oklab_only_where_it_can_be_chosen(name):
     for option in command(name).params:
@@ -111,14 +94,6 @@ def test_help_all_shows_every_option_below_its_group(name):
     for title, options in groups_of(name).items():
         section = re.search(rf"^{title}:\n((?:  .*\n|\n(?=  -))*)", text, re.MULTILINE)[1]
         assert [each.name for each in options if not (each.hidden or listed(section, each))] == []
-
-
-@pytest.mark.parametrize("name", LONG)
-def test_groups_are_those_of_the_records_that_declare_the_options(name):
-    for title, options in groups_of(name).items():
-        for option in options:
-            if isinstance(option, ParameterOption):
-                assert title == (DAILY if option.declared.option.is_daily else option.declared.group)
 
 
 def test_manual_pages_have_the_groups():

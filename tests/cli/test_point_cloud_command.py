@@ -108,18 +108,6 @@ def test_intensities_alone_are_smoothed(tmp_path):
     assert after[left, 3].std() < before[left, 3].std()
 
 
-def test_another_column_can_guide(clouds, tmp_path):
-    positions, colours, clean = scan()
-    side = (clean[:, :1] > 100) * 1000
-    source = as_text(
-        tmp_path / "scan.pts", positions[: len(clean)], np.column_stack([side, colours[: len(clean)]])
-    )
-    beltrami("smooth", source, tmp_path / "clean.pts", "--guide", "intensity", "--metric-channels", "none")
-    after = np.loadtxt(tmp_path / "clean.pts")
-    assert np.array_equal(after[:, 3], side[:, 0])
-    assert np.abs(after[:, 4:] - clean).mean() < 4
-
-
 def test_a_mesh_with_some_faces_stays_a_mesh(tmp_path):
     """Its points without faces are as isolated as before."""
     rows = [[i % 6, i // 6, 0, 20 * (i % 2), 100, 5 * i] for i in range(30)]

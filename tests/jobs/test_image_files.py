@@ -7,7 +7,6 @@ import pytest
 
 from beltrami_cli import (
     ImageSettings,
-    InputError,
     KernelParameters,
     SmoothSettings,
     TextureSettings,
@@ -210,32 +209,6 @@ def test_heights_and_positions_are_read_from_images(tmp_path):
     assert np.abs(smoothed(positions=positions) - expected)[seen > 0].max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("name", "pixels", "images", "error", "said"),
-    [
-        (
-            "m.exr",
-            np.zeros((4, 5, 1), np.float32),
-            "height",
-            InputError,
-            "m.exr: its 5 x 4 pixels do not fit the 44 x 36",
-        ),
-        ("m.exr", np.zeros((4, 5, 3), np.float32), "positions", InputError, "do not fit"),
-        ("m.png", np.zeros((4, 5, 1), np.uint8), "mask", InputError, "do not fit"),
-        ("m.png", pixels_of("uint8", 3), "height", InputError, "which of its channels R, G, B is the height"),
-        ("m.png", pixels_of("uint8", 1), "positions", InputError, "its channels Y are no positions"),
-        ("m.png", None, "mask", InputError, "cannot be read"),
-    ],
-)
-def test_images_that_do_not_fit_are_refused(name, pixels, images, error, said, tmp_path):
-    if pixels is not None:
-        save(tmp_path / name, pixels)
-    settings = SmoothSettings(image=ImageSettings(**{images: str(tmp_path / name)}))
-    with pytest.raises(error, match=said):
-        smooth_file(save(tmp_path / "a.png", pixels_of("uint8", 3)), tmp_path / "b.png", settings)
-    assert not (tmp_path / "b.png").exists()
-
-
 def test_a_height_may_be_one_channel_of_many_or_grey_in_three(tmp_path):
     source = save(tmp_path / "a.png", pixels_of("uint8", 3))
     render, height = pixels_of("float", 5), np.float32(7) * pixels_of("float", 1)
@@ -253,44 +226,3 @@ def test_a_height_may_be_one_channel_of_many_or_grey_in_three(tmp_path):
     ]  # from column 19 on pixels are hidden, and two kernels with their metrics reach 10 columns
     assert seen[border].all()
     np.testing.assert_array_equal(results[0][border], results[1][border])
-
-
-@pytest.mark.parametrize(
-    ("settings", "option"),
-    [
-        (SmoothSettings(on="vertices"), "--on"),
-        (SmoothSettings(textures=TextureSettings(slots=("normal",))), "--slots"),
-        (SmoothSettings(textures=TextureSettings(materials=("skin",))), "--material"),
-        (SmoothSettings(textures=TextureSettings(names=("a.png",))), "--texture"),
-        (SmoothSettings(textures=TextureSettings(gutter=3)), "--gutter"),
-        (SmoothSettings(textures=TextureSettings(image_suffix=".png")), "--texture-format.* extension"),
-        (SmoothSettings(KernelParameters(weights="area")), "--weights"),
-        (SmoothSettings(KernelParameters(max_samples=9)), "--max-samples"),
-    ],
-)
-def test_what_can_be_said_of_meshes_only_is_refused_by_name(settings, option, tmp_path):
-    source = save(tmp_path / "a.png", pixels_of("uint8", 3))
-    with pytest.raises(UsageError, match=option):
-        smooth_file(source, tmp_path / "b.png", settings)
-
-
-def test_settings_of_images_contradict_neither_each_other_nor_the_file(tmp_path):
-    with pytest.raises(UsageError, match="two surfaces"):
-        ImageSettings(height="a", positions="b")
-    with pytest.raises(UsageError, match="add --height"):
-        ImageSettings(height_scale=2)
-    with pytest.raises(UsageError, match="finite"):
-        ImageSettings(height="a", height_scale=np.nan)
-    (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n")
-    with pytest.raises(UsageError, match="--mask: for images only"):
-        smooth_file(tmp_path / "a.obj", tmp_path / "b.obj", SmoothSettings(image=ImageSettings(mask="m.png")))
-    source = save(tmp_path / "a.png", pixels_of("uint8", 3))
-    for target in ("b.glb", "b.nothing"):
-        with pytest.raises(UsageError, match="no image format is known"):
-            smooth_file(source, tmp_path / target)
-    with pytest.raises(UsageError, match="cannot be written as GIF"):
-        smooth_file(source, tmp_path / "b.gif")
-    with pytest.raises(UsageError, match="grey"):
-        smooth_file(
-            save(tmp_path / "g.png", pixels_of("uint8", 1)), tmp_path / "b.png", SmoothSettings(space="oklab")
-        )

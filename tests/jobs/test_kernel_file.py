@@ -11,7 +11,6 @@ import pytest
 import trimesh
 
 import beltrami_cli
-from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.jobs.job import Job
@@ -207,35 +206,6 @@ def test_a_picture_shows_painting_distances_and_weights_side_by_side(tmp_path):
     held = {(y - 293, x - 93) for x, y in zip(columns["x"], columns["y"], strict=True)}
     for panel in (distances, weights):
         assert {tuple(cell) for cell in np.argwhere(np.ptp(panel, axis=2) > 1e-6).tolist()} == held
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("source", "at", "target", "words"),
-    [
-        (HEAD, "999999", "k.ply", "vertex"),
-        (HEAD, "1.5", "k.ply", "vertex"),
-        (HEAD, "0.1,0.2", "k.ply", "vertex"),
-        (HEAD, "nowhere", "k.ply", "no place"),
-        (HEAD, "1,2,3,4", "k.ply", "vertex"),
-        (HEAD, "nan,0,0", "k.ply", "no place"),
-        (HEAD, "12", "k.png", ".ply"),
-        (HEAD, "12", "k.xyz", ".csv"),
-        (TEXTURED, "12", "k.png", "texture coordinates"),
-        (TEXTURED, "1.2,0.3", "k.png", "0 to 1"),
-        (TEXTURED, "0.3,0.3", "k.ply", ".png"),
-        (SEVERAL, "0.3,0.3", "k.png", "several textures"),
-        (SEVERAL, "nosuch*:0.3,0.3", "k.png", "no texture"),
-        (PICTURE, "12", "k.png", "column and row"),
-        (PICTURE, "-1,3", "k.png", "no place"),
-        (PICTURE, "3,100000", "k.png", "no place"),
-    ],
-)
-def test_places_that_are_none_are_usage_errors(source, at, target, words, tmp_path):
-    with pytest.raises(UsageError) as raised:
-        kernel_file(source, tmp_path / target, at, FAST)
-    assert words in str(raised.value)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_place_without_colour_stands_for_the_nearest_texel_with_one(tmp_path):

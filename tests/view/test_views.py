@@ -208,19 +208,6 @@ def test_presets_look_where_they_say():
         assert np.linalg.det(turned) == pytest.approx(1)
 
 
-@pytest.mark.slow
-def test_near_points_hide_far_ones_and_neighbours_leave_no_holes():
-    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=2).reshape(-1, 2)
-    near = np.column_stack([grid, np.full(400, 1.0)])
-    far = np.column_stack([grid, np.full(400, -9.0)])
-    colours = np.repeat([[1.0, 0, 0], [0, 0, 1.0]], 400, axis=0)
-    for order in (slice(None), slice(None, None, -1)):
-        view = CloudView(np.concatenate([near, far])[order], colours[order])
-        for size in (40, 300):
-            image = seen_from_the_front(view, size, (0.1, 0.1, 0.9, 0.9))
-            assert image == pytest.approx(np.broadcast_to([1.0, 0, 0, 1], image.shape))
-
-
 def test_an_image_at_its_own_size_is_passed_through_and_enlarged_in_squares():
     sheet = np.random.default_rng(3).random((12, 20, 4)).astype(np.float32)
     sheet[..., 3] = 1
