@@ -258,9 +258,7 @@ def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
     line = _with_textures(name)
     mesh = line.fitted(mesh)
     for image in mesh.images:
-        if line.images and image.file.suffix not in line.images:
-            cause = f"a .{name} file takes PNG and JPEG textures, not {image.file.suffix}"
-            raise UsageError(f"{cause}; choose --texture-format png or jpg")
+        _with_textures(name, image.file.suffix)
     written: Written = line.load(line.textured_writer)(mesh, stem)
     return written
 
@@ -283,12 +281,16 @@ def held_images(name: str) -> tuple[str, ...] | None:
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
     """Return the sidecar files of `write_textured`, or without an image of `write_contents`."""
-    suffixes = _WRITERS[name].sidecars if image_suffix is None else _with_textures(name).textured_sidecars
+    line = _WRITERS[name] if image_suffix is None else _with_textures(name, image_suffix)
+    suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
     return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
 
 
-def _with_textures(name: str) -> Format:
+def _with_textures(name: str, image_suffix: str | None = None) -> Format:
     line = _WRITERS[name]
     if not line.textured_writer:
         raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
+    if line.images and image_suffix is not None and image_suffix not in line.images:
+        cause = f"a .{name} file takes PNG and JPEG textures, not {image_suffix}"
+        raise UsageError(f"{cause}; choose --texture-format png or jpg")
     return line
