@@ -187,7 +187,7 @@ def test_noise_that_samples_share_is_that_which_smooth_finds(tmp_path):
 @pytest.mark.parametrize(
     ("name", "at", "options"),
     [
-        ("nonmanifold-noisy.ply", "100", ("--strength", "strong", "-n", 2)),
+        ("nonmanifold-noisy.ply", "100", ("--strength", "strong", "-n", 1)),
         ("mirrored-noisy.obj", "0.4,0.4", ("--fast",)),
         ("torus-two-noisy-dough.png", "90,70", ()),
     ],
@@ -203,31 +203,8 @@ def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, opti
     planned = info["smooth"] if "smooth" in info else info["textures"][0]["smooth"]
     for key in ("beta", "iterations"):
         assert done[key] == planned[key]
+    if planned["iterations"] == 1:  # of the first iteration, from some of the kernels
+        assert planned["samples_per_kernel"] == pytest.approx(done["counts"]["samples_per_kernel"], rel=0.05)
     assert f"in iteration 1 of {planned['iterations']}," in shown
     assert f"beta {planned['beta']:.3g}\n" in shown
     assert f"beta {planned['beta']:.3g}," in smooth.stderr.decode()
-
-
-@pytest.mark.slow
-def test_samples_of_a_kernel_are_said_of_the_first_iteration_or_of_all(tmp_path):
-    record = tmp_path / "run.json"
-    parameters = ("-n", 1, "-t", 2, "--beta", 8)
-    smooth = beltrami(
-        "smooth", SAMPLES / "head-noisy.ply", tmp_path / "o.ply", "--report", record, *parameters
-    )
-    of_one = json.loads(record.read_text())["vertices"]["counts"]["samples_per_kernel"]
-    planned = json.loads(beltrami("info", SAMPLES / "head-noisy.ply", "--json", *parameters).stdout)[
-        "smooth"
-    ]["samples_per_kernel"]
-    assert planned == pytest.approx(of_one, rel=0.05)  # from some of the kernels
-    assert f"{of_one:.0f} samples a kernel, mean" in smooth.stderr.decode()
-    assert (
-        b"in the first iteration\n" in beltrami("info", SAMPLES / "head-noisy.ply", *parameters, "-v").stdout
-    )
-    parameters = ("-n", 3, *parameters[2:])
-    smooth = beltrami("smooth", SAMPLES / "head-noisy.ply", tmp_path / "p.ply", *parameters)
-    assert b" samples a kernel on average over 3 iterations, mean" in smooth.stderr
-    assert (
-        b"in the first of 3 iterations; smooth gives the mean over all\n"
-        in beltrami("info", SAMPLES / "head-noisy.ply", *parameters, "-v").stdout
-    )

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
 import re
-import subprocess
 
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.registry import open_document
-from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
 from small_models import COLOURED, ply, textured_squares
 
@@ -83,27 +80,6 @@ def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
     before, after = colours(NOISY), colours(tmp_path / "out.ply")
     assert np.array_equal(before[:, [0, 2]], after[:, [0, 2]])
     assert not np.array_equal(before[:, 1], after[:, 1])
-
-
-@pytest.mark.slow
-def test_the_bar_is_drawn_on_a_terminal_only(tmp_path):
-    arguments = ["smooth", str(NOISY), str(tmp_path / "out.ply"), "-n", "60", "--overwrite"]
-    assert b"\x1b" not in beltrami(*arguments).stderr
-    controller, terminal = pty.openpty()
-    with subprocess.Popen(
-        [*COMMAND, *arguments], stderr=terminal, env={**os.environ, "TERM": "xterm"}
-    ) as process:
-        os.close(terminal)
-        shown = b""
-        while True:
-            try:
-                shown += os.read(controller, 4096)
-            except OSError:
-                break
-    os.close(controller)
-    assert process.returncode == 0
-    assert b"\x1b" in shown
-    assert b"%" in shown
 
 
 def test_options_of_the_program_are_said_to_go_before_the_command():

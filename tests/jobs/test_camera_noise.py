@@ -17,7 +17,6 @@ from cli.commands import SAMPLES
 from formats.image_files import encode, stored
 from jobs.cut_boards import CHART, FIRST, STRIDE, write_board
 
-SIGMA = 20 / 255
 # Standard errors that a figure of one seeded draw may be off by: 6e-5 of all draws are further off.
 ERRORS = 4
 SHOT, READ = 0.004, 0.01
@@ -93,18 +92,28 @@ def test_grain_has_its_deviation_everywhere_and_reaches_as_far_as_its_size(tmp_p
         assert abs(np.corrcoef(change.reshape(-1, 3).T)[0, 1]) < 0.1
 
 
-def test_grain_is_of_the_place_on_the_surface_on_both_sides_of_seams(tmp_path):
+@pytest.mark.parametrize("kind", ["gaussian", "grain"])
+def test_around_a_chart_is_the_noise_that_lies_there_across_the_seam(kind, tmp_path):
     image = np.full((48, 48, 3), 30000, np.uint16)
-    board = write_board(tmp_path / "b.obj", image)
-    noise_file(board, tmp_path / "n.obj", NoiseSettings(0.1, "grain", size=6))
+    board, settings = (
+        write_board(tmp_path / "b.obj", image),
+        NoiseSettings(0.1, kind, size=6 if kind == "grain" else 2),
+    )
+    noise_file(board, tmp_path / "n.obj", settings)
     change = (stored(tmp_path / "n.png").astype(int) - 30000) / 6553.5
     inside = slice(FIRST, FIRST + CHART)
     left, right = change[inside, :STRIDE], change[inside, STRIDE:]
-    across = left[:, FIRST + CHART - 1] - right[:, FIRST]  # a texel apart, across the seam
-    within = left[:, FIRST + CHART - 1] - left[:, FIRST + CHART - 2]
-    assert np.square(across).mean() < 2 * np.square(within).mean() < 0.5
-    for step in range(3):
+    for step in range(3):  # one rounding to 16 bits on either side
         np.testing.assert_allclose(left[:, FIRST + CHART + step], right[:, FIRST + step], atol=1e-3)
+        np.testing.assert_allclose(right[:, FIRST - 1 - step], left[:, FIRST + CHART - 1 - step], atol=1e-3)
+    if kind == "gaussian":
+        assert left[:, inside].std() == pytest.approx(1, rel=ERRORS / (2 * CHART**2 * 3) ** 0.5)
+        # Over the border of the board lies nothing: there, the nearest texel's noise is repeated.
+        np.testing.assert_array_equal(left[:, FIRST - 1], left[:, FIRST])
+    else:
+        across = left[:, FIRST + CHART - 1] - right[:, FIRST]  # a texel apart, across the seam
+        within = left[:, FIRST + CHART - 1] - left[:, FIRST + CHART - 2]
+        assert np.square(across).mean() < 2 * np.square(within).mean() < 0.5
 
 
 def test_grain_on_vertices_counts_in_their_spacing_and_is_one_at_one_place(tmp_path):

@@ -14,7 +14,7 @@ from beltrami_cli.jobs.noise_targets import NoiseTargets
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored
-from jobs.cut_boards import CHART, FIRST, STRIDE, painted, write_board
+from jobs.cut_boards import painted, write_board
 
 SIGMA = 20 / 255
 # Standard errors that a figure of one seeded draw may be off by: 6e-5 of all draws are further off.
@@ -88,23 +88,6 @@ def test_vertices_at_one_place_get_one_noise_whatever_their_colours(tmp_path):
     # float32 differences of numbers below 1, converted once there and back
     assert np.abs(change - change[:, :1]).max() < 1e-6
     assert change[:, 0].std() == pytest.approx(0.05, rel=ERRORS / 240**0.5)
-
-
-def test_around_a_chart_is_the_noise_that_lies_there_across_the_seam(tmp_path):
-    grey = np.full((32, 32, 3), 30000, np.uint16)
-    image = painted(grey)
-    image[image == 0] = 30000
-    noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", NoiseSettings(0.1))
-    change = stored(tmp_path / "n.png").astype(int) - 30000
-    inside = slice(FIRST, FIRST + CHART)
-    left, right = change[inside, :STRIDE], change[inside, STRIDE:]
-    assert left[:, inside].std() == pytest.approx(0.1 * 65535, rel=ERRORS / (2 * CHART**2 * 3) ** 0.5)
-    for step in range(3):
-        # One rounding to 16 bits on either side.
-        np.testing.assert_allclose(left[:, FIRST + CHART + step], right[:, FIRST + step], atol=1)
-        np.testing.assert_allclose(right[:, FIRST - 1 - step], left[:, FIRST + CHART - 1 - step], atol=1)
-    # Over the border of the board lies nothing: there, the nearest texel's noise is repeated.
-    np.testing.assert_array_equal(left[:, FIRST - 1], left[:, FIRST])
 
 
 def test_the_gutter_can_be_kept(tmp_path):

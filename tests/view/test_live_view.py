@@ -269,27 +269,3 @@ def test_a_page_says_why_there_is_no_preview(browser, served):
     assert viewer.page.locator("#state").inner_text() == "Done."
     assert viewer.data("previews") is None
     assert viewer.errors == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("screen", "has_keys"),
-    [({"width": 1280, "height": 700}, True),
-     ({"width": 390, "height": 800, "has_touch": True, "is_mobile": True}, False)],
-    ids=["desktop", "phone"],
-)  # fmt: skip
-def test_save_is_in_sight_and_keys_are_explained_where_there_are_some(
-    browser, served, tmp_path, screen, has_keys
-):
-    viewer = Live(browser, served(NOISY).address, **screen)
-    viewer.wait_for("whole")
-    assert viewer.page.locator(".keys").is_visible() == has_keys
-    viewer.page.locator("#target").evaluate(
-        "(input, path) => { input.value = path; }", str(tmp_path / "o.ply")
-    )
-    box = viewer.page.get_by_role("button", name="Save", exact=True).bounding_box()
-    assert 0 <= box["x"] <= box["x"] + box["width"] <= screen["width"]
-    assert 0 <= box["y"] <= box["y"] + box["height"] <= screen["height"]
-    viewer.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    viewer.page.wait_for_selector("#saved:has-text('Written')", timeout=60_000)
-    assert viewer.page.evaluate("window.scrollY") == 0

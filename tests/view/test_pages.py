@@ -52,6 +52,9 @@ def test_a_page_fits_bars_nobody_and_shows_names_as_text(browser, pages, name, w
         shown.page.get_by_label("difference", exact=True).check()
     elif name == "sweep":
         shown.page.locator("#views button").nth(1).click()
+    else:
+        save = shown.page.get_by_role("button", name="Save", exact=True)
+        assert 0 <= save.bounding_box()["x"] <= width - save.bounding_box()["width"]
     assert shown.overflow() <= 0
     assert shown.violations() == []
     assert shown.errors == []
