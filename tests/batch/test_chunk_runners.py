@@ -105,45 +105,37 @@ def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
     assert files_in(tmp_path / "pieces") == files_in(tmp_path / "whole")
 
 
-def given_up_while(do, monkeypatch):
-    """Leave an executor while its thread does a file by `do`, which gets an event to say that it has begun."""
-    begun, seen = threading.Event(), []
+@pytest.mark.parametrize("is_writing", [True, False])
+def test_only_files_that_are_being_written_are_finished_after_the_end(is_writing, monkeypatch):
+    begun, ended, seen = threading.Event(), threading.Event(), []
+
+    def do(*_, **__):
+        try:
+            if is_writing:
+                with writing():
+                    begun.set()
+                    time.sleep(0.5)
+                    seen.append("written")
+            else:
+                begun.set()
+                ended.wait()
+                with writing():
+                    seen.append("written")
+        except Cancelled:
+            seen.append("cancelled")
+        return Attempt(None)
+
     monkeypatch.setattr(chunk_runners, "_GRACE", 0.05)
-    monkeypatch.setattr(chunk_runners, "do_item", lambda *_, **__: do(begun, seen) or Attempt(None))
+    monkeypatch.setattr(chunk_runners, "do_item", do)
     monkeypatch.setattr(chunk_runners, "failed", lambda *_: None)
     with ChunkExecutor(ProcessRunner(1), 1, None) as executor:
         executor.start(0, SimpleNamespace(source="a.ply"))
         begun.wait()
-    return seen
-
-
-def test_files_that_are_being_written_are_finished(monkeypatch):
-    def write(begun, seen):
-        with writing():
-            begun.set()
-            time.sleep(0.5)
-            seen.append("written")
-
-    assert given_up_while(write, monkeypatch) == ["written"]
-
-
-def test_no_file_is_begun_after_the_end(monkeypatch):
-    ended = threading.Event()
-
-    def compute(begun, seen):
-        begun.set()
-        try:
-            ended.wait()
-            with writing():
-                seen.append("written")
-        except Cancelled:
-            seen.append("cancelled")
-
-    seen = given_up_while(compute, monkeypatch)
+    assert seen == (["written"] if is_writing else [])
     ended.set()
     while not seen:
         time.sleep(0.01)
-    assert seen == ["cancelled"]
+    assert seen == (["written"] if is_writing else ["cancelled"])
 
 
 class Client:

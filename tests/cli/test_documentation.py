@@ -141,14 +141,8 @@ def stand_ins(tmp_path_factory):
 
 
 RUN_PAGES = {
-    "README.md",
-    "commands.md",
-    "configuration.md",
-    "images.md",
-    "index.md",
-    "pictures.md",
-    "tuning.md",
-}
+    "README.md", "commands.md", "configuration.md", "images.md", "index.md", "pictures.md", "tuning.md",
+}  # fmt: skip
 # Neither calls with pipes nor the live view, which runs until its page is closed; tests/view has its tests.
 FOUND = [words for page, words in WRITTEN if page in RUN_PAGES and not {"-", "{}", "view"} & set(words)]
 RUN = list({" ".join(words): words for words in FOUND}.values())

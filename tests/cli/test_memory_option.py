@@ -18,21 +18,14 @@ from cli.commands import COMMAND, beltrami
 from formats.tile_files import tiled_model
 from formats.volume_files import npz
 
+SIZES = {
+    "1": 1, "500M": 500 << 20, "4G": 4 << 30, "1.5g": 3 << 29, "2 GiB": 2 << 30, "3kB": 3 << 10, "1T": 1 << 40,
+}  # fmt: skip
 
-@pytest.mark.parametrize(
-    ("text", "size"),
-    [
-        ("1", 1),
-        ("500M", 500 << 20),
-        ("4G", 4 << 30),
-        ("1.5g", 3 << 29),
-        ("2 GiB", 2 << 30),
-        ("3kB", 3 << 10),
-        ("1T", 1 << 40),
-    ],
-)
-def test_sizes(text, size):
-    assert parse_size(text) == size
+
+@pytest.mark.parametrize("text", SIZES)
+def test_sizes(text):
+    assert parse_size(text) == SIZES[text]
 
 
 @pytest.mark.parametrize("text", [" ", "G", "-1G", "1X", "1 G B", "nan", "1e9", "0x10", "9" * 30])

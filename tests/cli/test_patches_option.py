@@ -58,27 +58,15 @@ def test_the_share_of_patches_is_said_and_reported(kind, request):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options",
-    [("--beta", 5), ("--fast",)],
-    ids=str,
-)
-def test_by_default_there_are_none_where_the_kernel_is_set_by_hand(options, mesh):
+    ("options", "has_patches"),
+    [((), True), (("--patches", "off"), False), (("--fast",), False), (("-n", 3), False), (("--beta", 5), False),
+     (("--beta", 5, "--patches", "on"), True)],
+)  # fmt: skip
+def test_by_default_there_are_none_where_the_kernel_is_set_by_hand_and_info_says_so(
+    options, has_patches, mesh
+):
     _, part, result = smoothed(mesh, *options)
-    assert part["patches"] is None
-    assert smoothed(mesh, *options, "--patches", "off")[2] == result
-    _, part, result_with = smoothed(mesh, *options, "--patches", "on")
-    assert part["patches"] is not None
-    assert result_with != result
-
-
-@pytest.mark.slow
-def test_info_shows_what_would_be_done(mesh):
-    for options, shown in (
-        ((), "on"),
-        (("--patches", "off"), "off"),
-        (("--fast",), "off"),
-        (("-n", 3), "off"),
-    ):
-        run = beltrami("info", mesh, "--json", *options, text=True)
-        assert json.loads(run.stdout)["smooth"]["patches"] == shown, options
-    assert re.search(r"^ +patches +on$", beltrami("info", mesh, "-v", text=True).stdout, re.MULTILINE)
+    assert (part["patches"] is not None) == has_patches
+    assert (smoothed(mesh, *options, "--patches", "off")[2] != result) == has_patches
+    planned = json.loads(beltrami("info", mesh, "--json", *options).stdout)["smooth"]["patches"]
+    assert planned == ("on" if has_patches else "off")

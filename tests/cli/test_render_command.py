@@ -60,14 +60,6 @@ def test_a_turntable_goes_all_around(tmp_path):
     assert (pixels(around)[:, :64] != pixels(back)).any()
 
 
-def test_a_background_can_be_transparent(tmp_path):
-    sample, out = SAMPLES / "torus-two-noisy.gltf", tmp_path / "a.png"
-    looks = ("--size", 90, "--lit", "--background", "transparent")
-    rendered(sample, out, *looks)
-    assert pixels(out).shape == (90, 90, 4)
-    assert pixels(out)[0, 0, 3] == 0
-
-
 @pytest.mark.slow
 def test_without_the_extra_one_line_names_it_and_points_and_images_need_none(tmp_path):
     def run(*arguments):

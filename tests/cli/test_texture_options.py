@@ -19,14 +19,9 @@ from small_models import textured_squares
 MIRRORED = SAMPLES / "mirrored-noisy.obj"
 TORUS = SAMPLES / "torus-two-noisy.gltf"
 TEXTURED = [
-    "head-tex-noisy.glb",
-    "head-tex-noisy.obj",
-    "torus-two-noisy.gltf",
-    "scan-noisy.ply",
-    "mirrored-noisy.obj",
-    "sphere-exr-noisy.obj",
-    "tiled-noisy.glb",
-]
+    "head-tex-noisy.glb", "head-tex-noisy.obj", "torus-two-noisy.gltf", "scan-noisy.ply", "mirrored-noisy.obj",
+    "sphere-exr-noisy.obj", "tiled-noisy.glb",
+]  # fmt: skip
 SIDE = 64
 
 

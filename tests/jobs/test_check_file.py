@@ -52,8 +52,6 @@ def test_smoothing_changes_nothing_else(name, tmp_path):
     assert report.differences
 
 
-
-
 def everything(encoding):
     tables = coloured(6, [[0, 1, 2], [1, 2, 3, 4], [5, 4, 3]], "uchar", 1)
     tables.append(Table("other", [("list", "uchar float"), ("scalar", "short")], [[[0.5, 1.5], 3], [[], 4]]))

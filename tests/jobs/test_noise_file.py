@@ -157,22 +157,6 @@ def test_an_amount_is_of_255_or_a_fraction():
     assert (sure_amount("0"), sure_amount("1")) == (0, 1 / 255)
 
 
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        ("0.08", "8%"),
-        ("-1", "from 0"),
-        ("nan", "from 0"),
-        ("much", "amount"),
-        ("300", "is 300, but must be at most 255"),
-        ("1/0", "amount"),
-    ],
-)
-def test_what_is_no_amount_or_could_be_two_is_refused(text, word):
-    with pytest.raises(ValueError, match=word):
-        sure_amount(text)
-
-
 def test_the_command_adds_what_it_is_asked_for(tmp_path):
     noise_file(SAMPLES / "knot-clean.ply", tmp_path / "a.ply", NoiseSettings(SIGMA, "poisson", 7))
     arguments = ["noise", SAMPLES / "knot-clean.ply", tmp_path / "b.ply", "--sigma", 20, "--kind", "poisson"]

@@ -17,20 +17,11 @@ IMAGE = np.clip(0.4 + 0.3 * (np.arange(20) > 9)[:, None] + RANDOM.normal(0, 0.05
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"colours": [0.1, 0.2]}, r"shape \(H, W\) or \(H, W, C\)"),
         ({"colours": np.zeros((2, 3, 4, 5))}, r"\(H, W\) or"),
         ({"colours": np.zeros((0, 3))}, r"\(H, W\) or"),
-        ({"colours": [[0.1], [0.2, 0.3]]}, "same length"),
         ({"colours": [[0, 255], [255, 0]]}, "uint8"),
-        (
-            {"surface": ImageSurface(positions=np.zeros((20, 14, 3)))},
-            r"positions must be numbers of shape \(14, 20, M\)",
-        ),
-        ({"surface": ImageSurface(positions=np.zeros((14, 20)))}, r"\(14, 20, M\)"),
-        (
-            {"surface": ImageSurface(heights=np.zeros((14, 20, 1)))},
-            r"heights must be numbers of shape \(14, 20\)",
-        ),
+        ({"surface": ImageSurface(positions=np.zeros((20, 14, 3)))}, r"positions .* of shape \(14, 20, M\)"),
+        ({"surface": ImageSurface(heights=np.zeros((14, 20, 1)))}, r"heights .* of shape \(14, 20\)"),
         ({"surface": ImageSurface(heights=[["a"] * 20] * 14)}, "heights must be numbers"),
         ({"surface": ImageSurface(valid=np.ones((14, 19), bool))}, "valid must be numbers"),
         ({"surface": ImageSurface(valid=np.ones((14, 20)))}, "valid must be numbers"),
