@@ -171,42 +171,27 @@ def test_a_mask_makes_holes_that_stay_and_lend_nothing(tmp_path):
 
 def test_heights_and_positions_are_read_from_images(tmp_path):
     pixels = pixels_of("float", 3)
+    source = save(tmp_path / "a.exr", pixels)
     y, x = np.mgrid[:ROWS, :COLUMNS].astype(np.float32)
     height = (np.sin(x / 4) + 2).astype(np.float32)
     height[3, 4] = np.nan
-    source = save(tmp_path / "a.exr", pixels)
+    whole = np.rint(65535 * np.nan_to_num(height) / 4).astype(np.uint16)
+    places, seen = np.dstack([x, 2 * y, height]), (x > 5).astype(np.float32)
     # Given, so that the one who calls does not choose by the data.
     fixed = {"beta": 8, "iterations": 5, "t": 2.4, "beta_growth": 2.0, "metric_steps": 2}
-
-    def smoothed(**images):
-        smooth_file(
-            source,
-            tmp_path / "b.exr",
-            SmoothSettings(KernelParameters(**fixed), "data", image=ImageSettings(**images)),
-            job=Job(overwrite=True),
-        )
-        return load(tmp_path / "b.exr").pixels
-
-    depth = str(save(tmp_path / "depth.exr", height[..., None]))
-    expected = smooth_image(pixels, surface=ImageSurface(heights=5 * height), **fixed, space="data").colours
-    assert np.abs(smoothed(height=depth, height_scale=5) - expected).max() < 1e-6
-    whole = np.rint(65535 * np.nan_to_num(height) / 4).astype(np.uint16)
-    depth = str(save(tmp_path / "depth.png", whole[..., None]))
-    expected = smooth_image(
-        pixels, surface=ImageSurface(heights=20 * (whole / 65535)), **fixed, space="data"
-    ).colours
-    assert np.abs(smoothed(height=depth, height_scale=20) - expected).max() < 1e-6
-    places = np.dstack([x, 2 * y, height])
-    positions = str(save(tmp_path / "places.exr", places))
-    expected = smooth_image(pixels, surface=ImageSurface(positions=places), **fixed, space="data").colours
-    assert np.abs(smoothed(positions=positions) - expected).max() < 1e-6
-    seen = np.where(x > 5, 1, 0).astype(np.float32)
-    positions = str(save(tmp_path / "seen.exr", np.dstack([places, seen])))
-    expected = smooth_image(
-        pixels, surface=ImageSurface(positions=places, valid=seen > 0), **fixed, space="data"
-    ).colours
-    # OpenEXR has alpha multiplied in, and 0 leaves nothing.
-    assert np.abs(smoothed(positions=positions) - expected)[seen > 0].max() < 1e-6
+    for name, image, options, surface in (
+        ("depth.exr", height[..., None], {"height_scale": 5}, ImageSurface(heights=5 * height)),
+        ("depth.png", whole[..., None], {"height_scale": 20}, ImageSurface(heights=20 * (whole / 65535))),
+        ("places.exr", places, {}, ImageSurface(positions=places)),
+        ("seen.exr", np.dstack([places, seen]), {}, ImageSurface(positions=places, valid=seen > 0)),
+    ):
+        file = {"height" if "depth" in name else "positions": str(save(tmp_path / name, image))}
+        settings = SmoothSettings(KernelParameters(**fixed), "data", image=ImageSettings(**file, **options))
+        smooth_file(source, tmp_path / "b.exr", settings, job=Job(overwrite=True))
+        expected = smooth_image(pixels, surface=surface, **fixed, space="data").colours
+        # OpenEXR has alpha multiplied in, and 0 leaves nothing.
+        counts = seen > 0 if name == "seen.exr" else np.s_[:]
+        assert np.abs(load(tmp_path / "b.exr").pixels - expected)[counts].max() < 1e-6
 
 
 def test_a_height_may_be_one_channel_of_many_or_grey_in_three(tmp_path):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import http.client
 import re
 import signal
 import subprocess
@@ -25,14 +23,6 @@ class Served:
         command = [*COMMAND, "view", source, "--no-open", "--fast", *arguments]
         self.process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True)
         self.address = re.search(r"http://\S+", self.process.stderr.readline())[0]
-        self.host, self.token = self.address.removeprefix("http://").strip("/").split("/")
-
-    def ask(self, path, method="GET", body=None, **headers):
-        connection = http.client.HTTPConnection(self.host, timeout=10)
-        with contextlib.closing(connection):
-            connection.request(method, path, body, {"Host": self.host, **headers})
-            answer = connection.getresponse()
-            return answer.status, answer.read()
 
     def end(self):
         """End it as Ctrl-C does; return its exit code."""

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import http.client
 import re
 import shlex
 import shutil
 import signal
 import subprocess
-import threading
 import time
 
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.view.server import PageServer
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.pictures import textured_square
 from view.browsing import Served, Viewer
@@ -63,27 +59,6 @@ class Live(Viewer):
         height, width = shot.shape[:2]
         middle = shot[height // 2 - 40 : height // 2 + 40, width // 2 - 40 : width // 2 + 40, :3]
         return float(np.abs(np.diff(middle, axis=1)).mean())
-
-
-@pytest.mark.slow
-def test_only_those_with_the_token_and_from_its_own_origin_get_anything(served):
-    live = served(NOISY)
-    own, body = f"http://{live.host}", '{"page": "x", "values": {}}'
-    assert live.ask(f"/{live.token}/")[0] == 200
-    nothing = (404, b"")
-    assert live.ask("/") == nothing
-    assert live.ask("/model.json") == nothing
-    assert live.ask(f"/{live.token}") == nothing
-    assert live.ask(f"/{live.token[:-1]}x/model.json") == nothing
-    assert live.ask(f"/{live.token}/../../etc/passwd") == nothing
-    assert live.ask(f"/{live.token}/model.json", Host="evil.example") == nothing
-    assert live.ask(f"/{live.token}/model.json", Origin="http://evil.example") == nothing
-    assert live.ask(f"/{live.token}/model.json", **{"Sec-Fetch-Site": "cross-site"}) == nothing
-    assert live.ask(f"/{live.token}/save", "POST", body) == nothing
-    assert live.ask(f"/{live.token}/save", "POST", body, Origin="null") == nothing
-    assert live.ask(f"/{live.token}/other", "POST", body, Origin=own)[0] == 400
-    assert live.ask(f"/{live.token}/change", "POST", "[]", Origin=own)[0] == 400
-    assert live.end() == 130
 
 
 # Threads of the core that do not end in time would make Python abort as it ends.
@@ -217,48 +192,6 @@ def test_two_pages_are_apart_and_learn_that_the_program_was_killed(browser, serv
     live.process.kill()
     other.page.locator("#state", has_text="has ended").wait_for(timeout=15_000)
     assert other.page.locator("#beta").is_disabled()
-
-
-def test_the_address_that_a_browser_is_started_with_is_good_once():
-    server = PageServer({}, lambda *_: None)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
-        ticket = server.first_address
-        for expected in (303, 404):
-            connection = http.client.HTTPConnection(server.host, timeout=10)
-            with contextlib.closing(connection):
-                connection.request("GET", ticket.removeprefix(f"http://{server.host}"))
-                answer = connection.getresponse()
-                assert answer.status == expected
-                assert (answer.getheader("Location") == f"/{server.token}/") == (expected == 303)
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
-
-
-def test_the_program_ends_with_its_last_page_though_work_goes_on(monkeypatch):
-    monkeypatch.setattr("beltrami_cli.view.server._GRACE", 0.1)
-    is_worked = threading.Event()
-
-    def work(name, asked, request):
-        request.send(kind="accepted")
-        is_worked.wait(60)
-
-    server = PageServer({}, work)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    connection = http.client.HTTPConnection(server.host, timeout=10)
-    own = {"Host": server.host, "Origin": f"http://{server.host}"}
-    connection.request("POST", f"/{server.token}/change", "{}", own)
-    with contextlib.closing(connection), connection.getresponse() as answer:
-        assert answer.readline() == b'{"kind": "accepted"}\n'
-        thread.join(timeout=1)
-        assert thread.is_alive()
-    thread.join(timeout=30)
-    assert not thread.is_alive()
-    is_worked.set()
 
 
 @pytest.mark.slow

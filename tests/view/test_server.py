@@ -1,4 +1,4 @@
-"""Requests to `beltrami view` that no page sends: each is answered, and changes nothing."""
+"""The server of `beltrami view`: who may ask, and requests that no page sends, which change nothing."""
 
 from __future__ import annotations
 
@@ -39,14 +39,72 @@ def page_server(live):
     thread.join()
 
 
-def sent(page_server, name, body, **headers):
-    """Send a request from its own page; return the status and the message of the answer."""
+def answered(page_server, method, path, body=None, **headers):
+    """Send a request, by default as from its own page; return the answer, which is read."""
     connection = http.client.HTTPConnection(page_server.host, timeout=10)
     with contextlib.closing(connection):
         own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
-        connection.request("POST", f"/{page_server.token}/{name}", body, {**own, **headers})
+        sent = {name: value for name, value in {**own, **headers}.items() if value is not None}
+        connection.request(method, path, body, sent)
         answer = connection.getresponse()
-        return answer.status, json.loads(answer.read()).get("message")
+        return answer, answer.read()
+
+
+def sent(page_server, name, body, **headers):
+    """Send a request from its own page; return the status and the message of the answer."""
+    answer, content = answered(page_server, "POST", f"/{page_server.token}/{name}", body, **headers)
+    return answer.status, json.loads(content).get("message")
+
+
+def test_only_those_with_the_token_and_from_its_own_origin_get_anything(page_server):
+    token, body = page_server.token, '{"page": "x", "values": {}}'
+    assert answered(page_server, "GET", f"/{token}/", Origin=None)[0].status == 200
+    for method, path, headers in (
+        ("GET", "/", {}),
+        ("GET", "/model.json", {}),
+        ("GET", f"/{token}", {}),
+        ("GET", f"/{token[:-1]}x/model.json", {}),
+        ("GET", f"/{token}/../../etc/passwd", {}),
+        ("GET", f"/{token}/model.json", {"Host": "evil.example"}),
+        ("GET", f"/{token}/model.json", {"Origin": "http://evil.example"}),
+        ("GET", f"/{token}/model.json", {"Sec-Fetch-Site": "cross-site"}),
+        ("POST", f"/{token}/save", {"Origin": None}),
+        ("POST", f"/{token}/save", {"Origin": "null"}),
+    ):
+        answer, content = answered(page_server, method, path, body if method == "POST" else None, **headers)
+        assert (answer.status, content) == (404, b""), (method, path, headers)
+    assert answered(page_server, "POST", f"/{token}/other", body)[0].status == 400
+
+
+def test_the_address_that_a_browser_is_started_with_is_good_once(page_server):
+    path = page_server.first_address.removeprefix(f"http://{page_server.host}")
+    for expected in (303, 404):
+        answer, _ = answered(page_server, "GET", path, Origin=None)
+        assert answer.status == expected
+        assert (answer.getheader("Location") == f"/{page_server.token}/") == (expected == 303)
+
+
+def test_the_program_ends_with_its_last_page_though_work_goes_on(monkeypatch):
+    monkeypatch.setattr("beltrami_cli.view.server._GRACE", 0.1)
+    is_worked = threading.Event()
+
+    def work(name, asked, request):
+        request.send(kind="accepted")
+        is_worked.wait(60)
+
+    server = PageServer({}, work)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    connection = http.client.HTTPConnection(server.host, timeout=10)
+    own = {"Host": server.host, "Origin": f"http://{server.host}"}
+    connection.request("POST", f"/{server.token}/change", "{}", own)
+    with contextlib.closing(connection), connection.getresponse() as answer:
+        assert answer.readline() == b'{"kind": "accepted"}\n'
+        thread.join(timeout=1)
+        assert thread.is_alive()
+    thread.join(timeout=30)
+    assert not thread.is_alive()
+    is_worked.set()
 
 
 MALFORMED = (400, "the request is malformed")
@@ -137,13 +195,11 @@ def test_values_of_another_type_are_refused_in_a_sentence(control, page_server):
         assert control in said or "noise" in said
 
 
-def test_what_nobody_foresaw_is_answered(page_server, live, monkeypatch):
+def test_an_unexpected_error_is_answered(page_server, live, monkeypatch):
     def fail(*_, **__):
         raise ZeroDivisionError("of ours")
 
     monkeypatch.setattr(live, "_save", fail)
     request = {"values": {}, "target": "out.ply", "overwrite": False}
-    assert sent(page_server, "save", json.dumps(request)) == (
-        500,
-        "unexpected error: ZeroDivisionError: of ours",
-    )
+    said = "unexpected error: ZeroDivisionError: of ours"
+    assert sent(page_server, "save", json.dumps(request)) == (500, said)
