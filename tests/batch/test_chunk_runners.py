@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import pickle
 import re
 import threading
 import time
@@ -19,7 +20,7 @@ from beltrami_cli.batch import chunk_runners
 from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
 from beltrami_cli.batch.cluster import Cancelled
 from beltrami_cli.batch.item import Attempt
-from beltrami_cli.errors import ProcessingError
+from beltrami_cli.errors import InputError, OutputError, ProcessingError, UnpaintedError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work
 from beltrami_cli.jobs.replacing import writing
@@ -182,3 +183,10 @@ def test_the_message_names_what_failed_on_dask():
 
     with pytest.raises(ProcessingError, match="scheduler"):
         done(DaskRunner(Client(None, nthreads=no_scheduler)), Work(add, ()))
+
+
+@pytest.mark.parametrize("kind", [InputError, OutputError, UnpaintedError])
+def test_an_error_of_a_file_comes_back_from_another_process(kind):
+    error = kind("scan.ply", "the file is cut off", "copy it again")
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), vars(again)) == (kind, str(error), vars(error))

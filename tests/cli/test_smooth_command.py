@@ -75,13 +75,6 @@ def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     assert b"--max-samples" in run.stderr
 
 
-def test_channels_that_were_not_chosen_keep_their_bytes(tmp_path):
-    beltrami("smooth", NOISY, tmp_path / "out.ply", "--channels", "g", "--fast")
-    before, after = colours(NOISY), colours(tmp_path / "out.ply")
-    assert np.array_equal(before[:, [0, 2]], after[:, [0, 2]])
-    assert not np.array_equal(before[:, 1], after[:, 1])
-
-
 def test_options_of_the_program_are_said_to_go_before_the_command():
     run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml", code=2)
     assert b"--config goes before the command: beltrami --config FILE smooth ...\n" in run.stderr

@@ -16,10 +16,9 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
-from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES, beltrami
 from formats.ply_files import ENCODINGS, Table, build, coloured
-from hostile.textured_models import ONCE, OTHER, PICTURE, write_model
+from hostile.textured_models import OTHER, PICTURE, write_model
 
 
 def saved(written, path):
@@ -35,21 +34,6 @@ def halved(source, target):
     document = open_document(str(source))
     colours = document.painted().colours * np.float32(0.5)
     return saved(document.patch(colours, Naming(target.stem, keeps=source.parent != target.parent)), target)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("nonmanifold-noisy.ply", "nonmanifold-noisy.obj", "nonmanifold-noisy.glb", "scan-noisy.ply"),
-        *("tiled-noisy.glb", "torus-two-noisy.gltf", "mirrored-noisy.obj"),
-    ],
-)
-def test_smoothing_changes_nothing_else(name, tmp_path):
-    smooth_file(SAMPLES / name, tmp_path / name, ONCE)
-    report = check_files(SAMPLES / name, tmp_path / name)
-    assert report.faithful
-    assert report.differences
 
 
 def everything(encoding):

@@ -45,17 +45,6 @@ def test_the_line_parts_both_models_and_one_camera_turns_them(browser, squares):
     assert viewer.fetched() == [squares]
 
 
-def test_pages_frame_the_surface_and_not_its_outliers(browser, tmp_path):
-    positions = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=2).reshape(-1, 2)
-    clouds = []
-    for name, colour in (("a", "255 0 0"), ("b", "0 0 255")):
-        clouds.append(tmp_path / f"{name}.xyz")
-        clouds[-1].write_text("".join(f"{x} {y} 0 {colour}\n" for x, y in [*positions, (2000, 10)]))
-    viewer = Viewer(browser, reported(*clouds, tmp_path / "page.html"))
-    assert viewer.pixel(-0.3, 0.1) == RED
-    assert viewer.pixel(0.3, 0.1) == BLUE
-
-
 @pytest.mark.parametrize(
     ("grey", "scheme", "stage"),
     [(0.9, "light", (128,) * 3), (0.4, "light", WHITE), (0.05, "dark", (128,) * 3), (0.4, "dark", (36, 39, 43))],
