@@ -8,7 +8,6 @@ import shutil
 import socket
 import struct
 import subprocess
-import sys
 import threading
 import time
 from importlib.util import find_spec
@@ -153,21 +152,6 @@ def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
         }
         assert "memory:///beltrami/in/deep/skin.png" in lines["model.obj"]["read"]
     memory.rm("/beltrami", recursive=True)
-
-
-@pytest.mark.slow
-def test_without_the_extra_it_is_named_and_nothing_else_misses_it(scans, tmp_path):
-    hidden = "import sys; sys.modules.update(dask=None, distributed=None, fsspec=None)"
-    start = [sys.executable, "-P", "-c", f"{hidden}; from beltrami_cli.cli.main import main; main()"]
-    out = ["batch", str(scans / "knot.ply"), "--out-dir", str(tmp_path / "out"), *QUICK]
-    for more, words in (
-        (["--scheduler", "tcp://127.0.0.1:1"], b"pip install 'beltrami-cli[cluster]'"),
-        (["memory://x/a.ply"], b"pip install 'beltrami-cli[cluster]'"),
-        ([], b"1 done"),
-    ):
-        run = subprocess.run([*start, *out, *more], capture_output=True, timeout=60, check=False)
-        assert words in run.stderr, run.stderr
-        assert run.returncode == (0 if not more else 1 if "--scheduler" in more else 3)
 
 
 def reset_at_once(connection):

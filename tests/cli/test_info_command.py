@@ -36,20 +36,6 @@ def test_the_keys_in_the_examples_of_help_are_there():
         assert all(values)
 
 
-@pytest.mark.slow
-def test_the_text_on_textures_says_what_would_be_chosen_and_how_sure_that_is():
-    noisy = beltrami("info", SAMPLES / "torus-two-noisy.gltf", "-v").stdout.decode()
-    # Noise as `beltrami noise --sigma` takes it.
-    (icing,) = re.findall(
-        r"icing.png: 512 x 136 png, uint8 R G B; covered \d+ %.* noise red ([\d.]+)/255", noisy
-    )
-    assert 15 < float(icing) < 27
-    assert re.search(r"\n  choice +iterations \d.*estimated PSNR [\d.]+ dB \(90 %: [\w .]+\)", noisy)
-    clean = beltrami("info", SAMPLES / "head-tex-clean.glb").stdout.decode()
-    assert "nothing to smooth" in clean
-    assert "None" not in clean
-
-
 @pytest.mark.parametrize("name", ["nonmanifold-noisy.ply", "torus-two-noisy.gltf", "head-tex-clean.png"])
 def test_the_short_text_has_the_answer_in_few_lines(name):
     lines = beltrami("info", SAMPLES / name, "--fast").stdout.decode().splitlines()

@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
+import sys
 
 import numpy as np
 import pytest
 
+from batch.batches import without_workers
 from cli.commands import SAMPLES, beltrami, refused
-from cli.pictures import painted_file
+from cli.pictures import painted_file, pixels
 from formats.image_files import encode
+from formats.volume_files import nrrd_file
+from oracles.level_sets import sphere
 from small_models import textured_squares
 
 VERTICES = 2539  # of terrain-noisy.ply
@@ -215,6 +219,38 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(words, code, said, fol
     if words.startswith(("render", "sweep")):
         pytest.importorskip("embreex")
     refused(folder, *(word.replace("@", f"{SAMPLES}/") for word in shlex.split(words)), code=code, said=said)
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "words", "code"),
+    [
+        ("embreex", "render", "render @head-clean.ply a.png", 1),
+        ("av", "animation", "render @head-clean.ply a.mp4 --turntable 4", 1),
+        ("distributed", "cluster", "batch @knot-noisy.ply --out-dir out --scheduler tcp://127.0.0.1:1", 1),
+        ("fsspec", "cluster", "batch memory://x/a.ply --out-dir out", 3),
+        ("skimage.measure", "volumes", "smooth volume.nrrd out.ply", 3),
+        ("nrrd", "volumes", "smooth volume.nrrd out.ply", 3),
+    ],
+)
+def test_an_extra_that_is_not_installed_is_named(module, extra, words, code, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)  # which makes importing it fail
+    (tmp_path / "volume.nrrd").write_bytes(nrrd_file(sphere(0.4)[0]))
+    words = words.replace("@", f"{SAMPLES}/").split()
+    (line,) = beltrami(*words, code=code, cwd=tmp_path, text=True).stderr.splitlines()
+    assert f"pip install 'beltrami-cli[{extra}]'" in line
+
+
+@pytest.mark.parametrize("module", ["av", "dask", "distributed", "embreex", "fsspec", "nrrd", "skimage"])
+def test_nothing_else_misses_an_extra(module, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / "p.xyz").write_text("0 0 0 255 0 0\n1 0 0 255 0 0\n1 1 0 255 0 0\n0 1 0 255 0 0\n")
+    beltrami("smooth", "p.xyz", "q.ply", "--fast", cwd=tmp_path)
+    with without_workers():
+        beltrami("batch", "p.xyz", "--out-dir", "out", "--fast", cwd=tmp_path)
+    beltrami("render", "p.xyz", "p.png", "--size", "30", cwd=tmp_path)
+    beltrami("render", "p.png", "q.png", "--size", "30", cwd=tmp_path)
+    assert (pixels(tmp_path / "p.png")[10:20, 10:20] == [255, 0, 0]).all()
+    assert (pixels(tmp_path / "p.png") == pixels(tmp_path / "q.png")).all()
 
 
 @pytest.mark.parametrize("command", ["info bad.ply", "check bad.ply bad.ply", "smooth bad.ply out.ply"])

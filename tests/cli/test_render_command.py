@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import sys
 
 import numpy as np
@@ -58,26 +57,6 @@ def test_a_turntable_goes_all_around(tmp_path):
     rendered(sample, back, "--view", "back", "--size", 64)
     assert (pixels(around)[:, 2 * 66 : 2 * 66 + 64] == pixels(back)).all()
     assert (pixels(around)[:, :64] != pixels(back)).any()
-
-
-@pytest.mark.slow
-def test_without_the_extra_one_line_names_it_and_points_and_images_need_none(tmp_path):
-    def run(*arguments):
-        code = "import sys; sys.modules['embreex'] = None; from beltrami_cli.__main__ import main; main()"
-        command = [sys.executable, "-P", "-c", code, "render", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, timeout=60, check=False)
-
-    missing = run(SAMPLES / "head-clean.ply", tmp_path / "a.png")
-    assert missing.returncode == 1
-    assert missing.stderr.count(b"\n") == 1
-    assert b"pip install 'beltrami-cli[render]'" in missing.stderr
-    assert not (tmp_path / "a.png").exists()
-    points = tmp_path / "p.xyz"
-    points.write_text("0 0 0 255 0 0\n1 0 0 255 0 0\n1 1 0 255 0 0\n0 1 0 255 0 0\n")
-    assert run(points, tmp_path / "p.png", "--size", "30").returncode == 0
-    assert (pixels(tmp_path / "p.png")[10:20, 10:20] == [255, 0, 0]).all()
-    assert run(tmp_path / "p.png", tmp_path / "q.png", "--size", "30").returncode == 0
-    assert (pixels(tmp_path / "p.png") == pixels(tmp_path / "q.png")).all()
 
 
 @pytest.mark.slow

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 
 import numpy as np
 import pytest
 
-from beltrami_cli import InputError, KernelParameters, SmoothSettings, UsageError, smooth_file
+from beltrami_cli import InputError, SmoothSettings
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.layers.settings import LevelSetSettings
@@ -106,16 +105,6 @@ def test_opacity_is_kept_and_scaled_like_the_colours(tmp_path):
     )
 
 
-@pytest.mark.parametrize(("module", "package"), [("skimage.measure", "scikit-image"), ("nrrd", "pynrrd")])
-def test_without_the_extra_one_line_names_it_and_nothing_is_written(module, package, tmp_path, monkeypatch):
-    values, _, _ = sphere(0.4)
-    source = write(tmp_path / "v.nrrd", nrrd_file(values))
-    monkeypatch.setitem(sys.modules, module, None)  # which makes importing it fail
-    with pytest.raises(InputError, match=rf"{package} .*beltrami-cli\[volumes\]"):
-        smooth_file(source, tmp_path / "out.ply")
-    assert not (tmp_path / "out.ply").exists()
-
-
 @pytest.mark.parametrize(
     ("arrays", "level_set", "cause"),
     [
@@ -155,14 +144,6 @@ def test_info_describes_the_grid_and_its_surface_by_the_level_that_is_given(tmp_
     assert facts["file"]["format"] == "level set"
     assert facts["file"]["level"] == 0.5
     assert facts["surface"]["boundary_edges"] == facts["surface"]["degenerate_faces"] == 0
-
-
-def test_options_of_level_sets_are_refused_for_meshes_and_out_of_range(tmp_path):
-    smooth_file(
-        sphere_file(tmp_path, 0.3), tmp_path / "mesh.ply", SmoothSettings(KernelParameters(iterations=0))
-    )
-    with pytest.raises(UsageError, match="--iso, --inside"):
-        opened(tmp_path / "mesh.ply", SmoothSettings(level_set=LevelSetSettings(iso=1.0, inside="above")))
 
 
 def any_numbers(shape):
