@@ -180,7 +180,10 @@ REFUSED = [
     # images
     ("smooth @head-tex-noisy.png out.png --on vertices", 2, "--on"),
     ("smooth @head-tex-noisy.png out.png --slots normal", 2, "--slots"),
+    ("smooth @head-tex-noisy.png out.png --material skin", 2, "--material"),
+    ("smooth @head-tex-noisy.png out.png --texture a.png", 2, "--texture"),
     ("smooth @head-tex-noisy.png out.png --gutter 3", 2, "--gutter"),
+    ("smooth @head-tex-noisy.png out.png --max-samples 9", 2, "--max-samples"),
     ("smooth @head-tex-noisy.png out.png --texture-format png", 2, "--texture-format"),
     ("smooth @head-tex-noisy.png out.png --weights area", 2, "--weights"),
     ("smooth @head-tex-noisy.png out.glb", 2, "no image format is known"),
