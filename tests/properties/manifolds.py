@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import log, sqrt
 
 import numpy as np
@@ -9,14 +10,15 @@ import numpy as np
 from beltrami_cli import _native
 
 
-def image_manifold(positions, faces, colours, beta, unfold=True, threads=1):
-    positions = np.ascontiguousarray(positions, np.float64)
+def image_manifold(positions, faces, colours, beta, kind=_native.TriangulatedManifold):
+    """Make the manifold of fast marching, or another one."""
+    manifold = kind(np.ascontiguousarray(faces, np.int32).reshape(-1, 3), len(positions))
     colours = np.ascontiguousarray(colours, np.float32)
-    manifold = _native.TriangulatedManifold(
-        np.ascontiguousarray(faces, np.int32).reshape(-1, 3), len(positions)
-    )
-    manifold.update_metric(positions, colours, beta, None, threads, unfold)
+    manifold.update_metric(np.ascontiguousarray(positions, np.float64), colours, beta, None, 1)
     return manifold
+
+
+segment_manifold = partial(image_manifold, kind=_native.SegmentManifold)
 
 
 def distances(manifold, count, source, radius=1e30):
@@ -27,10 +29,14 @@ def distances(manifold, count, source, radius=1e30):
     return result
 
 
-def one_iteration(positions, faces, colours, beta, t, threshold=0.01, weights=None, unfold=True, threads=1):
-    manifold = image_manifold(positions, faces, colours, beta, unfold, threads)
+def apply_kernel(manifold, colours, t, weights=None, max_samples=10**6, threads=1, threshold=0.01):
+    """Return the colours after one iteration, the samples that kernels held, and how many kernels were cut short."""
     colours = np.ascontiguousarray(colours, np.float32)
-    radius = sqrt(-4 * t * log(threshold))
     if weights is not None:
         weights = np.ascontiguousarray(weights, np.float32)
-    return manifold.smooth(colours, weights, t, radius, len(colours) + 1, threads, None)
+    return manifold.smooth(colours, weights, t, sqrt(-4 * t * log(threshold)), max_samples, threads, None)
+
+
+def one_iteration(positions, faces, colours, beta, t, threshold=0.01, weights=None):
+    manifold = image_manifold(positions, faces, colours, beta)
+    return apply_kernel(manifold, colours, t, weights, len(colours) + 1, threshold=threshold)[0]

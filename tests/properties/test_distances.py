@@ -47,18 +47,6 @@ def test_distances_converge_to_exact_ones_at_first_order_under_refinement():
     assert errors[2] < 0.015
 
 
-def test_without_unfolding_obtuse_corners_keep_distances_from_converging():
-    errors = {True: [], False: []}
-    for side in (17, 65):
-        flat, faces, grey, source, truth = smooth_image(surfaces.plane, side)
-        for unfold, found in errors.items():
-            ours = distances(image_manifold(flat, faces, grey, 1.0, unfold), len(flat), source)
-            found.append(np.abs(ours - truth).mean())
-    assert errors[True][1] < 0.65 * errors[True][0]
-    assert errors[False][1] > 0.8 * errors[False][0]
-    assert errors[True][1] < 0.1 * errors[False][1]
-
-
 def test_all_obtuse_corners_of_a_closed_surface_find_a_support():
     positions, faces = surfaces.icosphere(3)
     colours = np.random.default_rng(0).random((len(positions), 3))

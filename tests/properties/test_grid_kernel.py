@@ -86,20 +86,6 @@ def test_window_sweeps_agree_with_the_heap_march(beta, t, mean, largest, window)
     assert difference.max() < largest
 
 
-@pytest.mark.parametrize("name", ["x86-64-v4", "x86-64-v3", "baseline"])
-def test_every_instruction_set_gives_the_same_bits(name, monkeypatch):
-    kind, lengths = grid(50)
-    noisy = np.ascontiguousarray(painting(50).transpose(2, 0, 1), np.float32)
-    arguments = (kind, lengths, None, None, noisy, noisy, 8.0, 1.5, 5.0, 3, "sweep", 1, None)
-    best, _ = smooth_grid(*arguments)
-    monkeypatch.setenv("BELTRAMI_SIMD", name)
-    try:
-        other, _ = smooth_grid(*arguments)
-    except ValueError:
-        pytest.skip(f"this machine cannot run {name}")
-    assert np.array_equal(best, other)
-
-
 @pytest.mark.parametrize("scheme", ["triangles", "metric", "sweep"])
 @pytest.mark.parametrize("shear", [0.0, 0.5])
 def test_every_scheme_smooths_by_a_gaussian_on_a_sheared_plane(scheme, shear):

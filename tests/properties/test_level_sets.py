@@ -10,11 +10,9 @@ from scipy.integrate import quad
 from scipy.spatial import cKDTree
 from scipy.special import eval_legendre
 
-from beltrami_cli import SmoothSettings, smooth, smooth_file
+from beltrami_cli import SmoothSettings, smooth
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
-from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.file_job import open_input
-from beltrami_cli.jobs.job import Job
 from formats.volume_files import lattice_fields, nrrd_file, sphere_file, write
 from oracles.level_sets import CENTRE, directions, pattern, places, sphere
 from oracles.surfaces import icosphere
@@ -103,37 +101,6 @@ def interpolated(points, faces, colours, there):
     return (colours[nearest] * weights).sum(axis=1) / weights.sum(axis=1)
 
 
-def test_a_constant_stays_and_nothing_leaves_the_range_of_the_voxels(tmp_path):
-    constant = sphere_file(tmp_path, 0.25, lambda at: np.full((*at.shape[:3], 3), [200, 100, 3], np.uint8))
-    smooth_file(constant, tmp_path / "out.ply")
-    colours = open_document(str(tmp_path / "out.ply")).painted().colours
-    np.testing.assert_array_equal(
-        colours, np.broadcast_to(np.float32([200, 100, 3]) / np.float32(255), colours.shape)
-    )
-    noise = sphere_file(
-        tmp_path, 0.25, lambda at: RANDOM.integers(50, 151, (*at.shape[:3], 3)).astype(np.uint8)
-    )
-    smooth_file(noise, tmp_path / "out.ply", job=Job(overwrite=True))
-    colours = 255 * open_document(str(tmp_path / "out.ply")).painted().colours
-    assert colours.min() > 49.9
-    assert colours.max() < 150.1
-
-
-@pytest.mark.slow
-def test_noise_of_the_voxels_is_removed_and_edges_stay(tmp_path):
-    painted = []
-    for sigma in (0, 20 / 255):
-
-        def blocks(at, sigma=sigma):
-            clean = np.where(np.floor(2 * at + 20).sum(axis=-1, keepdims=True) % 2 == 0, 0.25, 0.75)
-            return clean + sigma * RANDOM.standard_normal((*at.shape[:3], 3))
-
-        painted.append(opened(sphere_file(tmp_path, 0.04, blocks)).painted())
-    clean, noisy = painted
-    before, after = (np.mean((c - clean.colours) ** 2) for c in (noisy.colours, result_of(noisy)))
-    assert after < before / 4  # 6 dB
-
-
 def result_of(painted, **parameters):
     return smooth(painted.positions, painted.faces, painted.colours, **parameters).colours
 
@@ -183,8 +150,6 @@ def test_turned_mirrored_and_scaled_grids_give_the_same_colours(tmp_path):
     for axes in (np.eye(3), 1000 * angle, np.diag([1.0, 1.0, -1.0])):
         fields = lattice_fields(axes * steps[0], [5.0, 6.0, 7.0], 0)
         documents.append(opened(write(tmp_path / "v.nrrd", nrrd_file(both, **fields))).painted())
-    # In patches, which of two vertices at one distance from a node comes first is a matter of rounding.
-    for patches, tolerance in (("off", 1e-4), ("auto", 1 / 255)):
-        first, *others = (result_of(painted, patches=patches) for painted in documents)
-        for other in others:
-            np.testing.assert_allclose(other, first, atol=tolerance)
+    first, *others = (result_of(painted, patches="off") for painted in documents)
+    for other in others:
+        np.testing.assert_allclose(other, first, atol=1e-4)

@@ -111,28 +111,6 @@ def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only(sch
         assert np.array_equal(result[kept], together[kept])
 
 
-def test_constants_stay_and_colours_stay_in_range_for_any_number_of_threads():
-    board = Board(8, 6, 4, 32, 2, [(1, 1, 1, False), (0, 0, 2, True), (0, 1, 3, False), (1, 0, 1, False)])
-    grey = np.full((64, 64, 2), 0.3, np.float32)
-    assert np.array_equal(smooth_image(board.surface(), grey)[0], grey)
-    image = board.image_of(painting(48))
-    one, plan = smooth_image(board.surface(), image, threads=1)
-    owned = image.reshape(-1, 3)[plan.manifold.geometry.atlas.owned_texels]
-    assert (one >= owned.min(axis=(0)) - 1e-6).reshape(-1, 3)[plan.manifold.geometry.atlas.owned_texels].all()
-    assert (one <= owned.max(axis=(0)) + 1e-6).reshape(-1, 3)[plan.manifold.geometry.atlas.owned_texels].all()
-    for threads in (2, 5):
-        assert np.array_equal(one, smooth_image(board.surface(), image, threads=threads)[0])
-
-
-@pytest.mark.parametrize("factor", [1e-9, 1e9])
-def test_the_unit_of_length_does_not_matter(factor):
-    surface = uncut(8, 6).surface()
-    picture = painting(48)
-    plain, _ = smooth_image(surface, picture)
-    scaled = textured(factor * surface.positions, surface.faces, surface.uv)
-    assert np.abs(smooth_image(scaled, picture)[0] - plain).max() < 5e-3
-
-
 def two_charts(jump, pattern=0.0):
     board = Board(8, 6, 4, 32, 2, [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)])
     y = np.arange(48)
@@ -169,27 +147,6 @@ def test_the_preset_of_the_paper_is_the_papers_kernel():
     assert (kernel.t, kernel.iterations, kernel.threshold, kernel.window) == (0.5, 1, 0.01, 7)
     assert not kernel.is_regularised(0)
     assert kernel.scheme == "metric"
-
-
-def test_a_window_beyond_the_sweeps_is_marched():
-    board = uncut(6, 6)
-    picture = painting(36)
-    wide, _ = smooth_image(board.surface(), picture, window=17, iterations=1, **PLAIN)
-    swept, _ = smooth_image(board.surface(), picture, window=15, iterations=1, **PLAIN)
-    assert np.abs(wide - swept).mean() < 2e-4
-
-
-def test_a_regularised_metric_resists_the_noise_that_it_does_not_see():
-    """Distances from smoothed colours reach further over noise, and beta means the same in both."""
-    board = uncut(16, 6)
-    picture = painting(96)
-    clean = picture - np.random.default_rng(5).normal(0, 20 / 255, (96, 96, 3))
-
-    def psnr(**parameters):
-        result, _ = smooth_image(board.surface(), picture, iterations=1, beta=18.0, t=2.4, **parameters)
-        return -10 * np.log10(np.mean((result - clean) ** 2))
-
-    assert psnr(metric_scale=0.7, metric_steps=1) > psnr(metric_steps=0) + 1
 
 
 def test_repeats_are_those_within_reach_over_the_same_seam():
