@@ -11,8 +11,7 @@ from hypothesis import settings as run_with
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow import canvas, chunks, grid_manifold, mesh_manifold
-from beltrami_cli.flow.canvas import kernel_margin
+from beltrami_cli.flow import chunks, grid_manifold
 from beltrami_cli.flow.chunks import InTurn, in_chunks
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.moving_positions import GeometryParameters
@@ -143,33 +142,6 @@ def test_parameters_are_chosen_on_the_whole():
         parts = smooth_mesh(surface, free)
     assert parts.choice.chosen == whole.choice.chosen
     assert np.array_equal(parts.colours, whole.colours)
-
-
-@pytest.mark.parametrize(("module", "less"), [(grid_manifold, 2), (canvas, 0)])
-def test_a_margin_that_is_too_narrow_is_not_enough(module, less, monkeypatch):
-    """So the tests above would see it."""
-    parameters = KernelParameters(**{**FIXED, "metric_scale": 1.0, "beta": 1.0, "patches": "on"})
-
-    def make():
-        return picture((270, 140), parameters)
-
-    whole = smoothed(make())
-    if module is canvas:  # without the tiles around
-        monkeypatch.setattr(chunks.Rectangle, "grown", lambda self, *_: self)
-    else:
-        monkeypatch.setattr(module, "kernel_margin", lambda own: kernel_margin(own) - less)
-    with in_chunks(4, InTurn()):
-        assert not np.array_equal(smoothed(make()), whole)
-
-
-@pytest.mark.slow
-def test_a_margin_of_a_mesh_that_is_too_narrow_is_not_enough(monkeypatch):
-    monkeypatch.setattr(mesh_manifold, "_STRETCH", 0.3)
-    monkeypatch.setattr(mesh_manifold, "_KNOWN", 0.0)
-    parameters = KernelParameters(**FIXED)
-    whole = smooth_mesh(SURFACE, parameters)
-    with in_chunks(4, InTurn()):
-        assert not np.array_equal(smooth_mesh(SURFACE, parameters).colours, whole.colours)
 
 
 def test_vertices_are_not_moved_in_chunks():

@@ -15,6 +15,7 @@ from beltrami_cli.flow.clipping import (
     variance_at,
     variance_of_clipped,
 )
+from oracles import surfaces
 
 SIGMA = 0.08
 
@@ -35,15 +36,6 @@ def flat(level, size=64, seed=3):
     return np.clip(level + noise, 0, 1).astype(np.float32)
 
 
-def plane(size):
-    """Return positions and triangles of a square of size * size vertices."""
-    y, x = (part.ravel() for part in np.mgrid[:size, :size])
-    corner = (np.arange(size * size).reshape(size, size))[:-1, :-1].ravel()
-    low = np.stack([corner, corner + 1, corner + size + 1], axis=1)
-    high = np.stack([corner, corner + size + 1, corner + size], axis=1)
-    return np.stack([x, y, np.zeros(size * size)], axis=1).astype(float), np.concatenate([low, high])
-
-
 @pytest.mark.parametrize("level", [0.0, 0.03, 0.97, 1.0])
 @pytest.mark.parametrize("on", ["image", "mesh"])
 def test_the_mean_of_clipped_noise_is_restored(level, on):
@@ -51,7 +43,7 @@ def test_the_mean_of_clipped_noise_is_restored(level, on):
     if on == "image":
         kept, restored = (smooth_image(image, **FIXED, clipping=way).colours for way in ("keep", "restore"))
     else:
-        positions, faces = plane(len(image))
+        positions, faces = surfaces.plane(len(image), len(image))
         colours = image.reshape(-1, 1)
         kept, restored = (
             smooth(positions, faces, colours, **FIXED, clipping=way).colours for way in ("keep", "restore")
@@ -135,10 +127,22 @@ def test_one_row_is_restored_as_it_is_among_others():
     assert np.array_equal(row, whole[:, 6:])
 
 
-def test_a_level_far_from_the_limits_is_not_moved():
-    image = flat(0.5)
-    kept, restored = (smooth_image(image, **FIXED, clipping=way).colours for way in ("keep", "restore"))
+@pytest.mark.parametrize("kind", ["far from the limits", "without noise", "linear"])
+def test_what_was_not_cut_off_is_not_moved(kind):
+    clean = np.zeros((32, 32, 1), np.float32)
+    clean[8:20, 8:20] = 1
+    image, parameters = {
+        "far from the limits": (flat(0.5), FIXED),
+        "without noise": (clean, {"beta": 5.0}),
+        "linear": (flat(1.0), {"beta": 0}),
+    }[kind]
+    kept, restored = (smooth_image(image, **parameters, clipping=way).colours for way in ("keep", "restore"))
     np.testing.assert_array_equal(kept, restored)
+
+
+def test_values_beyond_the_limits_are_not_taken_for_clipped():
+    noise = SIGMA * np.random.default_rng(1).standard_normal((1, 1000)).astype(np.float32)
+    assert find_clipped(1 + noise, np.array([SIGMA])) is None
 
 
 def test_a_flat_that_merely_lies_near_the_limit_is_not_moved():
@@ -147,23 +151,6 @@ def test_a_flat_that_merely_lies_near_the_limit_is_not_moved():
     image[:, 32:] = 0.97 + 0.0005 * (flat(0.5)[:, 32:] - 0.5) / SIGMA
     restored = smooth_image(image, **{**FIXED, "metric_steps": 0}, clipping="restore").colours
     np.testing.assert_allclose(restored[:, 40:], 0.97, atol=0.002)
-
-
-def test_an_image_without_noise_and_values_beyond_the_limits_are_not_taken_for_clipped():
-    clean = np.zeros((32, 32, 1), np.float32)
-    clean[8:20, 8:20] = 1
-    np.testing.assert_array_equal(
-        *(smooth_image(clean, beta=5.0, clipping=way).colours for way in ("keep", "restore"))
-    )
-    noise = SIGMA * np.random.default_rng(1).standard_normal((1, 1000)).astype(np.float32)
-    assert find_clipped(1 + noise, np.array([SIGMA])) is None
-
-
-def test_the_linear_kernel_stays_linear():
-    image = flat(1.0)
-    np.testing.assert_array_equal(
-        *(smooth_image(image, beta=0, clipping=way).colours for way in ("keep", "restore"))
-    )
 
 
 @pytest.mark.parametrize("level", [0.02, 0.98])

@@ -15,6 +15,7 @@ from beltrami_cli.layers.guides import deviation_in_frame
 from hostile.textured_models import ONCE, PICTURE, write_model
 from oracles.paintings import photograph, psnr
 from oracles.surfaces import icosphere
+from small_models import COLOURED, ply
 
 SIZE = 128
 QUIET, LOUD = 4 / 255, 24 / 255
@@ -85,17 +86,6 @@ def test_pixels_are_smoothed_by_their_own_noise():
     assert psnr(own[:half], clean[:half]) > psnr(noisy[:half], clean[:half])
 
 
-@pytest.mark.slow
-def test_vertices_are_smoothed_by_their_own_noise():
-    positions, faces = icosphere(5)
-    clean = np.stack([0.5 + 0.3 * np.sin(5 * positions @ axis) for axis in np.eye(3)], axis=1)
-    sigma = np.where(positions[:, 2] < 0, QUIET, LOUD)
-    noisy = clean + sigma[:, None] * np.random.default_rng(0).standard_normal(clean.shape)
-    mean = f"{100 * np.sqrt(np.mean(sigma**2))}%"
-    one, own = (beltrami_cli.smooth(positions, faces, noisy, noise=noise).colours for noise in (mean, sigma))
-    assert psnr(own, clean) > psnr(one, clean) + 0.5
-
-
 @pytest.mark.parametrize(("name", "stored"), [("a.png", "uint8"), ("a.png", "uint16"), ("a.exr", "float")])
 def test_images_of_deviations_have_the_full_scale_one(name, stored, tmp_path):
     source = write(tmp_path / "in.png", grey()[1][..., None])
@@ -128,30 +118,13 @@ def test_a_frame_shows_the_deviation_at_each_place(tmp_path):
     assert report.image.noise_model["loud"] == pytest.approx(LOUD, rel=0.15)
 
 
-PLY = """ply
-format ascii 1.0
-element vertex {}
-property float x
-property float y
-property float z
-property uchar red
-property uchar green
-property uchar blue
-property float error
-element face {}
-property list uchar int vertex_indices
-end_header
-"""
-
-
 def test_an_attribute_of_vertices_is_their_noise(tmp_path):
     positions, faces = icosphere(3)
     colours = np.random.default_rng(0).integers(90, 160, (len(positions), 3))
     sigma = np.where(positions[:, 2] < 0, QUIET, LOUD).astype(np.float32)
-    rows = [" ".join(map(str, (*p, *c, s))) for p, c, s in zip(positions, colours, sigma, strict=True)]
-    rows += [f"3 {a} {b} {c}" for a, b, c in faces]
+    table = [[*p, *c, s] for p, c, s in zip(positions, colours, sigma, strict=True)]
     source, target = tmp_path / "in.ply", tmp_path / "out.ply"
-    source.write_text(PLY.format(len(positions), len(faces)) + "\n".join(rows) + "\n")
+    source.write_bytes(ply(f"{COLOURED}, float error", table, faces.tolist()))
     np.save(tmp_path / "sigma.npy", sigma)
     results = []
     for noise in ("attribute:error", str(tmp_path / "sigma.npy")):

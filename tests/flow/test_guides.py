@@ -11,7 +11,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas
 from oracles import surfaces
-from properties.textured_planes import Board, smoothed, texel_plan
+from properties.textured_planes import Board, painting, smoothed, texel_plan
 
 SIDE = 48
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
@@ -81,14 +81,18 @@ def test_the_colours_as_their_own_guide_count_like_a_larger_beta(smooth, beta):
 
 
 @both
-@pytest.mark.parametrize("guide_betas", [(), (3.0,)])
-def test_a_constant_guide_is_none(smooth, guide_betas):
-    assert np.array_equal(smooth(guide=np.full(len(NOISY), 0.3), guide_betas=guide_betas), smooth())
-
-
-@both
-def test_a_guide_without_weight_is_none(smooth):
-    assert np.array_equal(smooth(guide=MASK, guide_betas=(0.0,)), smooth())
+@pytest.mark.parametrize(
+    ("given", "same"),
+    [
+        ({"guide": np.full(len(NOISY), 0.3)}, {}),
+        ({"guide": np.full(len(NOISY), 0.3), "guide_betas": (3.0,)}, {}),
+        ({"guide": MASK, "guide_betas": (0.0,)}, {}),
+        ({"metric_channels": []}, {"beta": 0}),
+    ],
+    ids=["constant", "constant with a weight", "without weight", "no channels"],
+)
+def test_what_tells_nothing_of_edges_changes_nothing(smooth, given, same):
+    assert np.array_equal(smooth(**given), smooth(**same))
 
 
 @both
@@ -108,11 +112,6 @@ def test_the_default_weight_lets_neither_noise_nor_slopes_stop_a_kernel():
     step = np.repeat([0.0, 4.0], 1000)[:, None].astype(np.float32)
     assert choose_guide_beta(step, np.diff(step, axis=0)) == pytest.approx(6 / 2.0)
     assert choose_guide_beta(np.ones((5, 1), np.float32), np.zeros((4, 1), np.float32)) == 0
-
-
-@both
-def test_without_metric_channels_and_guides_it_is_the_linear_kernel(smooth):
-    assert np.array_equal(smooth(metric_channels=[]), smooth(beta=0))
 
 
 @both
@@ -143,16 +142,10 @@ def with_guide(surface, image, guide, beta=5.0, in_chart_frame=False):
 TURNED = [(1, 1, 1, False), (0, 0, 2, False), (0, 1, 3, False), (1, 0, 1, False)]
 
 
-def painting(channels):
-    y, x = np.mgrid[0:SIDE, 0:SIDE] / SIDE
-    base = np.where((x + 0.3 * y > 0.6)[..., None], 0.7, 0.3) * np.ones(channels)
-    return base + np.random.default_rng(channels).normal(0, 20 / 255, base.shape)
-
-
 def test_guides_reach_over_seams_as_the_colours_do():
     board = Board(cells=8, texels=6, block=4, slot=32, slots=2, places=TURNED)
     whole = Board(8, 6, 8, SIDE, 1, [(0, 0, 0, False)])
-    picture, guide = painting(3), painting(2)
+    picture, guide = painting(SIDE, 3), painting(SIDE, 2)
     cut = with_guide(board.surface(), board.image_of(picture), board.image_of(guide))
     truth = with_guide(whole.surface(), picture, guide)
     # The same arithmetic in another order, see the same test of colours.

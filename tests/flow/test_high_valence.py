@@ -5,13 +5,13 @@ import time
 import numpy as np
 import pytest
 
-from beltrami_cli._native import SegmentManifold
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.arrays import smooth
 from beltrami_cli.surface.records import SampledSurface
+from oracles import surfaces
 from oracles.fast_marching import Manifold
-from properties.manifolds import image_manifold
+from properties.manifolds import image_manifold, segment_manifold
 
 SECONDS = 30  # of processor time; a bounded tangle takes a quarter of it, one that is not twice as long
 
@@ -39,27 +39,12 @@ def tangle(count, size):
     return random.random((size, 3)), random.integers(0, size, (count, 3)).astype(np.int32)
 
 
-def plane(side):
-    """A square of `side` x `side` vertices."""
-    y, x = np.mgrid[:side, :side]
-    at = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    a, b, c, d = at[:-1, :-1].ravel(), at[:-1, 1:].ravel(), at[1:, :-1].ravel(), at[1:, 1:].ravel()
-    positions = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(float)
-    return positions, np.vstack([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
-
-
 def noisy(count):
     return (0.5 + 0.08 * np.random.default_rng(2).standard_normal((count, 3))).astype(np.float32)
 
 
-def core_of(positions, faces, beta=0.0):
-    core = SegmentManifold(faces, len(positions))
-    core.update_metric(positions, noisy(len(positions)), beta, None, 1)
-    return core
-
-
-def marching_core(positions, faces, beta):
-    return image_manifold(positions, faces, noisy(len(positions)), beta)
+def core_of(positions, faces, beta=0.0, make=segment_manifold):
+    return make(positions, faces, noisy(len(positions)), beta)
 
 
 # Up to 3 s: unbounded work shows on large tangles only.
@@ -78,16 +63,18 @@ def test_what_is_no_surface_takes_seconds_by_default(mesh):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beta", [0.0, 6.0])
-def test_the_cost_of_a_fan_grows_as_its_valence(beta):
+@pytest.mark.parametrize(
+    ("make", "beta", "most"),
+    [(segment_manifold, 0, 200), (segment_manifold, 6, 200), (image_manifold, 6, 100)],
+)
+def test_the_cost_of_a_fan_grows_as_its_valence(make, beta, most):
     """Beyond what is swept at any rate, twice the valence takes twice as long; a factor of 4 is that of all pairs."""
     seconds = []
     for count in (4_000, 16_000):
-        positions, faces = fan(count)
-        core, colours, times = core_of(positions, faces, beta), noisy(count + 1), []
+        core, colours, times = core_of(*fan(count), beta, make), noisy(count + 1), []
         for _ in range(2):
             start = time.process_time()
-            core.smooth(colours, None, 2.4, 6.6, 200, 1, None)
+            core.smooth(colours, None, 2.4, 6.6, most, 1, None)
             times.append(time.process_time() - start)
         seconds.append(min(times))
     assert seconds[1] / seconds[0] < 2.5**2
@@ -109,25 +96,11 @@ def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
         np.testing.assert_allclose(swept[source], weights[chosen] / weights.sum(), atol=1e-6)
 
 
-@pytest.mark.slow
-def test_the_cost_of_fast_marching_on_a_fan_grows_as_its_valence():
-    seconds = []
-    for count in (4_000, 16_000):
-        positions, faces = fan(count)
-        core, colours, times = marching_core(positions, faces, 6.0), noisy(count + 1), []
-        for _ in range(2):
-            start = time.process_time()
-            core.smooth(colours, None, 2.4, 6.6, 100, 1, None)
-            times.append(time.process_time() - start)
-        seconds.append(min(times))
-    assert seconds[1] / seconds[0] < 2.5**2
-
-
 @pytest.mark.parametrize("mesh", [fan(700), book(700)], ids=["fan", "book"])
 def test_fast_marching_past_a_hub_finds_the_distances_of_a_textbook_march(mesh):
     positions, faces = mesh
     colours = noisy(len(positions))
-    core = marching_core(positions, faces, 6.0)
+    core = image_manifold(positions, faces, colours, 6.0)
     oracle = Manifold(np.hstack([positions, 6.0 * colours.astype(float)]), faces)
     for source in (0, 1, 5, 350):
         truth = oracle.distances(source)
@@ -152,7 +125,7 @@ def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
 
 @pytest.mark.slow
 def test_a_hub_does_no_harm_to_the_rest_of_a_model():
-    positions, faces = plane(70)
+    positions, faces = surfaces.plane(70, 70)
     hub, around = fan(2_000)
     both = np.vstack([positions, hub + np.array([1_000, 0, 0])])
     joined = np.vstack([faces, around + len(positions)]).astype(np.int32)
@@ -168,7 +141,7 @@ def test_a_hub_does_no_harm_to_the_rest_of_a_model():
 @pytest.mark.parametrize(
     ("mesh", "expected"),
     [
-        (plane(60), True),
+        (surfaces.plane(60, 60), True),
         (fan(400), True),
         (fan(2_000), False),
         (book(2_000), False),

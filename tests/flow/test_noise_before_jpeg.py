@@ -26,6 +26,7 @@ from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from cli.commands import beltrami
 from flow.test_correlated_noise import painting, stored
 from formats.image_files import encode
+from oracles.paintings import psnr
 
 CLEAN = painting(256)
 SMALL = painting(160)  # for whole commands
@@ -47,10 +48,6 @@ def picture(pixels, quality, subsampling, tmp_path):
     data = jpeg_file(pixels, quality, subsampling)
     pixels, tables = decoded(data, tmp_path / "coded.jpg"), read_jpeg_tables(data)
     return CodedPicture(pixels, np.ones(pixels.shape[:2], bool), tables.steps, tables.span)
-
-
-def psnr(image, truth=CLEAN):
-    return -10 * np.log10(np.mean((image - truth) ** 2))
 
 
 def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
@@ -96,7 +93,7 @@ def test_decoding_with_the_noise_known_comes_closer_to_the_truth(tmp_path):
     result = pilot.copy()
     decode(own, result, 10 / 255)
     # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
-    assert psnr(result) > psnr(own.pixels / 255) + 1.5
+    assert psnr(result, CLEAN) > psnr(own.pixels / 255, CLEAN) + 1.5
 
 
 @pytest.mark.parametrize("limit", [0.0, 1.0])
@@ -162,20 +159,6 @@ def test_a_jpeg_file_is_smoothed_better_than_its_pixels_alone(tmp_path):
     assert results[".jpg"] > results[".png"] + 1
     true = np.sqrt(np.mean((pixels / 255 - SMALL) ** 2))
     assert np.sqrt(np.mean(np.square(read))) == pytest.approx(true, rel=0.3)
-
-
-@pytest.mark.slow
-def test_patches_do_not_take_ringing_that_repeats_itself_for_detail(tmp_path):
-    """Takes 2 s: it needs stripes that repeat often."""
-    down, across = np.mgrid[:192, :192]
-    stripes = np.where(((across + 2 * down) // 32 % 3 == 0)[..., None], [0.8, 0.2, 0.2], [0.2, 0.6, 0.3])
-    decoded(jpeg_file(stored(stripes, 10), 80, "4:4:4"), tmp_path / "in.jpg")
-    results = {}
-    for patches in ("on", "off"):
-        out = tmp_path / f"{patches}.png"
-        beltrami("smooth", tmp_path / "in.jpg", out, "--patches", patches)
-        results[patches] = psnr(decoded(out.read_bytes(), out) / 255, stripes)
-    assert results["on"] > results["off"]
 
 
 def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tmp_path):

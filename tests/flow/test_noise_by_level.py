@@ -15,7 +15,7 @@ from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
-from oracles.surfaces import icosphere
+from oracles.paintings import psnr
 
 SHOT, READ = 0.004, 0.005
 
@@ -32,10 +32,6 @@ def shot(clean, seed=0):
     light = srgb_to_linear(np.asarray(clean)).astype(float)
     noise = np.random.default_rng(seed).standard_normal(clean.shape) * np.sqrt(SHOT * light + READ**2)
     return linear_to_srgb(np.clip(light + noise, 0, 1)).astype(np.float32)
-
-
-def psnr(result, clean):
-    return -10 * np.log10(np.mean((np.asarray(result, float) - clean) ** 2))
 
 
 def found(image, *, varies=True):
@@ -79,15 +75,6 @@ def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     assert found(white).stabiliser is None
     assert found(shot(clean), varies=False).stabiliser is None
     assert found(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
-
-
-@pytest.mark.slow
-def test_noise_by_level_is_smoothed_on_a_surface():
-    positions, faces = icosphere(5)
-    colours = np.repeat(0.5 + 0.4 * positions[:, :1], 3, axis=1).astype(np.float32)
-    rough = shot(colours)
-    smoothed = beltrami_cli.smooth(positions, faces, rough)
-    assert psnr(smoothed.colours, colours) > psnr(rough, colours) + 8
 
 
 def test_given_noise_is_used():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import beltrami_cli
-from beltrami_cli.flow import grid_manifold
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
 from oracles.paintings import flat_paint, line_art, photograph, psnr
@@ -51,16 +50,12 @@ def test_the_noise_of_both_halves_is_found_in_one_channel():
     assert below[0] < 0.6 * below[1]
 
 
-@pytest.mark.parametrize(("scene", "sigma"), [(photograph, 5), (flat_paint, 20), (line_art, 0)])
-def test_even_noise_of_one_channel_is_the_same_everywhere(scene, sigma):
-    clean = scene(SIZE)[..., :1]
-    noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
-    assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
-
-
-@pytest.mark.parametrize("sigma", [0, 20])
-def test_textures_and_even_noise_are_the_same_everywhere(sigma):
-    clean = photograph(SIZE)
+@pytest.mark.parametrize(
+    ("scene", "sigma", "channels"),
+    [(photograph, 5, 1), (flat_paint, 20, 1), (line_art, 0, 1), (photograph, 0, 3), (photograph, 20, 3)],
+)
+def test_textures_and_even_noise_are_the_same_everywhere(scene, sigma, channels):
+    clean = scene(SIZE)[..., :channels]
     noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
     assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
 
@@ -74,12 +69,3 @@ def test_both_halves_are_smoothed_as_their_noise_asks():
     together = beltrami_cli.smooth_image(noisy).colours
     assert psnr(together, clean) > psnr(np.concatenate(alone), clean) - 3
     assert psnr(together[half:], clean[half:]) > psnr(noisy[half:], clean[half:]) + 4
-
-
-@pytest.mark.slow
-def test_blocks_of_rows_give_the_same(monkeypatch):
-    noisy = of_two_photographs()[1]
-    whole = beltrami_cli.smooth_image(noisy, fast=True).colours
-    monkeypatch.setattr(grid_manifold, "ROW_BLOCK_CELLS", 1)
-    monkeypatch.setattr(grid_manifold, "CELLS_PER_THREAD", 1)
-    assert np.array_equal(beltrami_cli.smooth_image(noisy, fast=True).colours, whole)

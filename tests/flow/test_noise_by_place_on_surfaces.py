@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-import beltrami_cli
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
 from beltrami_cli.surface.records import SampledSurface, linear_to_srgb, srgb_to_linear
-from oracles.paintings import photograph, psnr
+from oracles.paintings import photograph
 from oracles.surfaces import icosphere
 
 QUIET, LOUD = 5 / 255, 20 / 255
@@ -63,20 +62,3 @@ def test_noise_by_level_is_no_noise_by_place():
     found = manifold(positions, faces, linear_to_srgb(np.clip(seen, 0, 1)).astype(np.float32))
     assert found.noise.relative is None
     assert found.noise.stabiliser is not None
-
-
-@pytest.mark.slow
-def test_both_halves_are_smoothed_as_their_noise_asks():
-    """Better than by one number for both, though that is the truth for them together."""
-    positions, faces, clean, sigma = scene(contrast=0.08)
-    start, mean = noisy(clean, sigma), np.full(clean.shape, np.sqrt((QUIET**2 + LOUD**2) / 2))
-    found, one = (beltrami_cli.smooth(positions, faces, start, noise=each).colours for each in (None, mean))
-    assert psnr(found, clean) > psnr(one, clean) + 0.3
-
-
-def test_isolated_vertices_do_not_matter():
-    """Warnings are errors here: nothing is divided by their number of neighbours, which is 0."""
-    positions, faces, clean, sigma = scene()
-    alone = np.array([[3.0, 0, 0]]), np.array([[0.5, 0.5, 0.5]])
-    colours = np.concatenate([noisy(clean, sigma), alone[1]]).astype(np.float32)
-    assert manifold(np.concatenate([positions, alone[0]]), faces, colours).noise.relative is not None

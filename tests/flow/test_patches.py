@@ -4,32 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
-from beltrami_cli import SmoothSettings, _native, smooth, smooth_file, smooth_image
+from beltrami_cli import _native, smooth, smooth_image
 from beltrami_cli.flow import beltrami_flow, patches
 from beltrami_cli.flow.beltrami_flow import smooth as smooth_plan
 from beltrami_cli.flow.clipping import ClippedChannels, normal_tables
 from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.flow.parameters import PRESETS, KernelParameters, parameters_with
-from beltrami_cli.jobs.compare.files import compare_files
-from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import noise_file
+from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from flow.split_surfaces import (
     FIXED,
-    image_plan,
-    outcome,
-    same_bits,
-    smooth_mesh,
-    textured_plan,
-    wavy_surface,
 )
-from flow.test_bands import low_row_blocks
 from oracles import surfaces
 from oracles.paintings import flat_paint, line_art, photograph, psnr, with_noise
 
@@ -41,8 +30,6 @@ BOTH = ClippedChannels((True,), (True,), np.array([SIGMA]))
 LEVELS = [0.0, 0.02, 0.1, 0.5, 0.93, 1.0]
 ON = {**FIXED, "patches": "on"}
 RANDOM = np.random.default_rng(7)
-SMALL_MESH = wavy_surface(40)
-TORUS_TWO = Path(__file__).parents[2] / "sample_data" / "torus-two-clean.gltf"
 
 
 def cut_off_samples(level, count=200_000):
@@ -262,120 +249,6 @@ def test_the_blend_is_as_good_as_the_better_of_kernel_and_patches(name, sigma, m
     assert blend < 10**0.02 * min(kernel, alone) + 1e-3 * (sigma / 255) ** 2
 
 
-def test_plain_areas_are_averaged_over_many_samples(monkeypatch):
-    """Three times as many as a group has patches, which differ by noise alone; and means of samples reach further."""
-    clean = np.repeat(np.repeat(np.random.default_rng(5).uniform(0.3, 0.7, (2, 2, 3)), 128, 0), 128, 1)
-    plan = pixel_plan(with_noise(clean, SIGMA), **ON)
-    kernel, alone, blend = Seen(monkeypatch).errors(plan, clean)
-    assert alone < SIGMA**2 / (3 * 48)
-    assert blend < min(kernel, alone) / 1.3
-
-
-@pytest.mark.slow
-def test_a_plain_texture_loses_little_by_the_patterned_one_beside_it(tmp_path):
-    clean, noisy = TORUS_TWO, tmp_path / "noisy.gltf"
-    noise_file(clean, noisy, NoiseSettings(sigma=10 / 255))
-    found = {}
-    for taken in ("off", "on"):
-        target = tmp_path / taken / "smooth.gltf"
-        target.parent.mkdir()
-        smooth_file(noisy, target, SmoothSettings(parameters_with({"patches": taken, "threads": 1})))
-        found[taken] = {part["name"]: part["psnr"] for part in compare_files(clean, target).parts}
-    gains = {name.split("-")[-1]: found["on"][name] - psnr for name, psnr in found["off"].items()}
-    assert gains["icing.png"] > -0.3
-    assert gains["dough.png"] > 1
-
-
-def test_photographs_are_taken_from_patches_and_paint_from_the_kernel():
-    shares = []
-    for clean in (photograph(64), flat_paint(64)):
-        noisy = with_noise(clean, 20 / 255)
-        kernel, blend = (smooth_image(noisy, patches=wanted) for wanted in ("off", "auto"))
-        assert psnr(blend.colours, clean) > psnr(kernel.colours, clean) - 0.3
-        shares.append(blend.patches)
-    assert shares[0] > 0.6
-    assert shares[1] < 0.2
-
-
-@pytest.mark.parametrize("make", [textured_plan, image_plan])
-def test_on_grids_nothing_depends_on_threads_row_blocks_and_instruction_sets(make, monkeypatch):
-    def run(**others):
-        return outcome(make(KernelParameters(**{**ON, "threads": 1, **others})))
-
-    whole = run()
-    assert not same_bits(whole[:1], run(patches="off")[:1])
-    for threads in (2, 3):
-        assert same_bits(run(threads=threads), whole)
-    for name in instruction_sets(monkeypatch):
-        assert same_bits(run(), whole), name
-    low_row_blocks(monkeypatch)
-    assert same_bits(run(), whole)
-
-
-def test_on_meshes_nothing_depends_on_threads_and_instruction_sets(monkeypatch):
-    def run(**others):
-        return smooth_mesh(
-            SMALL_MESH, KernelParameters(**{**ON, "solver": "segments", "threads": 1, **others})
-        )
-
-    whole = run()
-    assert not np.array_equal(whole.colours, run(patches="off").colours)
-    for threads in (2, 3):
-        assert np.array_equal(run(threads=threads).colours, whole.colours)
-    for name in instruction_sets(monkeypatch):
-        assert np.array_equal(run().colours, whole.colours), name
-
-
-def instruction_sets(monkeypatch):
-    """Let the core use each instruction set that this machine has, in turn."""
-    for name in ("baseline", "x86-64-v3", "x86-64-v4"):
-        with monkeypatch.context() as patch:
-            patch.setenv("BELTRAMI_SIMD", name)
-            try:
-                _native.sweep_instruction_set()
-            except ValueError:
-                continue
-            yield name
-
-
-@pytest.mark.parametrize("make", ["mesh", "pixels"])
-def test_progress_goes_up_to_the_work_there_is(make):
-    calls = []
-    if make == "mesh":
-        smooth_mesh(SMALL_MESH, KernelParameters(**ON), progress=lambda *call: calls.append(call))
-    else:
-        smooth_plan(pixel_plan(with_noise(photograph(130), SIGMA), **ON), lambda *call: calls.append(call))
-    assert len({total for _, total in calls}) == 1
-    done = [before for before, _ in calls]
-    assert done == sorted(done)
-    assert 0.9 * calls[0][1] < done[-1] <= calls[0][1]
-
-
-def test_a_progress_that_raises_ends_the_run_while_patches_are_estimated():
-    def stop(done, total):
-        if done > total / 2:
-            raise KeyboardInterrupt
-
-    for run in (
-        partial(smooth_plan, pixel_plan(with_noise(photograph(130), SIGMA), **ON)),
-        lambda progress: smooth_mesh(SMALL_MESH, KernelParameters(**ON), progress=progress),
-    ):
-        with pytest.raises(KeyboardInterrupt):
-            run(stop)
-
-
-def test_channels_that_vary_apart_are_not_mixed():
-    clean = photograph(48)
-    for image, mixed in (
-        (clean, True),
-        (np.dstack([clean[..., 0], clean[::-1, :, 0], clean[..., 0].T]), False),
-    ):
-        plan = pixel_plan(with_noise(image, 0.02), **FIXED)
-        mixing = patches.mixing_of(plan.manifold, plan.manifold.colours, plan.manifold.noise.covariance)
-        assert np.allclose(mixing.forth @ mixing.back, np.eye(3), atol=1e-6)
-        assert np.count_nonzero(mixing.forth[:, 0]) == (3 if mixed else 1)
-
-
 def test_channels_without_noise_stay_and_do_not_stop_the_others():
     clean = photograph(64)
     constant = np.full((64, 64, 1), 0.37)
@@ -388,17 +261,6 @@ def test_channels_without_noise_stay_and_do_not_stop_the_others():
     np.testing.assert_allclose(result.colours[..., 3:], noisy[..., 3:], atol=1e-4)
     without = smooth_image(noisy[..., :3])
     assert psnr(result.colours[..., :3], clean) > psnr(without.colours, clean) - 0.2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("channels", [1, 2, 6])
-def test_any_number_of_channels_is_smoothed(channels):
-    clean = np.dstack([photograph(64), photograph(64, seed=2)])[..., :channels]
-    noisy = with_noise(clean, SIGMA)
-    for parameters in ({}, {"space": "data"}):
-        result = smooth_image(noisy, **parameters)
-        assert result.patches > 0
-        assert psnr(result.colours, clean) > psnr(noisy, clean)
 
 
 @pytest.mark.parametrize(

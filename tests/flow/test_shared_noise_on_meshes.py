@@ -132,17 +132,6 @@ def test_black_stays_black_where_vertices_share_noise(sphere):
 
 
 @pytest.mark.slow
-def test_the_order_of_vertices_does_not_matter_where_they_share_noise(sphere):
-    positions, faces = sphere
-    noisy = with_grain(positions, painted(positions), 2.0)
-    order = np.random.default_rng(1).permutation(len(positions))
-    rank = np.argsort(order)
-    one = smooth(positions, faces, noisy).colours
-    other = smooth(positions[order], rank[faces], noisy[order]).colours
-    assert np.sqrt(np.mean((other - one[order]) ** 2)) < 0.02 * SIGMA
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("shared", [False, True])
 def test_noise_is_found_and_removed_where_nearly_all_is_black(sphere, shared):
     """Within a quarter, from what the limit leaves of it, which is a third of its variance; and by 10 dB."""

@@ -7,14 +7,12 @@ import pickle
 import numpy as np
 import pytest
 
-from beltrami_cli import smooth
-from beltrami_cli.flow.mesh_manifold import MeshManifold, mesh_manifold
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_clusters import clusters_for
 from beltrami_cli.flow.vertex_graph import Graph
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
-from oracles.paintings import psnr
 
 RANDOM = np.random.default_rng(11)
 
@@ -43,17 +41,6 @@ def test_clusters_are_samples_and_neighbours_of_theirs(sphere):
     assert not any(a in chosen and b in chosen for a, b in neighbours)
     # On a triangle lattice a centre has six neighbours, and no two are adjacent: a third to a seventh are centres.
     assert 1 / 7 < len(centres) / sphere.size < 1 / 3
-
-
-def test_clusters_do_not_depend_on_the_order_of_the_samples(sphere):
-    order = RANDOM.permutation(sphere.size)
-    rank = np.argsort(order).astype(np.int32)
-    # Equal priorities are told apart by their order.
-    distinct = np.unique(sphere.priorities, return_inverse=True)[1][:-2].astype(np.uint64)
-    one = Graph(sphere.positions, sphere.edges, np.r_[distinct, np.uint64(10**6), np.uint64(10**6 + 1)])
-    other = Graph(one.positions[order], rank[one.edges], one.priorities[order])
-    centre_of, other_centre_of = (centres[members] for members, centres in (one.clusters(), other.clusters()))
-    assert np.array_equal(order[other_centre_of], centre_of[order])
 
 
 def test_clusters_are_joined_where_their_samples_are(sphere):
@@ -90,16 +77,3 @@ def test_parts_do_not_carry_the_graph_of_the_whole():
     before = len(pickle.dumps(manifold.cut(part)))
     manifold.perturbation()
     assert len(pickle.dumps(manifold.cut(part))) < 1.1 * before + 1000
-
-
-@pytest.mark.slow
-def test_plain_colours_lose_noise_that_single_vertices_keep(monkeypatch):
-    positions, faces = surfaces.icosphere(5)
-    random = np.random.default_rng(3)
-    clean = (0.5 + 0.2 * positions @ random.normal(size=(3, 3))).clip(0.1, 0.9)
-    noisy = (clean + 0.1 * random.normal(size=clean.shape)).astype(np.float32)
-    given = {"beta": 0.5, "t": 2.0, "iterations": 2, "patches": "on"}
-    with_clusters = psnr(smooth(positions, faces, noisy, **given).colours, clean)
-    monkeypatch.setattr(MeshManifold, "levels", lambda *_: [])
-    without = psnr(smooth(positions, faces, noisy, **given).colours, clean)
-    assert with_clusters > without + 0.2

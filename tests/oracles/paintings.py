@@ -1,4 +1,4 @@
-"""Pictures without noise, by formulas: like a photograph, flat paint, and line art; and white noise on them."""
+"""Pictures without noise, by formulas: like a photograph, flat paint, line art and shapes; and white noise on them."""
 
 from __future__ import annotations
 
@@ -40,3 +40,11 @@ def with_noise(clean, sigma, seed=0, *, cut_off=True):
 
 def psnr(colours, clean):
     return -10 * np.log10(np.mean((colours - clean) ** 2))
+
+
+def shapes(side):
+    """Return a disc on a slope, stripes, and a slope, in [0.25, 0.75], so that noise is hardly cut off."""
+    y, x = np.mgrid[:side, :side] / side
+    disc = (x - 0.45) ** 2 + (y - 0.5) ** 2 < 0.08
+    stripes = (x + y) % 0.4 < 0.2
+    return np.stack([np.where(disc, 0.7, 0.35 + 0.1 * x), np.where(stripes, 0.3, 0.6), 0.3 + 0.4 * y], axis=2)
