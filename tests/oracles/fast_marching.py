@@ -30,30 +30,6 @@ OBTUSE = -1e-9
 UNFOLDING_STEPS = 64
 
 
-def distances(embedding, faces, source, stop=inf, unfold=True):
-    """Return the geodesic distances from one vertex.
-
-    Parameters
-    ----------
-    embedding : array_like of float, shape (V, D)
-        Vertices in any dimension.
-    faces : array_like of int, shape (F, 3)
-        Triangles.
-    source : int
-        The vertex with distance 0.
-    stop : float
-        Marching ends at the first vertex further than this.
-    unfold : bool
-        Whether obtuse corners are split; if not, they leave their edges.
-
-    Returns
-    -------
-    ndarray of float64, shape (V,)
-        Infinite where a vertex is further than `stop` or not connected.
-    """
-    return Manifold(embedding, faces, unfold).distances(source, stop)
-
-
 @dataclass
 class Manifold:
     """Stencils of a triangulated manifold, made once for marching from many sources.
@@ -69,8 +45,6 @@ class Manifold:
 
     embedding: np.ndarray
     faces: np.ndarray
-    unfold: bool = True
-    steps: int = UNFOLDING_STEPS
     edges: list = field(init=False)
     stencils: list = field(init=False)
 
@@ -110,7 +84,7 @@ class Manifold:
         cosine = (to_a**2 + to_b**2 - across**2) / (2 * to_a * to_b)
         if cosine >= OBTUSE:
             self.add_stencil(c, a, b, to_a, to_b, min(cosine, 1.0))
-        elif self.unfold and (support := self.unfolded(a, b, c, max(cosine, -1.0))) is not None:
+        elif (support := self.unfolded(a, b, c, max(cosine, -1.0))) is not None:
             d, x, y, b_x, b_y = support
             to_d = sqrt(x * x + y * y)
             self.join_one_way(d, c, to_d)
@@ -142,7 +116,7 @@ class Manifold:
         place_a = np.array([to_a, 0.0])
         place_b = to_b * np.array([cosine, sqrt(1 - cosine * cosine)])
         p, q, place_p, place_q, last = a, b, place_a, place_b, c
-        for _ in range(self.steps):
+        for _ in range(UNFOLDING_STEPS):
             facing = self.facing[min(p, q), max(p, q)]
             if len(facing) != 2 or self.length(p, q) == 0:
                 return None
@@ -168,7 +142,7 @@ class Manifold:
         return place_p + along * direction + height * normal
 
     def distances(self, source, stop=inf):
-        """March from one vertex; see the function `distances`."""
+        """Return the geodesic distances from one vertex, infinite beyond `stop` and where nothing leads."""
         phi = np.full(len(self.embedding), inf)
         accepted = np.zeros(len(phi), bool)
         phi[source] = 0.0

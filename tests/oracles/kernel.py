@@ -18,7 +18,7 @@ def embed(positions, colours, beta):
     return np.hstack([np.asarray(positions, float), beta * np.asarray(colours, float)])
 
 
-def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None, unfold=True):
+def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None):
     """Return the colours after one Jacobi iteration.
 
     Parameters
@@ -35,12 +35,10 @@ def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None
         Samples with a kernel below this are left out.
     weights : array_like of float, shape (V,), optional
         What each sample counts; by default all the same.
-    unfold : bool
-        Whether obtuse corners are split.
     """
     colours = np.asarray(colours, float)
     weights = np.ones(len(colours)) if weights is None else np.asarray(weights, float)
-    manifold = Manifold(embedding, faces, unfold)
+    manifold = Manifold(embedding, faces)
     reach = sqrt(-4 * t * log(threshold))
     smoothed = np.empty_like(colours)
     for p in range(len(colours)):

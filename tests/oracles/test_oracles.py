@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, log, pi
+from math import inf, pi
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from oracles import strategies, surfaces
 from oracles.exact_geodesic import exact_distances
-from oracles.fast_marching import Manifold, distances, triangle_update
+from oracles.fast_marching import Manifold, triangle_update
 from oracles.kernel import embed, short_time_kernel
 from oracles.laplacian import laplace_beltrami
 
@@ -44,56 +44,6 @@ def test_a_plane_front_crosses_a_triangle_exactly(front):
     assert triangle_update(phi_a, to_a, phi_b, to_b, a @ b / (to_a * to_b)) == pytest.approx(phi_c, rel=1e-12)
 
 
-def test_a_front_from_outside_the_triangle_does_not_cross_it():
-    assert triangle_update(0.0, 1.0, 0.99, 1.0, 0.5) == inf
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", [surfaces.plane, surfaces.lattice])
-def test_distances_on_a_plane_converge_to_euclid_at_first_order(make):
-    # For a source in one point the error of a first-order scheme is of order h log(1/h).
-    constants = []
-    for cells in (8, 16, 32):
-        positions, faces = make(cells + 1, cells + 1, 1 / cells)
-        source = (cells + 1) * (cells // 2) + cells // 2
-        error = distances(positions, faces, source) - np.linalg.norm(positions - positions[source], axis=1)
-        assert error.min() > -1e-12  # interpolation of a convex function lies above it
-        constants.append(error.max() * cells / log(cells))
-    assert constants[0] < 0.3
-    assert constants[0] >= 0.99 * constants[1] >= 0.98 * constants[2]
-
-
-@pytest.mark.parametrize(("shear", "gain"), [(0.8, 1.0), (1.5, 2.0), (3.0, 2.0)])
-def test_split_corners_of_a_sheared_plane_stay_above_euclid_and_come_closer(shear, gain):
-    positions, faces = surfaces.plane(11, 11)
-    positions[:, :2] += np.random.default_rng(2).uniform(-0.2, 0.2, (len(positions), 2))
-    positions[:, 0] -= shear * positions[:, 1]
-    straight = np.linalg.norm(positions - positions[60], axis=1)
-    split, whole = (distances(positions, faces, 60, unfold=unfold) - straight for unfold in (True, False))
-    # Wherever a support is unfolded to, in a plane it must be where it is.
-    assert split.min() > -1e-12
-    assert split.mean() < whole.mean() / gain
-
-
-@pytest.mark.slow
-def test_distances_on_a_sphere_converge_to_arcs():
-    errors = []
-    for subdivisions in (2, 3, 4):
-        positions, faces = surfaces.icosphere(subdivisions)
-        found = distances(positions, faces, 0)
-        arcs = np.arccos(np.clip(positions @ positions[0], -1, 1))
-        errors.append(np.abs(found - arcs).mean())
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[2] < 0.02
-
-
-def test_distances_do_not_feel_the_bending_of_a_cylinder():
-    flat, faces = surfaces.lattice(13, 13)
-    rolled = surfaces.rolled_cylinder(flat, radius=40.0)
-    # Chords are shorter than arcs by (h / r)^2 / 24.
-    assert distances(rolled, faces, 84) == pytest.approx(distances(flat, faces, 84), rel=1e-4)
-
-
 def test_exact_distances_are_exact_on_a_plane():
     positions, faces = surfaces.plane(7, 9)
     positions[:, :2] += np.random.default_rng(3).uniform(-0.3, 0.3, (len(positions), 2))
@@ -106,35 +56,11 @@ def test_exact_distances_are_exact_on_a_plane():
 def test_marching_agrees_with_exact_distances_on_mild_terrain(seed):
     positions, faces = surfaces.terrain(15, 15, 0.2, seed)
     exact = exact_distances(positions, faces, 112)
-    ratio = np.delete(distances(positions, faces, 112), 112) / np.delete(exact, 112)
+    ratio = np.delete(Manifold(positions, faces).distances(112), 112) / np.delete(exact, 112)
     # One update across the diagonal of a square is off by (1 + 1/sqrt 2) / sqrt 2 = 1.207, and none is worse.
     assert ratio.min() > 0.99
     assert ratio.max() < 1.24
     assert np.sqrt(((ratio - 1) ** 2).mean()) < 0.06
-
-
-def test_unfolding_more_than_halves_the_error_on_very_noisy_patches(capsys):
-    # Grey noise of 20/255 at beta 13 is a terrain of about this roughness: one corner in seven is obtuse.
-    squares = {True: [], False: []}
-    for seed in range(4):
-        positions, faces = surfaces.terrain(13, 13, 1.0, seed)
-        exact = exact_distances(positions, faces, 84)
-        near = (exact > 0) & (exact < 6)
-        for unfold, gathered in squares.items():
-            found = distances(positions, faces, 84, unfold=unfold)
-            gathered.append(((found[near] / exact[near] - 1) ** 2).mean())
-    split, whole = (np.sqrt(np.mean(squares[unfold])) for unfold in (True, False))
-    with capsys.disabled():
-        print(f" [rms error {100 * split:.1f} % unfolded, {100 * whole:.1f} % not] ", end="")
-    assert split < whole / 2
-    assert split < 0.06
-
-
-def test_stopping_leaves_accepted_distances_as_they_are():
-    positions, faces = surfaces.terrain(9, 9, 0.5, 0)
-    everywhere, near = distances(positions, faces, 40), distances(positions, faces, 40, stop=2.5)
-    assert np.array_equal(near, np.where(everywhere <= 2.5, everywhere, inf))
-    assert 5 < np.isfinite(near).sum() < 60
 
 
 @pytest.mark.slow
@@ -142,21 +68,11 @@ def test_stopping_leaves_accepted_distances_as_they_are():
 @given(strategies.meshes())
 def test_distances_are_no_longer_than_paths_over_edges_and_reach_as_far(mesh):
     positions, faces = mesh
-    for unfold in (True, False):
-        found = distances(positions, faces, 0, unfold=unfold)
-        assert found[0] == 0
-        assert (found >= 0).all()
-        over_edges = edge_distances(positions, faces, 0)
-        assert (found <= over_edges * (1 + 1e-9) + 1e-12).all()
-        assert np.array_equal(np.isfinite(found), np.isfinite(over_edges))
-
-
-@settings(max_examples=100, deadline=None)
-@given(strategies.meshes())
-def test_order_and_repetition_of_faces_do_not_matter(mesh):
-    positions, faces = mesh
-    shuffled = np.concatenate([faces[::-1, ::-1], faces[:, [1, 2, 0]]])
-    assert np.array_equal(distances(positions, faces, 0), distances(positions, shuffled, 0))
+    found, over_edges = Manifold(positions, faces).distances(0), edge_distances(positions, faces, 0)
+    assert found[0] == 0
+    assert (found >= 0).all()
+    assert (found <= over_edges * (1 + 1e-9) + 1e-12).all()
+    assert np.array_equal(np.isfinite(found), np.isfinite(over_edges))
 
 
 def test_the_support_of_a_split_corner_lies_where_unfolding_puts_it():
@@ -201,30 +117,6 @@ def test_a_kernel_weighs_its_samples_and_leaves_lone_ones():
     assert smoothed[3, 0] == 0.7
 
 
-@settings(max_examples=40, deadline=None)
-@given(strategies.painted())
-def test_a_kernel_stays_within_the_colours_and_keeps_constants(mesh):
-    positions, faces, colours = mesh[0], mesh[1], mesh[2].astype(float)
-    smoothed = short_time_kernel(embed(positions, colours, 2.0), faces, colours, 0.3)
-    assert (smoothed >= colours.min(axis=0) - 1e-12).all()
-    assert (smoothed <= colours.max(axis=0) + 1e-12).all()
-    constant = np.full_like(colours, 0.3)
-    kept = short_time_kernel(embed(positions, constant, 2.0), faces, constant, 0.3)
-    assert kept == pytest.approx(constant, abs=1e-12)
-
-
-def test_the_laplacian_of_linear_functions_vanishes_inside_a_plane():
-    positions, faces = surfaces.plane(9, 9)
-    inside = ((positions > 0) & (positions < 8))[:, :2].all(axis=1)
-    positions[inside, :2] += np.random.default_rng(5).uniform(-0.2, 0.2, (inside.sum(), 2))
-    # Turned into six dimensions, the plane is the same plane.
-    turned = positions @ np.linalg.qr(np.random.default_rng(6).standard_normal((6, 3)))[0].T
-    stiffness, mass = laplace_beltrami(turned, faces)
-    assert mass.sum() == pytest.approx(64)
-    linear = 3 * positions[:, 0] - 2 * positions[:, 1] + 1
-    assert np.abs((stiffness @ linear)[inside]).max() < 1e-11
-
-
 def test_the_laplacian_has_spherical_harmonics_with_their_eigenvalues():
     positions, faces = surfaces.icosphere(4)
     stiffness, mass = laplace_beltrami(positions, faces)
@@ -242,25 +134,3 @@ def test_the_laplacian_has_spherical_harmonics_with_their_eigenvalues():
         # The pointwise operator is right on average; at the twelve corners of the icosahedron it is off.
         residual = (stiffness @ harmonic) / mass + degree * (degree + 1) * harmonic
         assert np.sqrt((mass * residual**2).sum() / (mass * harmonic**2).sum()) < 0.06 * max(degree, 1) ** 2
-
-
-def test_the_icosphere_is_closed_and_its_faces_look_outwards():
-    positions, faces = surfaces.icosphere(3)
-    assert len(positions) == 10 * 4**3 + 2
-    _, count = np.unique(
-        np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0, return_counts=True
-    )
-    assert (count == 2).all()
-    a, b, c = (positions[faces[:, k]] for k in range(3))
-    assert ((np.cross(a, b) * c).sum(axis=1) > 0).all()
-    assert surfaces.mean_edge_length(positions, faces) == pytest.approx(0.15, rel=0.05)
-
-
-@pytest.mark.parametrize("roll", [surfaces.rolled_cylinder, surfaces.rolled_cone])
-def test_rolled_planes_keep_short_lengths(roll):
-    flat, faces = surfaces.plane(9, 9, 0.25)
-    flat[:, 0] += 20
-    rolled = roll(flat, 30.0 if roll is surfaces.rolled_cylinder else 0.5)
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        here, there = (np.linalg.norm(p[faces[:, a]] - p[faces[:, b]], axis=1) for p in (flat, rolled))
-        assert there == pytest.approx(here, rel=1e-4)

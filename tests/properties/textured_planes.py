@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
+import oracles.textured
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted
 from beltrami_cli.flow.grid_manifold import grid_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.regularisation import guide_radius
 from beltrami_cli.surface.atlas import build_atlas
-from beltrami_cli.surface.records import Texture, TexturedSurface
 from oracles import surfaces
 
-
-def textured(positions, faces, uv, wrap=("clamp", "clamp"), texture_of=None, textures=1):
-    texture_of = np.zeros(len(faces), np.int32) if texture_of is None else texture_of
-    images = tuple(Texture(f"image {i}", f"{i}.png", b"", (), wrap) for i in range(textures))
-    return TexturedSurface(positions, np.asarray(faces, np.int32), np.asarray(uv, float), texture_of, images)
+textured = functools.partial(oracles.textured.textured, sizes=[(1, 1)], wrap=("clamp", "clamp"))
 
 
 @dataclasses.dataclass
