@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import maximum_filter
 
 from beltrami_cli._native import gather_colours, scatter_colours
-from beltrami_cli.surface.atlas import within
 
 
 @pytest.mark.parametrize("kind", [np.int32, np.int64])
@@ -35,10 +33,3 @@ def test_a_cell_outside_the_canvas_is_refused_and_nothing_written(cell):
     with pytest.raises(IndexError, match="outside the canvas"):
         scatter_colours(planes, np.array([0, cell]), np.ones((2, 1), np.float32), 1)
     assert not planes.any()
-
-
-@pytest.mark.parametrize("reach", [0, 1, 2, 5, 13, 40])
-def test_what_is_within_some_texels_is_what_a_maximum_filter_finds(reach):
-    covered = np.random.default_rng(reach).random((60, 35)) < 0.01
-    expected = maximum_filter(covered, 2 * reach + 1, mode="constant")
-    np.testing.assert_array_equal(within(covered, reach), expected)

@@ -19,20 +19,6 @@ def square(texels=16, place=(4, 4), image=32):
     return textured(positions, faces, positions[faces][..., :2] + place, [(image, image)])
 
 
-def cylinder(sides=8, texels=32, height=8, radius=1.0):
-    """One chart, whose left and right border are one seam."""
-    angles = 2 * np.pi * np.arange(sides) / sides
-    ring = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    positions = np.concatenate([np.column_stack([ring, np.full(sides, z)]) for z in (0.0, 1.0)])
-    faces, corners = [], []
-    for i in range(sides):
-        j, left, right = (i + 1) % sides, i * texels / sides, (i + 1) * texels / sides
-        faces += [[i, j, sides + j], [i, sides + j, sides + i]]
-        corners += [[[left, 0], [right, 0], [right, height]], [[left, 0], [right, height], [left, height]]]
-    corners = np.array(corners) + 5
-    return textured(positions, faces, corners, [(texels + 10, height + 10)])
-
-
 def test_a_cube_has_six_charts_and_twelve_seams():
     surface = cube(16)
     atlas = build_atlas(surface, [(124, 24)], 3)
@@ -52,32 +38,6 @@ def test_a_halo_lies_on_the_surface_where_the_chart_goes_on():
     assert np.allclose(lengths[:, :-1][pair], 0.5, atol=1e-6)
     inside = (atlas.kind[:, :-1] == OWNED) & (atlas.kind[:, 1:] == OWNED)
     assert np.array_equal(lengths[:, :-1][inside], np.ones(inside.sum(), np.float32))
-
-
-def test_nothing_is_beyond_an_open_boundary():
-    atlas = build_atlas(square(), [(32, 32)], 3)
-    assert (atlas.charts, atlas.seams, len(atlas.halo_cells), len(atlas.gutter_cells)) == (1, 0, 0, 0)
-    # The first texel is at 4 both ways: it lies at an even cell.
-    assert atlas.kind.shape == (23, 23)
-    owned = np.zeros((23, 23), bool)
-    owned[4:20, 4:20] = True
-    assert np.array_equal(atlas.kind == OWNED, owned)
-    assert not np.isfinite(atlas.squared_lengths[RIGHT][:, 19]).any()
-    assert not np.isfinite(atlas.squared_lengths[BELOW][19]).any()
-
-
-def test_a_cylinder_is_periodic():
-    atlas = build_atlas(cylinder(), [(42, 18)], 3)
-    assert (atlas.charts, atlas.seams, atlas.seam_edges) == (1, 1, 1)
-    texels = shown_texels(atlas)
-    assert np.array_equal(atlas.halo_weights[:, 0], np.ones(8 * 6, np.float32))
-    ring = texels[3:-3]
-    assert np.array_equal(ring[:, :3], ring[:, 32:35])
-    assert np.array_equal(ring[:, -3:], ring[:, 3:6])
-    lengths = atlas.squared_lengths[RIGHT][3:-3]
-    assert np.allclose(lengths[:, :3], lengths[:, 32:35], rtol=1e-5)
-    assert np.isfinite(lengths[:, :-1]).all()
-    assert (atlas.kind[:3] == EMPTY).all()
 
 
 def test_faces_on_one_side_of_their_common_edge_in_the_image_are_mirrored_halves():

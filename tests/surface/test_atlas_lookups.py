@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
 from beltrami_cli.surface.atlas import build_atlas
-from oracles.textured import cube, strips, textured
+from oracles.textured import strips, textured
 
 SIZE = 32
 SQUARE = np.array([[4, 4], [20, 4], [20, 20], [4, 20]], float)
@@ -32,21 +33,23 @@ def ring(first, last):
     return np.flatnonzero(around & ~inside)
 
 
-def numbers(*texels):
-    """Return the numbers of texels (column, row)."""
-    return sorted(row * SIZE + column for column, row in texels)
-
-
 def test_a_chart_looks_up_the_texels_around_it():
     atlas = with_face(ABOVE, SQUARE[:3])
     assert atlas.border_texels.tolist() == ring(4, 20).tolist()
     assert not len(atlas.lone_texels)
 
 
-def test_a_face_that_is_one_point_of_the_image_looks_up_the_texels_around_it():
-    corners = np.full((3, 2), [26.25, 10.75])
+@pytest.mark.parametrize(
+    ("corners", "texels"),
+    [
+        (np.full((3, 2), [26.25, 10.75]), [(25, 10), (26, 10), (25, 11), (26, 11)]),
+        (np.array([[26.6, 10.6], [26.9, 10.6], [26.9, 10.9]]), [(26, 10), (27, 10), (26, 11), (27, 11)]),
+    ],
+    ids=["a point", "between texel centres"],
+)
+def test_a_face_without_texels_looks_up_the_texels_around_it(corners, texels):
     atlas = with_face(ABOVE, corners)
-    assert atlas.lone_texels.tolist() == numbers((25, 10), (26, 10), (25, 11), (26, 11))
+    assert atlas.lone_texels.tolist() == sorted(row * SIZE + column for column, row in texels)
 
 
 def test_what_a_face_without_texels_shows_is_not_the_gutter_of_the_chart_beside_it():
@@ -65,12 +68,6 @@ def test_what_a_face_without_texels_shows_is_not_the_gutter_of_the_chart_beside_
     atlas = build_atlas(surface, [(32, 16)], 6)
     assert atlas.lone_texels.tolist() == sorted(shown)
     assert np.array_equal(np.setdiff1d(alone.gutter_texels, atlas.gutter_texels), sorted(shown))
-
-
-def test_a_face_smaller_than_a_texel_between_texel_centres_is_without_texels():
-    corners = np.array([[26.6, 10.6], [26.9, 10.6], [26.9, 10.9]])
-    atlas = with_face(ABOVE, corners)
-    assert atlas.lone_texels.tolist() == numbers((26, 10), (27, 10), (26, 11), (27, 11))
 
 
 def test_a_face_without_area_on_a_border_shows_the_chart():
@@ -110,12 +107,3 @@ def test_lookups_go_round_where_a_texture_repeats():
     corners = np.array([[30.0, 10.25], [34.0, 10.25], [32.0, 10.25]])
     atlas = with_face(ABOVE, corners)
     assert np.unique(atlas.lone_texels % SIZE).tolist() == [0, 1, 2, 29, 30, 31]
-
-
-def test_a_cube_looks_up_the_rings_around_its_charts():
-    surface = cube(16)
-    atlas = build_atlas(surface, [(124, 24)], 3)
-    assert len(atlas.border_texels) == 6 * (18 * 18 - 16 * 16)
-    assert not len(atlas.lone_texels)
-    assert np.isin(atlas.border_texels, atlas.gutter_texels).all()
-    assert not np.isin(atlas.border_texels, atlas.owned_texels).any()

@@ -8,8 +8,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import maximum_filter
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from beltrami_cli.surface.atlas import EMPTY, OWNED, build_atlas
 from oracles.textured import CutPlane, quads, slit, textured
@@ -146,26 +144,6 @@ def test_a_slit_between_texels_of_any_direction_cuts_what_crosses_it(angle):
         found += np.count_nonzero(~joined)
     # Of a slit of 16 texels: one in each direction a texel across it.
     assert found > 3 * 16 - 6
-
-
-def test_a_slit_through_the_centres_of_texels_leaves_each_on_one_side():
-    positions, faces = quads(8, 8, 2, np.zeros((8, 8)))
-    surface = textured(positions, faces, positions[faces][..., :2] + 4.5, [(24, 24)])
-    atlas = build_atlas(slit(surface, (8, 0), (8, 14), (True, False)), [(24, 24)], MARGIN)
-    row, column = np.full((2, atlas.kind.size), 99)
-    row[atlas.owned_cells], column[atlas.owned_cells] = np.array(np.divmod(atlas.owned_texels, 24)) - 4
-    edges = []
-    for one, other, joined in neighbours(atlas):
-        pairs = np.array([np.ravel_multi_index(cells, atlas.kind.shape) for cells in (one, other)])
-        edges.append(pairs[:, joined & (row[pairs].max(axis=0) < 14)])
-    graph = coo_matrix(
-        (np.ones(sum(e.shape[1] for e in edges)), np.concatenate(edges, axis=1)), (atlas.kind.size,) * 2
-    )
-    part = connected_components(graph, directed=False)[1]
-    left, right = (set(part[(row < 14) & side]) for side in (column < 8, (column > 8) & (column < 99)))
-    assert (len(left), len(right)) == (1, 1)
-    assert left != right
-    assert set(part[(row < 14) & (column == 8)]) <= left | right
 
 
 def test_parts_of_a_chart_that_only_touch_in_the_image_are_not_joined():

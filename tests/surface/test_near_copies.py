@@ -9,20 +9,16 @@ from beltrami_cli import SmoothSettings, smooth_file
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.grouping import group_places
+from oracles import surfaces
 
 SIDE = 12  # vertices
 
 
 def sheet(offset=0.0, scale=1.0):
     """Vertices of a bent square of unit side, rounded to single precision, and its triangles."""
-    x, y = np.meshgrid(*2 * [np.linspace(0, 1, SIDE)])
-    places = np.stack([x, y, 0.1 * np.sin(4 * x)], axis=2).reshape(-1, 3)
-    number = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
-    quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=2).reshape(
-        -1, 4
-    )
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return (scale * places + offset).astype(np.float32), faces.astype(np.int32)
+    places, faces = surfaces.plane(SIDE, SIDE, 1 / (SIDE - 1))
+    places[:, 2] = 0.1 * np.sin(4 * places[:, 0])
+    return (scale * places + offset).astype(np.float32), faces
 
 
 def fallen_apart(places, faces, units=1):

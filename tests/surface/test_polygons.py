@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.surface.geometry import triangulate
+from beltrami_cli.surface.geometry import triangulate, unit_vectors
 
 
 def cut(points, *polygons):
@@ -132,3 +132,8 @@ def test_polygons_too_large_to_be_cut_are_refused_unless_they_are_convex():
     circle[5000] *= 0.5
     with pytest.raises(InputError, match="20000 corners is not convex"):
         triangulate(circle, corners, offsets)
+
+
+def test_vectors_whose_squares_are_beyond_all_numbers_have_a_direction():
+    vectors = np.array([[3e200, 4e200, 0], [0, 0, 0], [3, 4, 0]])
+    assert unit_vectors(vectors) == pytest.approx(np.array([[0.6, 0.8, 0], [0, 0, 0], [0.6, 0.8, 0]]))

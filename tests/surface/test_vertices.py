@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,12 +19,6 @@ def painted(positions, faces, colours, space_of=None):
     return PaintedVertices(
         positions, np.asarray(faces, np.int32), colours, names, "srgb", "float32", space_of
     )
-
-
-def soup(positions, faces, colours):
-    """Every triangle with vertices of its own."""
-    corners = faces.ravel()
-    return positions[corners], np.arange(len(corners), dtype=np.int32).reshape(-1, 3), colours[corners]
 
 
 @given(
@@ -46,18 +39,6 @@ def test_rows_with_equal_hashes_are_kept_apart(monkeypatch):
     group_of, first = group_equal_rows(np.array([3, 1, 3, 2, 1]), np.array([0.0, 1.0, 0.0, 0.0, 2.0]))
     assert group_of.tolist() == [0, 1, 0, 2, 3]
     assert first.tolist() == [0, 1, 3, 4]
-
-
-@pytest.mark.slow
-def test_a_soup_of_triangles_is_smoothed_like_the_connected_mesh():
-    positions, faces = surfaces.icosphere(3)
-    colours = np.random.default_rng(0).random((len(positions), 3))
-    whole = beltrami_cli.smooth(positions, faces, colours)
-    split = beltrami_cli.smooth(*soup(positions, faces, colours))
-    assert split.samples == whole.samples
-    assert split.hard_edge_samples == 0
-    assert np.abs(split.colours - whole.colours[faces.ravel()]).max() < 5e-3
-    assert np.abs(split.colours - whole.colours[faces.ravel()]).mean() < 1e-5
 
 
 def test_vertices_in_different_spaces_are_not_joined():
