@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
-import shutil
 import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,18 +14,7 @@ from beltrami_cli.jobs.output import Output
 from cli.commands import COMMAND, SAMPLES, refused
 from formats.image_files import encode
 from hostile.folders import snapshot
-from hostile.test_interruptions import folder_with_model
 from small_models import COLOURED, ply
-
-# In a name space of one's own anybody may mount, where the system lets them have one.
-OWN_SPACE = ["unshare", "--user", "--map-root-user", "--mount"]
-CAN_MOUNT = (
-    shutil.which("unshare") is not None
-    and subprocess.run(
-        [*OWN_SPACE, "mount", "-t", "tmpfs", "none", "/mnt"], check=False, capture_output=True
-    ).returncode
-    == 0
-)
 
 
 def run_with_small_files(most, folder, *arguments):
@@ -62,44 +48,6 @@ def test_a_reader_that_has_enough_is_no_failure_to_speak_of(words):
     with os.fdopen(writer, "wb") as unread:
         run = subprocess.run(arguments, stdout=unread, stderr=subprocess.PIPE, check=False)
     assert (run.returncode, run.stderr) == (4, b"")
-
-
-# Mounts a small disk, copies a folder there, fills all but a few pages, and runs the command.
-ON_SMALL_DISK = """
-import os, pathlib, shutil, subprocess, sys
-sys.path.insert(0, sys.argv[1])
-from hostile.folders import snapshot
-source, disk, free, arguments = sys.argv[2], pathlib.Path(sys.argv[3]), int(sys.argv[4]), sys.argv[5:]
-subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", disk], check=True)
-shutil.copytree(source, disk / "work")
-room = os.statvfs(disk).f_bavail * os.statvfs(disk).f_bsize
-(disk / "filler").write_bytes(bytes(room - 4096 * free))
-before = snapshot(disk)
-code = subprocess.run(arguments, cwd=disk / "work", check=False).returncode
-print(code, snapshot(disk) == before)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not CAN_MOUNT, reason="no file system can be mounted here")
-@pytest.mark.parametrize(
-    # Free pages: a probe takes none, OBJ, MTL and PNG take one each, and in its place MTL stays.
-    ("free", "target"),
-    [(0, "out/result.obj"), (1, "model.obj"), (1, "new/result.obj"), (2, "out/result.obj")],
-)
-def test_a_disk_that_fills_up(free, target, tmp_path):
-    folder, disk = folder_with_model(tmp_path), tmp_path / "disk"
-    (folder / "new").mkdir()
-    disk.mkdir()
-    tests = str(Path(__file__).parents[1])
-    script = [sys.executable, "-c", ON_SMALL_DISK, tests, str(folder), str(disk), str(free)]
-    run = subprocess.run(
-        [*OWN_SPACE, *script, *COMMAND, "smooth", "model.obj", target, "--overwrite"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert run.stdout == "4 True\n", run.stderr
-    assert run.stderr.count("\n") == 1
-    assert "No space left" in run.stderr
 
 
 @pytest.mark.slow

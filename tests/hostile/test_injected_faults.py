@@ -6,7 +6,6 @@ import errno
 import itertools
 import logging
 import os
-import shutil
 
 import pytest
 
@@ -14,7 +13,6 @@ from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.output import Output
-from cli.commands import SAMPLES, beltrami
 from hostile.folders import snapshot
 
 CALLS = ("link", "replace", "unlink", "fsync", "open", "write", "mkdir", "chmod")
@@ -130,27 +128,6 @@ def test_only_a_set_of_this_user_in_this_folder_is_undone(tmp_path):
     replacing.recover(folder)
     assert outside.read_text() == "precious"
     assert sorted(path.name for path in folder.iterdir()) == ["link"]
-
-
-def test_a_temporary_file_that_cannot_be_removed_is_a_warning(tmp_path, monkeypatch):
-    shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "in.ply")
-    unlink = os.unlink
-
-    def fail_at_the_end(path, **options):
-        if (tmp_path / "out.ply").exists():
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
-        unlink(path, **options)
-
-    monkeypatch.setattr(os, "unlink", fail_at_the_end)
-    smooth = ("smooth", "in.ply", "out.ply", "-n", "1", "--beta", "8", "--fast")
-    said = beltrami(*smooth, "--report", "report.json", cwd=tmp_path, text=True).stderr
-    monkeypatch.undo()
-    stay = temporary_files(tmp_path)
-    assert stay
-    assert all(line.startswith("warning: ") for line in said.splitlines() if ".beltrami-" in line)
-    assert "Permission denied" in said
-    beltrami(*smooth, "--overwrite", "-q", cwd=tmp_path)
-    assert temporary_files(tmp_path) == []
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can act for two users")

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import os
-import random
-import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from beltrami_cli.jobs.replacing import endings_held
-from cli.commands import COMMAND, beltrami
+from cli.commands import beltrami
 from formats.tile_files import tiled_model
-from hostile.folders import snapshot
-from hostile.interrupting import faults
 from hostile.textured_models import OTHER, PICTURE, write_model
 
 
@@ -93,32 +88,6 @@ def ended_at_every_step(folder, number, target, command=()):
     *wrong, steps = run.stdout.splitlines()
     assert wrong == []
     return int(steps)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name
-)
-def test_a_signal_at_a_random_moment(number, tmp_path):
-    folder = folder_with_model(tmp_path)
-    work = tmp_path / "work"
-    arguments = [*COMMAND, "smooth", "model.obj", "out/result.obj", "--overwrite", "-n", "20"]
-    shutil.copytree(folder, work)
-    start = time.monotonic()
-    subprocess.run(arguments, cwd=work, check=True, capture_output=True)
-    duration = time.monotonic() - start
-    before, finished = snapshot(folder), snapshot(work)
-    moments = random.Random(int(number))
-    for _ in range(2):
-        shutil.rmtree(work)
-        shutil.copytree(folder, work)
-        process = subprocess.Popen(arguments, cwd=work, stderr=subprocess.PIPE)
-        time.sleep(moments.uniform(0.05, 1.1) * duration)
-        process.send_signal(number)
-        said = process.communicate(timeout=60)[1]
-        assert process.returncode in (0, 128 + number, -number)
-        assert b"Traceback" not in said
-        assert faults(before, snapshot(work), finished, number) == []
 
 
 # Ends itself at the n-th line that the command runs of its own, from the first one to the last; 77: there is none.

@@ -32,24 +32,14 @@ def Mesh "triangle" {
 }
 """
 
+# One of each kind: with worker processes, foreign libraries, pages, pictures and a server.
 COMMANDS = {
     "batch": ["batch", ".", "--out-dir", "out", "-j", "2", *QUICK],
     "batch with new textures": ["batch", "a.ply", "--out-dir", "out", "--format", "glb", "--unwrap", *QUICK],
     "batch on a cluster": ["batch", "a.ply", "--out-dir", "out", "--scheduler", "tcp://127.0.0.1:1"],
-    "bake": ["bake", "a.ply", "out.glb", "--to", "texture", "--size", "64"],
-    "blender-extension": ["blender-extension", "out.zip"],
-    "check": ["check", "a.ply", "b.ply"],
-    "compare": ["compare", "a.ply", "b.ply"],
-    "config": ["config", "smooth"],
     "info of USD": ["info", "a.usda"],
-    "kernel": ["kernel", "a.ply", "out.ply", "--at", "1"],
-    "level": ["level", "model.obj", "out.obj"],
-    "noise": ["noise", "a.ply", "out.ply", "--sigma", "5"],
-    "render": ["render", "a.ply", "out.png", "--size", "40"],
     "report": ["report", "a.ply", "b.ply", "out.html"],
-    "smooth": ["smooth", "a.ply", "out.ply"],
     "smooth a texture": ["smooth", "model.obj", "out.obj", *QUICK],
-    "sweep": ["sweep", "a.ply", "out.html", "--beta", "4,8", "-n", "1", "--size", "40"],
     "view": ["view", "a.ply", "--no-open", "--fast"],
 }  # fmt: skip
 CODES = {"batch on a cluster": 1, "view": 128 + signal.SIGINT}  # of the others 0

@@ -121,21 +121,6 @@ def test_a_run_that_waits_for_another_for_too_long_leaves_all_as_it_was(tmp_path
 
 
 @pytest.mark.slow
-def test_of_two_commands_one_says_done(tmp_path):
-    for attempt in range(1):
-        target = tmp_path / f"out{attempt}.ply"
-        command = [*COMMAND, "smooth", str(SAMPLES / "terrain-noisy.ply"), str(target), "-n"]
-        pair = [
-            subprocess.Popen([*command, count, "--fast"], stderr=subprocess.PIPE, text=True) for count in "12"
-        ]
-        said = [process.communicate(timeout=120)[1] for process in pair]
-        assert sorted(process.returncode for process in pair) == [0, 4], said
-        assert sum("mean change" in each for each in said) == 1
-        assert sum("exists already" in each for each in said) == 1
-    assert not list(tmp_path.glob(".*"))
-
-
-@pytest.mark.slow
 def test_of_two_batches_one_says_done(tmp_path):
     shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
     command = [*COMMAND, "batch", "a.ply", "--out-dir", "out", "-n", "1"]
