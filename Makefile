@@ -219,7 +219,7 @@ fuzz-core: $(CMAKE)
 FOLDERS   ?= sample_data
 MUTATIONS ?= 8
 survey: $(VENV)/.installed-test
-	$(BIN)/python tests/hostile/survey.py $(FOLDERS) --mutations $(MUTATIONS)
+	$(BIN)/python benchmarks/survey.py $(FOLDERS) --mutations $(MUTATIONS)
 
 samples: $(VENV)/.installed-samples
 	$(BIN)/python sample_data/make.py

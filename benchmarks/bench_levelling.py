@@ -30,11 +30,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from measured_exposures import MeasuredScene
 from scene import ROOT
 
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
-from levelling.exposure_scene import GAINS, OFFSET, ExposureScene, fall, from_light, to_light
+from levelling.exposure_scene import GAINS, OFFSET, fall, from_light, to_light
 
 SAMPLES = ROOT / "sample_data"
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "torus-two-clean.gltf", "sphere-exr-clean.obj", "scan-clean.glb",
@@ -68,7 +69,7 @@ def compare_spaces(models):
     """Print a row for each model."""
     print(f"{'model':<26}" + "".join(f"{name:>9}" for name in SPACES))
     for path in models:
-        scene = ExposureScene.of(path)
+        scene = MeasuredScene.of(path)
         groups, falls = scene.joined(), []
         for seed in (1, 2):
             truth, exposed = scene.exposed(seed, in_light=True)
@@ -83,7 +84,7 @@ def show_limits(models):
     """Print a row for each model."""
     print(f"{'model':<26}{'plain':>28}{'clipped':>28}{'fall-off':>28}")
     for path in models:
-        scene = ExposureScene.of(path)
+        scene = MeasuredScene.of(path)
         groups, cells = scene.joined(), []
         for kind in KINDS:
             falls = []
@@ -102,7 +103,7 @@ def compare_jpeg(models):
     qualities = 98, 92, 85
     print(f"{'model':<26}" + "".join(f"{f'quality {each}':>22}" for each in qualities))
     for path in models:
-        scene, cells = ExposureScene.of(path), []
+        scene, cells = MeasuredScene.of(path), []
         for quality in qualities:
             falls = []
             for seed in (1, 2):
@@ -167,7 +168,7 @@ def main(arguments):
             return
     print(f"{'model':<26}{'plain':>14}{'clipped':>19}{'fall-off':>14}{'as it is':>11}{'s':>6}")
     for path in models:
-        scene = ExposureScene.of(path)
+        scene = MeasuredScene.of(path)
         groups, cells, spent = scene.joined(), [], 0.0
         for kind in KINDS:
             found = [measured(scene, seed, kind, groups) for seed in (1, 2)]

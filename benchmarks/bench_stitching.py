@@ -17,12 +17,13 @@ from pathlib import Path
 
 import numpy as np
 from bench_levelling import SAMPLES
+from measured_exposures import MeasuredScene
 from scipy.ndimage import distance_transform_edt
 
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.surface.grouping import group_places
-from levelling.exposure_scene import ExposureScene, fall
+from levelling.exposure_scene import fall
 
 NAMES = ("head-tex-clean.glb", "head-tex-noisy.glb", "scan-clean.glb", "scan-noisy.glb")
 # Of the colours as they are, for the tool: as it is set, and for corrections that reach further into charts.
@@ -34,7 +35,7 @@ def main(arguments):
     tool, models = arguments[0], arguments[1:] or [SAMPLES / name for name in NAMES]
     print(f"{'model':<26}{'':<26}{'plain':>14}{'clipped':>14}{'fall-off':>14}{'as it is':>11}{'s':>7}")
     for path in map(Path, models):
-        scene = ExposureScene.of(path)
+        scene = MeasuredScene.of(path)
         if len(scene.samples.pictures) != 1:
             print(f"{path.name:<26}has more than one texture")
             continue

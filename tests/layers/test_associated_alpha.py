@@ -95,18 +95,6 @@ def test_what_cannot_be_seen_is_given_no_colour(tmp_path):
     assert (np.abs(straight - 0.5) < 0.3).all()
 
 
-def test_texels_that_are_not_smoothed_keep_every_bit(tmp_path):
-    write(tmp_path / "within.exr", noisy_and_soft(), "half", associated=True)
-    before = pixels_of(tmp_path / "within.exr")
-    found = smoothed_texture(
-        tmp_path / "within.exr", SmoothSettings(kernel=KERNEL, textures=TextureSettings(gutter=None))
-    )
-    beyond = np.ones((SIDE, SIDE), bool)
-    beyond[CHART, CHART] = False
-    assert np.array_equal(found[beyond], before[beyond])
-    assert not np.array_equal(found, before)
-
-
 def test_colours_that_are_smoothed_along_with_alpha_are_taken_as_they_are_stored(tmp_path):
     source = noisy_and_soft()
     write(tmp_path / "within.tif", source, "float", associated=True)

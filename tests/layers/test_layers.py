@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, replace
-from inspect import isfunction
 
 import numpy as np
 import pytest
@@ -13,14 +12,9 @@ from beltrami_cli.errors import UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
-from beltrami_cli.jobs.noise_targets import noisy_layer
 from beltrami_cli.jobs.smooth import smooth_layer
-from beltrami_cli.layers.image_layer import ImageLayer
-from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.selection import layers_of, select
 from beltrami_cli.layers.settings import LevelSettings
-from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer
 from cli.commands import SAMPLES
 from cli.pictures import encode
 
@@ -81,13 +75,6 @@ def test_levelling_leaves_the_layer_as_it_was(layer):
 @pytest.mark.parametrize("layer", NAMES, indirect=True)
 def test_unchanged_colours_change_nothing(layer):
     assert layer.repaint(layer.unchanged(), is_smoothed=False).change.largest == 0
-
-
-def test_every_kind_of_layer_has_few_methods_and_can_be_made_noisy():
-    kinds = [PaintedLayer, VertexLayer, GridLayer, ImageLayer, TextureLayer]
-    methods = [name for name, each in vars(Layer).items() if isfunction(each) and not name.startswith("_")]
-    assert len(methods) <= 8
-    assert all(noisy_layer.dispatch(kind) is not noisy_layer.dispatch(Layer) for kind in kinds)
 
 
 @pytest.mark.parametrize("layer", ["grid.npz", "picture.png"], indirect=True)

@@ -12,18 +12,15 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
-from beltrami_cli.flow import patches
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, grid_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
@@ -99,8 +96,14 @@ def tiles_of(model, folder, memory, settings):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [None, "12", "shot:0.002,read:0.03"])
-@pytest.mark.parametrize("kernel", [GIVEN.kernel, parameters_with({}, fast=True)], ids=["given", "chosen"])
+@pytest.mark.parametrize(
+    ("kernel", "noise"),
+    [
+        (GIVEN.kernel, "12"),
+        (parameters_with({}, fast=True), None),
+        (parameters_with({}, fast=True), "shot:0.002,read:0.03"),
+    ],
+)
 def test_many_tiles_have_the_same_result(tmp_path, monkeypatch, on_disk, kernel, noise):
     model = tiled_model(tmp_path / "in", size=SIDE)
     settings = SmoothSettings(dataclasses.replace(kernel, noise=noise))
@@ -186,40 +189,6 @@ def plan_with_patches(side):
     return plan_on_image(surface, colours.__getitem__, kernel)
 
 
-def planned_image():
-    return plan_with_patches(64)
-
-
-def planned_textures():
-    settings = SmoothSettings(kernel=KernelParameters(iterations=1, beta=20, t=2.4, patches="on", threads=1))
-    surface = open_document(str(SAMPLES / "mirrored-noisy.obj")).textured("baseColor")
-    return TextureLayer.read(surface, "baseColor", settings).plan()
-
-
-@pytest.mark.parametrize("planned", [planned_image, planned_textures])
-def test_distances_are_no_longer_in_memory_with_patches_but_can_be_measured_again(planned):
-    plan = planned()
-    assert plan.takes_patches
-    geometry = plan.manifold.geometry
-    before = geometry.atlas.squared_lengths.copy(), geometry.scale.copy()
-    smooth(plan)
-    assert geometry.atlas.lengths.array is None
-    assert geometry.scales.array is None
-    for old, new in zip(before, (geometry.atlas.squared_lengths, geometry.scale), strict=True):
-        np.testing.assert_array_equal(old, new)
-
-
-def test_estimates_may_take_the_memory_of_their_pilot():
-    manifold = plan_with_patches(160).manifold
-    mixing = patches.mixing_of(manifold, manifold.colours, manifold.noise.covariance)
-    second, pilot = patches.with_pilot(mixing, manifold), manifold.colours.copy()
-    found = manifold.collaborate(manifold.colours, pilot, second, None)
-    np.testing.assert_array_equal(pilot, manifold.colours)
-    again = manifold.collaborate(manifold.colours, pilot, second, None, replaces_pilot=True)
-    np.testing.assert_array_equal(again, found)
-    assert np.shares_memory(again, pilot)
-
-
 @pytest.mark.slow
 def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
     """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
@@ -234,32 +203,6 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
             tracemalloc.stop()
     # Some twenty arrays of three floats a sample, for 65,536 samples.
     assert peak < memory + 20 * 12 * 65_536
-
-
-@pytest.mark.slow
-def test_means_of_squares_are_kept_in_files(tmp_path, monkeypatch):
-    """For squares of 4 x 4 cells, colours take 0.2 MB, of which there are ten versions."""
-    monkeypatch.setattr(large_arrays, "CACHED", 1 << 12)
-    monkeypatch.setattr(large_arrays, "BLOCK", 1 << 14)
-    improve, grown = patches._improve_means, []
-
-    def measured(*arguments):
-        tracemalloc.reset_peak()
-        before, _ = tracemalloc.get_traced_memory()
-        gain = improve(*arguments)
-        grown.append(tracemalloc.get_traced_memory()[1] - before)
-        return gain
-
-    monkeypatch.setattr(patches, "_improve_means", measured)
-    with large_arrays.kept_within(1 << 20, tmp_path):
-        plan = plan_with_patches(512)
-        tracemalloc.start()
-        try:
-            smooth(plan)
-        finally:
-            tracemalloc.stop()
-    assert len(grown) == 2
-    assert max(grown) < 1 << 20
 
 
 @pytest.mark.parametrize("scales", [1, 3], ids=["white", "shared"])

@@ -14,6 +14,7 @@ from beltrami_cli import (
     smooth_file,
     smooth_image,
 )
+from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.image_surface import ImageSurface
@@ -125,41 +126,23 @@ def test_only_colours_of_what_was_measured_change(tmp_path):
         assert target.read_bytes() == data
 
 
-def test_a_step_in_depth_is_not_smoothed_over_even_without_an_edge_in_colour_to_keep():
-    places, _, measured = scene()
-    image = np.where(places[..., 2:] > 20, 0.8, 0.2)
-    blurred = []
-    for depth in (1, 0):
-        surface = ImageSurface(positions=places * [1, 1, depth], valid=measured)
-        blurred.append(
-            np.abs(smooth_image(image, surface=surface, beta=0, units="world").colours - image).max()
-        )
-    assert blurred[0] < 1e-6
-    assert blurred[1] > 0.1
-
-
 @pytest.mark.parametrize(
-    "size", ["", f"comment width {COLUMNS}\ncomment height {ROWS + 1}\n", "comment width 9\n"]
+    "data",
+    [
+        organised(""),
+        organised(f"comment width {COLUMNS}\ncomment height {ROWS + 1}\n"),
+        organised("comment width 9\n"),
+        b"ply\nformat ascii 1.0\nelement range_grid 1\nproperty list uchar int vertex_indices\nend_header\n0\n",
+        FILES["obj_info"].replace(
+            b"end_header\n", b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        )
+        + b"\3"
+        + np.array([0, 1, 2], "<i4").tobytes(),
+    ],
+    ids=["no size", "too high", "no height", "no vertices", "faces count more"],
 )
-def test_without_a_grid_of_the_right_size_vertices_are_no_image(size):
-    from beltrami_cli.formats.ply.document import PlyDocument
-
-    assert PlyDocument(organised(size), "a.ply").grid() is None
-
-
-def test_a_ply_file_without_vertices_has_no_grid():
-    from beltrami_cli.formats.ply.document import PlyDocument
-
-    text = b"ply\nformat ascii 1.0\nelement range_grid 1\nproperty list uchar int vertex_indices\nend_header\n0\n"
-    assert PlyDocument(text, "a.ply").grid() is None
-
-
-def test_faces_count_more_than_a_grid(tmp_path):
-    data = FILES["obj_info"].replace(
-        b"end_header\n", b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    (tmp_path / "a.ply").write_bytes(data + b"\3" + np.array([0, 1, 2], "<i4").tobytes())
-    assert open_document(str(tmp_path / "a.ply")).grid() is None
+def test_without_a_grid_of_the_right_size_vertices_are_no_image(data):
+    assert PlyDocument(data, "a.ply").grid() is None
 
 
 @pytest.mark.parametrize(

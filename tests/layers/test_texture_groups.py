@@ -58,28 +58,6 @@ def smoothed(model, settings=SETTINGS):
     return [image.pixels[..., :3] / 255 for image in images], report
 
 
-def error(image, clean):
-    return float(np.mean(np.square(image - clean)))
-
-
-def test_each_has_the_parameters_that_suit_it(tmp_path, noisy):
-    (soft, stripes), report = smoothed(write_model(tmp_path / "apart", noisy, gap=0.5))
-    of_soft, of_stripes = report.textures
-    assert [texture["name"] for texture in of_soft.textures] == ["image0.png"]
-    assert [texture["name"] for texture in of_stripes.textures] == ["image1.png"]
-    for own, image, clean, other in (
-        (of_soft, soft, clean_images()[0], of_stripes),
-        (of_stripes, stripes, clean_images()[1], of_soft),
-    ):
-        kernel = dataclasses.replace(SETTINGS.kernel, free=(), **other.choice["chosen"])
-        swapped, _ = smoothed(
-            write_model(tmp_path / own.textures[0]["name"], noisy, gap=0.5),
-            dataclasses.replace(SETTINGS, kernel=kernel),
-        )
-        number = [of_soft, of_stripes].index(own)
-        assert error(image, clean) < error(swapped[number], clean)
-
-
 def test_noise_of_one_is_none_of_another(tmp_path, noisy):
     """A clean image stays the file that it is, however noisy one is that it does not touch."""
     soft, _ = clean_images()
@@ -90,21 +68,14 @@ def test_noise_of_one_is_none_of_another(tmp_path, noisy):
     assert clean.iterations == 0 < loud.iterations
 
 
-def test_textures_that_touch_are_smoothed_together(tmp_path, noisy):
-    _, report = smoothed(write_model(tmp_path / "beside", noisy, gap=0))
-    (both,) = report.textures
-    assert len(both.textures) == 2
-
-
-def test_given_parameters_are_those_of_all(tmp_path, noisy):
-    model = write_model(tmp_path / "apart", noisy, gap=0.5)
-    (both,) = smoothed(model, GIVEN)[1].textures
-    assert len(both.textures) == 2
-
-
-def test_small_parts_join_others(tmp_path, noisy, monkeypatch):
-    monkeypatch.setattr(texture_groups, "_ENOUGH_TEXELS", 2 * SIDE * SIDE)
-    (both,) = smoothed(write_model(tmp_path / "apart", noisy, gap=0.5))[1].textures
+@pytest.mark.parametrize(
+    ("gap", "settings", "enough"),
+    [(0, SETTINGS, SIDE * SIDE // 2), (0.5, GIVEN, SIDE * SIDE // 2), (0.5, SETTINGS, 2 * SIDE * SIDE)],
+    ids=["that touch", "with given parameters", "that are small"],
+)
+def test_textures_are_smoothed_together(gap, settings, enough, tmp_path, noisy, monkeypatch):
+    monkeypatch.setattr(texture_groups, "_ENOUGH_TEXELS", enough)
+    (both,) = smoothed(write_model(tmp_path / "both", noisy, gap), settings)[1].textures
     assert len(both.textures) == 2
 
 

@@ -1,6 +1,6 @@
 """Writes models for the survey that are not to be had as files.
 
-    python tests/hostile/survey_models.py OUT FOLDER...
+    python benchmarks/survey_models.py OUT FOLDER...
 
 OUT/own: sheets with tiles in all numberings, and packages to the layout of phones' scans. OUT/ktx2 and OUT/avif: the
 textured glTF files in the folders, with their images in these formats.
@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from beltrami_cli.errors import BeltramiError
 from beltrami_cli.flow.parameters import KernelParameters
