@@ -129,31 +129,10 @@ def find_clipped(channels: Float32s, sigma: Float64s, empty: int = 0) -> Clipped
     return ClippedChannels(tuple(low), tuple(high), np.asarray(sigma, np.float64))
 
 
-def sigma_of_clipped(gap: Float64s, share: Float64s) -> Float64s:
-    """Return sigma of noise before clipping [1]_, by the gap from mean to limit and the share at the limit."""
-    table = _censored_normal()
-    sigma: Float64s = gap / np.interp(share, table.share, table.gap)
-    return sigma
-
-
 def variance_of_clipped(share: Float64s) -> Float64s:
     """Return the variance of unit noise after clipping [1]_, by the share of samples at the limit."""
     table = _censored_normal()
     variance: Float64s = np.interp(share, table.share, table.variance)
-    return variance
-
-
-def freedom_of_clipped(share: Float64s) -> Float64s:
-    """Return the degrees of freedom of the square of clipped noise, by the share of samples at the limit."""
-    table = _censored_normal()
-    freedom: Float64s = np.interp(share, table.share, table.freedom)
-    return freedom
-
-
-def variance_at(gap: Float64s) -> Float64s:
-    """Return the variance of unit noise after clipping [1]_, by the gap from mean to limit."""
-    table = _censored_normal()
-    variance: Float64s = np.interp(gap, table.gap[::-1], table.variance[::-1])
     return variance
 
 
@@ -165,7 +144,6 @@ class _CensoredNormal:
     alpha: Float64s  # from the mean before censoring to the limit
     gap: Float64s  # from the mean after censoring to the limit
     variance: Float64s  # after censoring
-    freedom: Float64s  # of the square of what differs from the mean after censoring; 1 without a limit
 
 
 @cache
@@ -180,14 +158,8 @@ def _censored_normal() -> _CensoredNormal:
     density = np.exp(-(alpha**2) / 2) / np.sqrt(2 * np.pi)
     gap = alpha * (1 - inside) + density
     variance = 1 - inside - alpha * density + alpha**2 * inside - (alpha - gap) ** 2
-    # Moments of the clipped variable: of the normal variable below the limit, and of the limit.
-    below = 1 - inside, -density, 1 - inside - alpha * density, -(alpha**2 + 2) * density
-    first, second, third = (own + alpha**n * inside for n, own in enumerate(below[1:], 1))
-    fourth = 3 * below[0] - (alpha**3 + 3 * alpha) * density + alpha**4 * inside
-    fourth += -4 * first * third + 6 * first**2 * second - 3 * first**4
-    freedom = 2 * variance**2 / (fourth - variance**2)
-    variance[[0, -1]], freedom[[0, -1]] = (1, 0), (1, 0)
-    return _CensoredNormal(share, alpha, gap, variance, freedom)
+    variance[[0, -1]] = 1, 0
+    return _CensoredNormal(share, alpha, gap, variance)
 
 
 @dataclass(frozen=True)

@@ -110,11 +110,6 @@ class Texture:
         """The image file as it is stored."""
         return self.content if isinstance(self.content, bytes) else self.content()
 
-    @property
-    def is_read_anew(self) -> bool:
-        """Whether the file is read whenever it is asked for."""
-        return not isinstance(self.content, bytes)
-
 
 @dataclass(frozen=True)
 class TexturedSurface:
@@ -350,11 +345,6 @@ def limits_of(colours: Array) -> tuple[float, float]:
     if colours.max(initial=1) > 1 and np.count_nonzero(colours > 1) > few:
         high = np.inf
     return low, high
-
-
-def at_limits(colours: Float32s) -> Bools:
-    """Return which colours are 0 or full scale, as those whose noise was cut off; others show theirs."""
-    return np.asarray((colours == 0) | (colours == 1))
 
 
 def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float64s:
