@@ -13,7 +13,7 @@ from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
-from properties.test_slits import SIDE, TEXELS, cut_plane
+from properties.test_textures import SIDE, TEXELS, cut_plane
 from properties.textured_planes import texel_plan
 
 FIXED = {"iterations": 2, "t": 1.2, "beta": 6.0, "beta_growth": 1.5, "metric_steps": 1, "threads": 2}

@@ -1,4 +1,4 @@
-"""What is chosen from the data: the estimate of the error is right, and the choice is good, steady and obedient."""
+"""What is chosen from the data: estimates of the error are right, the choice good and obedient; strength scales it."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE, KernelParameters
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.search_range import RULE_ON_GRIDS, RULE_ON_MESHES
 from beltrami_cli.flow.tuning import mesh_trial, sure
 from beltrami_cli.flow.tuning.choice import Choice, Grid, Search
 from beltrami_cli.flow.tuning.sure import Risk, RiskEstimate
+from cli.commands import SAMPLES, beltrami, refused
 from oracles import surfaces
-from oracles.paintings import psnr, shapes, with_noise
+from oracles.paintings import photograph, psnr, shapes, with_noise
 
 SIGMA = 20 / 255
 CHOSEN = KernelParameters(free=TUNABLE)
@@ -146,28 +148,6 @@ def test_the_search_finds_the_deeper_of_two_valleys(deeper, beta):
     assert best.beta == beta
 
 
-class Slope:
-    """An estimate of errors that falls by a hundredth with each iteration; counts these."""
-
-    def __init__(self):
-        self.start, self.steps = 0, 0
-
-    def step(self, state, step):
-        self.steps += 1
-        return state + 1
-
-    def of(self, state):
-        return Risk(0.99**state, 0.01, 0.0)
-
-
-@pytest.mark.parametrize(("least_gain", "iterations", "steps"), [(0.0, 10, 10), (0.02, 1, 1)])
-def test_a_path_ends_where_an_iteration_gains_too_little(least_gain, iterations, steps):
-    grid = Grid((1.0,), (1.0,), 8.0, (0,), None, 10, ((0, 0, 0),), least_gain)
-    estimate = Slope()
-    assert Search(estimate, grid, noise=1.0).run().plain == iterations
-    assert estimate.steps == steps
-
-
 def test_samples_are_enough_on_small_pieces():
     """Patches end at the borders of pieces; then there are more of them."""
     count = 2000
@@ -236,3 +216,58 @@ def test_the_interval_holds_the_estimate_and_widens_with_the_doubt_of_the_noise(
     assert intervals[1][1] is not None
     assert intervals[2][1] is None  # where the doubt is as large as the error, there is no limit
     assert Choice({}).interval is None
+
+
+SIZE = 80
+
+
+def noise(width, shape, seed=0):
+    """Return noise of a standard deviation of 1, which neighbours share up to a width."""
+    drawn = np.random.default_rng(seed).standard_normal(shape)
+    if width:
+        drawn = gaussian_filter(drawn, (width, width, 0))
+    return drawn / drawn.std()
+
+
+def rms(change):
+    return float(np.sqrt(np.mean(np.square(change))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("width", "sigma", "channels", "fast"), [(0, 4, 1, False), (0, 20, 3, True), (1.0, 12, 3, False)]
+)
+def test_stronger_changes_images_more(width, sigma, channels, fast):
+    clean = photograph(SIZE, contrast=0.08)[..., :channels]
+    noisy = np.clip(clean + sigma / 255 * noise(width, clean.shape), 0, 1).astype(np.float32)
+    strengths = sorted({**STRENGTHS, "less": 0.85, "more": 1.25}.values())
+    changes = [
+        rms(beltrami_cli.smooth_image(noisy, strength=each, fast=fast).colours - noisy) for each in strengths
+    ]
+    assert changes == sorted(changes)
+    normal = changes[strengths.index(1)]
+    assert changes[0] < normal
+    assert fast or normal < changes[-1]
+
+
+def test_words_are_names_of_numbers():
+    for name, strength in STRENGTHS.items():
+        assert KernelParameters(strength=name) == KernelParameters(strength=strength)
+
+
+def test_the_assumed_noise_grows_steadily_to_one_step_of_8_bits():
+    noises = [KernelParameters(strength=each).least_noise for each in np.linspace(0.7, 1.5, 9)]
+    assert noises == sorted(noises)
+    assert noises[:4] == [0, 0, 0, 0]
+    assert noises[-1] == pytest.approx(1 / 255)
+
+
+def test_the_command_takes_words_and_numbers(tmp_path):
+    source, made = SAMPLES / "nonmanifold-noisy.ply", {}
+    for strength in ("gentle", 0.7, 0.85):
+        made[strength] = tmp_path / f"{strength}.ply"
+        beltrami("smooth", source, made[strength], "--strength", strength, "--fast")
+    assert made["gentle"].read_bytes() == made[0.7].read_bytes() != made[0.85].read_bytes()
+    for strength in ("weak", 0.69, 1.51, "nan"):
+        said = f"--strength is {strength}".replace("weak", "'weak'")
+        refused(tmp_path, "smooth", source, "o.ply", "--strength", strength, code=2, said=said)

@@ -62,40 +62,6 @@ def test_what_is_no_surface_takes_seconds_by_default(mesh):
     assert np.isfinite(result.colours).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("make", "beta", "most"),
-    [(segment_manifold, 0, 200), (segment_manifold, 6, 200), (image_manifold, 6, 100)],
-)
-def test_the_cost_of_a_fan_grows_as_its_valence(make, beta, most):
-    """Beyond what is swept at any rate, twice the valence takes twice as long; a factor of 4 is that of all pairs."""
-    seconds = []
-    for count in (4_000, 16_000):
-        core, colours, times = core_of(*fan(count), beta, make), noisy(count + 1), []
-        for _ in range(2):
-            start = time.process_time()
-            core.smooth(colours, None, 2.4, 6.6, most, 1, None)
-            times.append(time.process_time() - start)
-        seconds.append(min(times))
-    assert seconds[1] / seconds[0] < 2.5**2
-
-
-def test_a_march_past_a_hub_finds_the_distances_of_the_sweep():
-    """The colours of a few samples, which kernels average, show how much each weighs."""
-    positions, faces = fan(1_500)
-    core, count = core_of(positions, faces, 6.0), 1_501
-    marks = np.zeros((count, 3), np.float32)
-    chosen = [0, 7, 1_100]
-    marks[chosen, [0, 1, 2]] = 1
-    swept = core.smooth(marks, None, 0.05, 0.9, count, 1, None)[0]
-    for source in (0, 1, 5, 750, 1_499):
-        held, distances = core.distances(source, 0.9, count)
-        assert (np.diff(distances) >= 0).all()
-        weights = np.zeros(count)
-        weights[held] = np.exp(-(distances.astype(float) ** 2) / 0.2)
-        np.testing.assert_allclose(swept[source], weights[chosen] / weights.sum(), atol=1e-6)
-
-
 @pytest.mark.parametrize("mesh", [fan(700), book(700)], ids=["fan", "book"])
 def test_fast_marching_past_a_hub_finds_the_distances_of_a_textbook_march(mesh):
     positions, faces = mesh
@@ -121,21 +87,6 @@ def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
     several = core.smooth(colours, None, 2.4, 6.6, 100, 3, None)
     assert np.array_equal(one[0], several[0])
     assert one[1:] == several[1:]
-
-
-@pytest.mark.slow
-def test_a_hub_does_no_harm_to_the_rest_of_a_model():
-    positions, faces = surfaces.plane(70, 70)
-    hub, around = fan(2_000)
-    both = np.vstack([positions, hub + np.array([1_000, 0, 0])])
-    joined = np.vstack([faces, around + len(positions)]).astype(np.int32)
-    colours = noisy(len(both))
-    given = {"iterations": 2, "t": 2.4, "beta": 3.0, "metric_steps": 0}
-    result = smooth(both, joined, colours, **given)
-    free = smooth(both, joined, colours, **given, max_samples=2_500)
-    assert result.truncated > 1_500
-    assert free.truncated == 0
-    assert np.array_equal(result.colours[: len(positions)], free.colours[: len(positions)])
 
 
 @pytest.mark.parametrize(

@@ -172,17 +172,6 @@ def test_the_paper_kernel_and_a_fixed_rule_leave_pictures_as_they_are_decoded(tm
         np.testing.assert_array_equal(*(decoded(out.read_bytes(), out) for out in outs))
 
 
-@pytest.mark.slow
-def test_noise_that_is_given_is_that_before(tmp_path):
-    decoded(jpeg_file(stored(SMALL, 10), 80, "4:4:4"), tmp_path / "in.jpg")
-    results = {}
-    for noise in ("1", "10"):
-        out = tmp_path / f"{noise}.png"
-        beltrami("smooth", tmp_path / "in.jpg", out, "--noise", noise)
-        results[noise] = psnr(decoded(out.read_bytes(), out) / 255, SMALL)
-    assert results["10"] > results["1"] + 3
-
-
 def test_the_number_of_threads_changes_nothing(tmp_path):
     decoded(jpeg_file(stored(SMALL[:64, :64], 10), 80), tmp_path / "in.jpg")
     outs = [tmp_path / f"{count}.png" for count in (1, 2)]

@@ -15,7 +15,6 @@ from beltrami_cli.flow.noise.model import VarianceStabiliser
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
-from oracles.paintings import psnr
 
 SHOT, READ = 0.004, 0.005
 
@@ -77,17 +76,6 @@ def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     assert found(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
 
 
-def test_given_noise_is_used():
-    clean = scene(96)
-    noisy = (clean + 0.02 * np.random.default_rng(0).standard_normal(clean.shape)).astype(np.float32)
-    changes = []
-    for noise in ("1", "5", "20"):
-        result = beltrami_cli.smooth_image(noisy, noise=noise, fast=True)
-        assert np.sqrt(np.mean(np.square(result.noise))) == pytest.approx(float(noise) / 255)
-        changes.append(np.abs(result.colours - noisy).mean())
-    assert changes == sorted(changes)
-
-
 @pytest.mark.parametrize(
     ("text", "sigma"),
     [("12", 12 / 255), ("12/255", 12 / 255), ("0.047", 0.047), ("4.7%", 0.047), ("1", 1 / 255)],
@@ -130,16 +118,3 @@ def test_means_are_of_owned_cells_and_changes_go_to_them():
     add_enlarged(kind, kinds, np.full_like(means, 0.25), after, 4, 2)
     assert (after - planes)[:, kind == OWNED] == pytest.approx(0.25, abs=1e-6)
     assert (after == planes)[:, kind != OWNED].all()
-
-
-@pytest.mark.parametrize("size", [2, 4])
-def test_coarse_grain_is_removed(size):
-    """As large as some texels, to a half and less; finest details alone would show a fifth of it."""
-    clean, random = scene(), np.random.default_rng(2)
-    coarse = random.standard_normal((3, 192 // size, 192 // size))
-    grain = 12 / 255 * np.moveaxis(np.repeat(np.repeat(coarse, size, 1), size, 2), 0, 2)
-    grain = gaussian_filter(grain, (size / 3, size / 3, 0))
-    noisy = (clean + grain).astype(np.float32)
-    result = beltrami_cli.smooth_image(noisy)
-    assert psnr(result.colours, clean) > psnr(noisy, clean) + 5
-    assert result.noise == pytest.approx(np.full(3, grain.std()), rel=1 / 3)

@@ -48,18 +48,6 @@ def grain(size, seed=0):
     return image[:, :, None] * [1.0, 0.9, 0.8]
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_white_noise_is_estimated_exactly(channels):
-    """On average over seeds, within two per cent: biases of choosing even groups, and of quantiles, are that small."""
-    positions, faces = surfaces.icosphere(4)
-    plain, ball = np.full((128, 128, channels), 0.5), np.full((len(positions), channels), 0.5)
-    seeds = range(8)
-    assert np.mean([on_grid(noisy(plain, 0.04, seed)) for seed in seeds]) == pytest.approx(10.2, rel=0.02)
-    assert np.mean([on_mesh(noisy(ball, 0.04, seed), faces) for seed in seeds]) == pytest.approx(
-        10.2, rel=0.02
-    )
-
-
 def test_rich_texture_is_not_taken_for_noise():
     """Grain adds to the finest detail everywhere, but least where coarse means are even."""
     clean = grain(192)

@@ -6,7 +6,6 @@ from itertools import islice, pairwise
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
 
 from beltrami_cli import smooth
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
@@ -15,7 +14,7 @@ from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.vertex_graph import levels_of
 from beltrami_cli.jobs.job import NoiseSettings
 from beltrami_cli.jobs.noise import add_grain
-from beltrami_cli.jobs.noise_targets import NoiseTargets, as_jpeg
+from beltrami_cli.jobs.noise_targets import NoiseTargets
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr
@@ -54,25 +53,6 @@ def test_noise_that_vertices_share_is_found(sphere):
     assert manifold.noise.is_shared
     assert manifold.noise.of_input == pytest.approx(SIGMA, rel=0.25)
     assert manifold.noise.grain > 1.5
-
-
-@pytest.mark.parametrize(
-    ("sigma", "quality", "count", "seed"),
-    [(10, 85, 8_000, 3), (20, 85, 32_000, 3)],
-)
-def test_the_noise_that_jpeg_left_on_vertices_is_found(sigma, quality, count, seed):
-    """To a fifth, on fewer and on more vertices than keep colours of neighbouring pixels apart."""
-    side, random = 256, np.random.default_rng(seed)
-    y, x = np.mgrid[:side, :side] / side
-    clean = painted(np.stack([x, y, x * y], axis=2).reshape(-1, 3)).reshape(side, side, 3)
-    picture = as_jpeg(clean + sigma / 255 * random.standard_normal(clean.shape), quality)
-    places = random.uniform(0, side, (count, 2))
-    column, row = places.astype(int).T
-    colours = picture[row, column]
-    positions = np.column_stack([places, np.zeros(count)])
-    manifold = manifold_of(positions, Delaunay(places).simplices, colours)
-    true = np.sqrt(np.mean((colours - clean[row, column]) ** 2))
-    assert np.sqrt(np.mean(manifold.noise.of_input**2)) == pytest.approx(true, rel=0.2)
 
 
 def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere):
@@ -129,17 +109,3 @@ def test_black_stays_black_where_vertices_share_noise(sphere):
     clean = np.where(positions[:, 2:] > 0, painted(positions), 0)
     result = smooth(positions, faces, with_grain(positions, clean, 2.0))
     assert result.colours[positions[:, 2] < -0.2].mean() < 0.4 * SIGMA / 5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shared", [False, True])
-def test_noise_is_found_and_removed_where_nearly_all_is_black(sphere, shared):
-    """Within a quarter, from what the limit leaves of it, which is a third of its variance; and by 10 dB."""
-    positions, faces = sphere
-    clean = np.where(positions[:, 2:] > 0.97, painted(positions), 0)
-    white = clean + SIGMA * np.random.default_rng(2).standard_normal(clean.shape)
-    noisy = np.clip(with_grain(positions, clean, 2.0) if shared else white, 0, 1).astype(np.float32)
-    manifold = manifold_of(positions, faces, noisy)
-    assert manifold.noise.is_shared == shared
-    assert np.sqrt(np.mean(manifold.noise.of_input**2)) == pytest.approx(SIGMA, rel=1 / 4)
-    assert psnr(smooth(positions, faces, noisy).colours, clean) > psnr(noisy, clean) + 10

@@ -59,15 +59,3 @@ def test_vertices_with_a_texture_of_one_hue_show_their_noise():
     manifold = mesh_manifold(surface, parameters_with({"threads": 1}))
     assert not manifold.noise.is_shared
     assert 255 * manifold.noise.of_input == pytest.approx(12, rel=0.3)
-
-
-def test_a_strong_texture_of_one_hue_that_is_strongest_in_its_finest_details_is_no_noise():
-    """As of knitted cloth: it was read as noise of 80."""
-    positions, faces = surfaces.icosphere(6)
-    knots = np.sin(170 * positions[:, :1]) * np.sin(150 * positions[:, 1:2])
-    clean = 0.5 + 0.5 * knots * np.array([0.1, 0.6, 0.9])
-    noisy = clean + 15 / 255 * np.random.default_rng(3).standard_normal(clean.shape)
-    surface = SampledSurface(
-        positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), noisy.astype(np.float32)
-    )
-    assert (255 * mesh_manifold(surface, parameters_with({"threads": 1})).noise.of_input < 2 * 15).all()

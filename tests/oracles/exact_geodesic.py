@@ -7,21 +7,7 @@ from pygeodesic import geodesic
 
 
 def exact_distances(positions, faces, source):
-    """Return the lengths of the shortest paths over the faces of a surface.
-
-    Parameters
-    ----------
-    positions : array_like of float, shape (V, 3)
-        A grey image as a surface is (x, y, beta I).
-    faces : array_like of int, shape (F, 3)
-        Triangles of a manifold; every vertex belongs to one, all are connected.
-    source : int
-        The vertex with distance 0.
-
-    Returns
-    -------
-    ndarray of float64, shape (V,)
-    """
+    """Return the lengths of the shortest paths over a manifold in space, every vertex of which has a face."""
     points = np.ascontiguousarray(positions, dtype=np.float64)
     solver = geodesic.PyGeodesicAlgorithmExact(points, np.ascontiguousarray(faces, dtype=np.int32))
     found, _ = solver.geodesicDistances(np.array([source], dtype=np.int32), None)

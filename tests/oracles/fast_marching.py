@@ -34,13 +34,9 @@ UNFOLDING_STEPS = 64
 class Manifold:
     """Stencils of a triangulated manifold, made once for marching from many sources.
 
-    Attributes
-    ----------
-    edges : list of dict of int to float
-        For each vertex, the vertices that it can reach in a straight line, and how far they are: over edges
-        of faces, and to the supports of split corners.
-    stencils : list of dict
-        For each vertex S, the stencils that S supports: (C, other support) to (|CS|, |C other|, cosine at C).
+    `edges`: for each vertex, the vertices that it can reach in a straight line, and how far they are: over edges of
+    faces, and to the supports of split corners. `stencils`: for each vertex S, the stencils that S supports:
+    (C, other support) to (|CS|, |C other|, cosine at C).
     """
 
     embedding: np.ndarray
@@ -101,16 +97,10 @@ class Manifold:
         self.stencils[b].setdefault((c, a), []).append((to_b, to_a, cosine))
 
     def unfolded(self, a, b, c, cosine):
-        """Return the vertex that splits the obtuse corner at `c`, and where it lies in the plane of the face.
+        """Return the vertex that splits the obtuse corner at `c`, its place in the plane of the face, and that of `b`.
 
-        The plane has its origin at `c` and `a` on its first axis. Faces are unfolded over the edge (p, q), at
-        first (a, b), where p stays on the side of `a` of the section in which both halves are acute, and q on
-        that of `b`.
-
-        Returns
-        -------
-        tuple of (d, x, y, b_x, b_y), or None
-            The vertex, its place, and that of `b`.
+        The plane has its origin at `c` and `a` on its first axis. Faces are unfolded over the edge (p, q), at first
+        (a, b), where p stays on the side of `a` of the section in which both halves are acute, and q on that of `b`.
         """
         to_a, to_b = self.length(c, a), self.length(c, b)
         place_a = np.array([to_a, 0.0])

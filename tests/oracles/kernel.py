@@ -19,23 +19,7 @@ def embed(positions, colours, beta):
 
 
 def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None):
-    """Return the colours after one Jacobi iteration.
-
-    Parameters
-    ----------
-    embedding : array_like of float, shape (V, D)
-        The image manifold.
-    faces : array_like of int, shape (F, 3)
-        Triangles.
-    colours : array_like of float, shape (V, C)
-        What is averaged.
-    t : float
-        Time step, in squared units of the embedding.
-    threshold : float
-        Samples with a kernel below this are left out.
-    weights : array_like of float, shape (V,), optional
-        What each sample counts; by default all the same.
-    """
+    """Return the colours after one Jacobi iteration on an image manifold; `t` is in squared units of it."""
     colours = np.asarray(colours, float)
     weights = np.ones(len(colours)) if weights is None else np.asarray(weights, float)
     manifold = Manifold(embedding, faces)

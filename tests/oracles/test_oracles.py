@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, pi
+from math import inf
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from oracles import strategies, surfaces
 from oracles.exact_geodesic import exact_distances
 from oracles.fast_marching import Manifold, triangle_update
 from oracles.kernel import embed, short_time_kernel
-from oracles.laplacian import laplace_beltrami
 
 
 def edge_distances(embedding, faces, source):
@@ -115,22 +114,3 @@ def test_a_kernel_weighs_its_samples_and_leaves_lone_ones():
     near = np.exp(-0.5)
     assert smoothed[0, 0] == pytest.approx(3 * near / (1 + 3 * near))
     assert smoothed[3, 0] == 0.7
-
-
-def test_the_laplacian_has_spherical_harmonics_with_their_eigenvalues():
-    positions, faces = surfaces.icosphere(4)
-    stiffness, mass = laplace_beltrami(positions, faces)
-    x, y, z = positions.T
-    assert mass.sum() == pytest.approx(4 * pi, rel=5e-3)
-    for degree, harmonic in (
-        (0, np.ones(len(x))),
-        (1, z),
-        (2, x * y),
-        (2, 3 * z**2 - 1),
-        (3, x * (5 * z**2 - 1)),
-    ):
-        quotient = harmonic @ stiffness @ harmonic / (harmonic @ (mass * harmonic))
-        assert quotient == pytest.approx(-degree * (degree + 1), rel=0.01, abs=1e-9)
-        # The pointwise operator is right on average; at the twelve corners of the icosahedron it is off.
-        residual = (stiffness @ harmonic) / mass + degree * (degree + 1) * harmonic
-        assert np.sqrt((mass * residual**2).sum() / (mass * harmonic**2).sum()) < 0.06 * max(degree, 1) ** 2

@@ -21,34 +21,6 @@ def grid(side):
     return kind, lengths
 
 
-@pytest.mark.parametrize("scheme", ["sweep", "triangles", "metric"])
-def test_missing_edges_and_empty_rows_are_not_crossed(scheme):
-    """Whatever the metric: here the plane is sheared, so that supports of split quadrants lie further off."""
-    kind, lengths = grid(24)
-    e1, e2 = np.array([1.0, 0.0]), np.array([1.0, 1.0])
-    for plane, step in zip(lengths, (e1, e2, e1 + e2, e2 - e1), strict=True):
-        plane[np.isfinite(plane)] = step @ step
-    kind[12] = 0
-    colours = np.zeros((1, 24, 24), np.float32)
-    colours[0, 13:] = 1
-    window = 3 if scheme == "sweep" else 0
-    result, _ = smooth_grid(
-        kind, lengths, None, None, colours, colours, 0.0, 2.0, 6.0, window, scheme, 1, None
-    )
-    assert np.array_equal(result, colours)
-
-
-def test_a_slit_does_not_spoil_the_unit_of_length_beside_it():
-    """Texels that are neighbours in the image but far apart on the surface, as on both sides of a closed mouth."""
-    _, lengths = grid(40)
-    lengths[1, 19] = 113.0**2
-    scale = local_scale(lengths[0], lengths[1], 3)
-    # 7 of the window's 98 edges are long: the geometric mean of lengths grows to 113^(1/14) = 1.40, and at the
-    # rim a little more.
-    assert np.sqrt(1 / scale).max() < 1.5
-    assert np.allclose(scale[:10], 1)
-
-
 def test_the_unit_of_length_is_a_geometric_mean():
     """Over a window of 5 x 5, as NumPy takes it; logarithms of up to 18 are off by 2e-7 of that, twice over."""
     random = np.random.default_rng(4)

@@ -176,10 +176,13 @@ def test_the_order_of_vertices_and_faces_makes_no_difference(kind):
 
 @pytest.mark.parametrize("kind", ON_TRIANGLES)
 def test_vertices_that_a_format_splits_make_no_difference(kind):
+    """Although copies differ by rounding, as numbers in single precision that were turned or read from text."""
     own = scene(kind)
     corners = own.faces.ravel()
     apart = np.arange(len(corners)).reshape(-1, 3)
-    result = own.smooth(own.positions[corners], apart, own.colours[corners], threads=2)
+    places = own.positions[corners].astype(np.float32)
+    places += np.spacing(places.max()) / 2 * np.random.default_rng(8).integers(-1, 2, places.shape)
+    result = own.smooth(places, apart, own.colours[corners], threads=2)
     require_same(result, smoothed(kind)[corners])
 
 
@@ -205,3 +208,16 @@ def test_constants_stay_and_colours_stay_within_the_range_around_them(kind):
     assert (seen <= before.max(axis=0) + 1e-6).all()
     kept = np.delete(np.arange(len(result)), np.arange(len(result))[own.changed])
     assert np.array_equal(result[kept], own.colours[kept])
+
+
+@pytest.mark.parametrize("kind", [kind for kind in SCENES if "patches" not in kind])
+def test_without_beta_the_kernel_is_linear(kind):
+    """A Gaussian on the surface that colours have no part in, however large their jumps are, also at seams."""
+    own, random = scene(kind), np.random.default_rng(4)
+    a, b = random.random((2, *own.colours.shape), np.float32)
+    a[len(a) // 2 :] += 2
+    b[::2] -= 3
+    linear = {"beta": 0.0, "iterations": 3, "space": "data"}
+    total, of_a, of_b = (own.smooth(own.positions, own.faces, each, **linear) for each in (2 * a - b, a, b))
+    # Float32 sums of some 50 terms up to 7, over three iterations.
+    np.testing.assert_allclose(total, 2 * of_a - of_b, atol=2e-5)

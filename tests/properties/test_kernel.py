@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import beltrami_cli
 from oracles import strategies, surfaces
 from oracles.kernel import embed, short_time_kernel
-from oracles.laplacian import laplace_beltrami
 from properties.manifolds import apply_kernel, image_manifold, one_iteration, segment_manifold
 
 # A colour may flip in or out at the cut-off, where its weight is the threshold and float32 decides otherwise
@@ -71,28 +70,6 @@ def test_a_plane_rolled_up_is_smoothed_like_the_plane(roll):
     assert np.abs(a - b).max() < 5e-3
 
 
-@pytest.mark.slow
-def test_the_generator_is_the_intrinsic_laplacian_of_the_image_manifold():
-    positions, faces = surfaces.icosphere(5)
-    x, y, z = positions.T
-    colours = np.column_stack([0.5 + 0.3 * x * y, 0.5 + 0.2 * z + 0.1 * x])
-    beta, threshold = 0.8, 0.01
-    h = surfaces.mean_edge_length(positions, faces)
-    t = 9 * h * h
-    stiffness, areas = laplace_beltrami(embed(positions, colours, beta), faces)
-    # Weighing by area on the image manifold makes the sum the integral of eq. (8).
-    smoothed = one_iteration(positions, faces, colours, beta, t, threshold, areas / areas.mean())
-    generator = (smoothed - colours) / t
-    # The heat kernel's second moment, cut off where exp(-r^2/4t) = threshold.
-    c = 1 - threshold * log(1 / threshold) / (1 - threshold)
-    truth = c * (stiffness @ colours) / areas[:, None]
-    slope = (generator * truth).sum() / (truth**2).sum()
-    # Fast marching's distances are some per cent too long, and the generator scales with their squares.
-    assert 0.88 < slope < 1.04
-    residual = generator - slope * truth
-    assert np.linalg.norm(residual) < 0.1 * np.linalg.norm(truth)
-
-
 @given(strategies.painted(), st.sampled_from((0.0, 1.0, 20.0)))
 @settings(max_examples=30, deadline=None)
 def test_colours_stay_in_the_range_of_the_mesh_and_constants_stay(painted, beta):
@@ -108,20 +85,6 @@ def flips(a, b):
     """Whether two results agree but for samples that rounding moves over the cut-off (weight 0.01 in some 30)."""
     difference = np.abs(a - b)
     return difference.mean() < 1e-5 and difference.max() < 5e-3
-
-
-def test_the_flow_depends_on_its_time_and_not_on_how_it_is_cut():
-    """N steps of t and N/2 of 2t approximate the same flow where the image is smooth."""
-    positions, faces = surfaces.icosphere(4)
-    colours = 0.5 + 0.3 * positions
-    one = beltrami_cli.smooth(
-        positions, faces, colours, beta=2, beta_growth=1, iterations=8, t=1.0, space="data"
-    ).colours
-    other = beltrami_cli.smooth(
-        positions, faces, colours, beta=2, beta_growth=1, iterations=4, t=2.0, space="data"
-    ).colours
-    change = np.linalg.norm(one - colours)
-    assert np.linalg.norm(one - other) < 0.1 * change
 
 
 def test_area_weights_undo_uneven_sampling():

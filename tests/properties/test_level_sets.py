@@ -7,15 +7,13 @@ from math import cos, exp, log, sin, sqrt
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.spatial import cKDTree
 from scipy.special import eval_legendre
 
 from beltrami_cli import SmoothSettings, smooth
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.file_job import open_input
-from formats.volume_files import lattice_fields, nrrd_file, sphere_file, write
-from oracles.level_sets import CENTRE, directions, pattern, places, sphere
-from oracles.surfaces import icosphere
+from formats.volume_files import sphere_file
+from oracles.level_sets import directions
 
 RANDOM = np.random.default_rng(9)
 T = 0.02
@@ -57,17 +55,12 @@ def eigenvalue(degree):
     return integral(degree) / integral(0)
 
 
-HARMONICS = {
-    2: lambda u: u[:, :1] * u[:, 1:2],
-    3: lambda u: 2 * u.prod(axis=1, keepdims=True),
-}
+HARMONICS = {2: lambda u: u[:, :1] * u[:, 1:2], 3: lambda u: 2 * u.prod(axis=1, keepdims=True)}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("degree", "stretch"),
-    [(3, 1), (2, np.array([1, 0.5, 0.75]))],
-    ids=["3, cubes", "2, boxes"],
+    ("degree", "stretch"), [(3, 1), (2, np.array([1, 0.5, 0.75]))], ids=["3, cubes", "2, boxes"]
 )
 def test_harmonics_on_a_sphere_shrink_by_their_eigenvalue_to_first_order(degree, stretch, tmp_path):
     errors = []
@@ -80,49 +73,8 @@ def test_harmonics_on_a_sphere_shrink_by_their_eigenvalue_to_first_order(degree,
     assert errors[1] < 0.05 * (1 - eigenvalue(degree))
 
 
-@pytest.mark.slow
-def test_a_pattern_on_a_level_set_is_smoothed_as_on_an_icosphere_to_first_order(tmp_path):
-    beta = 2.0
-    points, faces = icosphere(5)
-    truth = smooth(points, faces, pattern(points), beta=beta, **WORLD).colours
-    errors = []
-    for spacing in (0.2, 0.05):
-        there, before, after = smoothed_sphere(tmp_path, spacing, beta, pattern)
-        errors.append(np.sqrt(np.mean((after - interpolated(points, faces, truth, there)) ** 2)))
-    assert errors[1] < errors[0] / 2
-    assert errors[1] < 0.1 * np.sqrt(np.mean((after - before) ** 2))
-
-
-def interpolated(points, faces, colours, there):
-    """Return colours of a fine sphere's triangles at directions."""
-    middles = points[faces].mean(axis=1)
-    nearest = faces[cKDTree(middles / np.linalg.norm(middles, axis=1, keepdims=True)).query(there)[1]]
-    weights = np.linalg.solve(points[nearest].transpose(0, 2, 1), there[..., None])
-    return (colours[nearest] * weights).sum(axis=1) / weights.sum(axis=1)
-
-
 def result_of(painted, **parameters):
     return smooth(painted.positions, painted.faces, painted.colours, **parameters).colours
-
-
-def test_unknown_voxels_separate_what_is_on_both_sides(tmp_path):
-    values, steps, origin = sphere(0.2)
-    at = places(values.shape, steps, origin)
-    mask = np.abs(at[..., 2] - CENTRE[2]) > 0.15
-    south = at[..., 2] < CENTRE[2]
-    colours = RANDOM.random((*values.shape, 3))
-    results = []
-    for _ in range(2):
-        path = sphere_file(tmp_path, 0.2, lambda at: colours, mask=mask)  # noqa: B023
-        painted = opened(path).painted()
-        north = painted.positions[:, 2] > CENTRE[2]
-        settings = {"iterations": 3, "t": 30.0, "beta": 1.0, "beta_growth": 1.0, "metric_steps": 0}
-        after = smooth(painted.positions, painted.faces, painted.colours, **settings).colours
-        results.append(after[north])
-        colours = np.where((south | ~mask)[..., None], RANDOM.random(colours.shape), colours)
-    np.testing.assert_array_equal(*results)
-    assert np.abs(after[north] - painted.colours[north]).max() > 0.1
-    assert (painted.positions[:, 2] - CENTRE[2] < 0).any()
 
 
 def test_vertices_without_a_colour_stay_white_and_do_not_count(tmp_path):
@@ -138,18 +90,3 @@ def test_vertices_without_a_colour_stay_white_and_do_not_count(tmp_path):
     assert (after[bare] == 1).all()
     assert after[~bare].max() <= 0.3
     assert len(document.contents().offsets) - 1 > len(painted.faces)  # the surface itself has no hole
-
-
-@pytest.mark.slow
-def test_turned_mirrored_and_scaled_grids_give_the_same_colours(tmp_path):
-    values, steps, _ = sphere(0.3)
-    colours = RANDOM.random((3, *values.shape)).astype(np.float32)
-    both = np.concatenate([values[None].astype(np.float32), colours])
-    angle = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
-    documents = []
-    for axes in (np.eye(3), 1000 * angle, np.diag([1.0, 1.0, -1.0])):
-        fields = lattice_fields(axes * steps[0], [5.0, 6.0, 7.0], 0)
-        documents.append(opened(write(tmp_path / "v.nrrd", nrrd_file(both, **fields))).painted())
-    first, *others = (result_of(painted, patches="off") for painted in documents)
-    for other in others:
-        np.testing.assert_allclose(other, first, atol=1e-4)

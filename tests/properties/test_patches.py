@@ -82,19 +82,6 @@ def test_the_other_side_of_a_thin_sheet_is_no_neighbour():
         assert np.abs((result - truth)[side]).max() < 0.2
 
 
-@pytest.mark.slow
-def test_non_manifold_spots_and_degenerate_triangles_are_smoothed_as_well():
-    positions, faces, clean, noisy = plane()
-    middle = SIDE // 2 * SIDE + np.arange(SIDE - 1)
-    fin = np.column_stack([middle, middle + 1, len(positions) + np.arange(SIDE - 1)])
-    everything = np.vstack([positions, positions[middle] + [0.5, 0, 1]])
-    truth, colours = (np.vstack([each, each[middle]]) for each in (clean, noisy))
-    odd = [[0, 0, 1], [5, 6, 6], [10, 11, 12]]
-    result = result_on(everything, np.vstack([faces, fin, odd]), colours)
-    kernel = result_on(everything, np.vstack([faces, fin, odd]), colours, patches="off")
-    assert psnr(result, truth) > psnr(kernel, truth) + 0.3
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 3), (5, 64)])
 def test_small_images_and_meshes_are_handled(shape):
     noisy = RANDOM.random((*shape, 3)).astype(np.float32)

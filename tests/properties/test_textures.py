@@ -1,4 +1,4 @@
-"""Smoothing over an atlas against the truths that do not know of charts."""
+"""Smoothing over an atlas against the truths that do not know of charts; no kernel reaches through a slit."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import beltrami_cli
 from beltrami_cli._native import halo_repeats
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from oracles import surfaces
+from oracles.textured import quads, slit
 from properties.textured_planes import Board, painting, smooth_image, textured
 
 RANDOM = np.random.default_rng(1)
@@ -87,30 +88,6 @@ def test_texture_and_vertex_colours_of_one_surface_agree_to_first_order():
     assert np.sqrt(np.mean((image - vertices) ** 2)) < 0.12 * change
 
 
-@pytest.mark.parametrize(
-    "scheme", [{}, {"scheme": "metric"}, {"window": 17}], ids=["sweep", "metric", "march"]
-)
-def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only(scheme):
-    parameters = {**REGULARISED, **scheme, "iterations": 2}
-    places = [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)]
-    board = Board(cells=8, texels=6, block=4, slot=24, slots=2, places=places)  # slots without gaps
-    surface = board.surface()
-    apart = surface.positions.copy()
-    chart = (surface.uv.mean(axis=1) >= 0.5) @ [1, 2]
-    positions = apart[surface.faces].reshape(-1, 3) + 100.0 * np.repeat(chart, 3)[:, None]
-    faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
-    image = board.image_of(painting(48))
-    together, _ = smooth_image(textured(positions, faces, surface.uv), image, **parameters)
-    for number in range(4):
-        alone = image.copy()
-        rows, columns = divmod(number, 2)
-        kept = np.zeros(image.shape[:2], bool)
-        kept[24 * rows : 24 * rows + 24, 24 * columns : 24 * columns + 24] = True
-        alone[~kept] = RANDOM.random((np.count_nonzero(~kept), 3))
-        result, _ = smooth_image(textured(positions, faces, surface.uv), alone, **parameters)
-        assert np.array_equal(result[kept], together[kept])
-
-
 def two_charts(jump, pattern=0.0):
     board = Board(8, 6, 4, 32, 2, [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)])
     y = np.arange(48)
@@ -161,22 +138,82 @@ def test_repeats_are_those_within_reach_over_the_same_seam():
     assert (np.delete(repeats.ravel(), cells) == 1).all()
 
 
-@pytest.mark.parametrize("ratio", [24 / 64, 32 / 64])
-def test_a_fine_chart_is_not_spoilt_by_a_coarse_one_beyond_its_seam(ratio):
-    """Stripes that coarse texels do not resolve: each is shown in several fine cells there, but is one sample."""
-    positions, faces = surfaces.plane(2, 3)
-    corners = positions[faces][:, :, :2]
-    fine = corners.mean(axis=1)[:, 0] < 1
-    uv = np.where(fine[:, None, None], 64 * corners, [80, 0] + 64 * ratio * (corners - [1, 0])) / 128
-    apart = np.concatenate([positions, positions + np.array([9, 0, 0])])
-    torn = textured(apart, np.where(fine[:, None], faces, faces + len(positions)), uv)
-    y, x = np.mgrid[:128, :128]
-    along = np.where(x < 64, x + 0.5, 64 + (x - 79.5) / ratio)  # on the surface, in fine texels
-    stripes = 0.3 + 0.4 * ((along + (y + 0.5) * np.where(x < 64, 1, 1 / ratio)) // 8 % 2)[..., None]
-    noisy = stripes + np.random.default_rng(8).normal(0, 20 / 255, stripes.shape)
-    settings = {"beta": 18.0, "beta_growth": 1.5, "t": 4.0, "iterations": 8, "metric_steps": 2}
-    whole, alone = (
-        np.mean((smooth_image(surface, noisy, **settings)[0] - stripes)[:64, 60:64] ** 2)
-        for surface in (textured(positions, faces, uv), torn)
+SIDE, TEXELS = 8, 6  # squares, and texels of each
+LINES = {  # start and end of the cut, where it leads through the border, and which texels lie on its left
+    "between texels": ((4, 2), (4, 8), 0.0, lambda x, y: x < 24),
+    "through texels": ((4, 2), (4, 8), 0.5, lambda x, y: x < 24),
+    "aslant": ((2, 2), (8, 8), 0.25, lambda x, y: x < y),
+}
+SCHEMES = {
+    "sweep": {"metric_steps": 0},
+    "regularised": {"metric_scale": 0.7, "metric_steps": 2},
+    "metric": {"metric_steps": 0, "scheme": "metric"},
+    "march": {"metric_steps": 0, "window": 17},
+}
+
+
+def cut_plane(line, cut):
+    (ax, ay), (bx, by), shift, _ = LINES[line]
+    positions, faces = quads(SIDE, SIDE, TEXELS, np.ones((SIDE, SIDE)))
+    size = SIDE * TEXELS + 2
+    surface = textured(positions, faces, (positions[faces][..., :2] + shift) / size)
+    return (
+        slit(surface, (TEXELS * ax, TEXELS * ay), (TEXELS * bx, TEXELS * by), (False, True))
+        if cut
+        else surface
     )
-    assert whole < alone
+
+
+def sides(line):
+    """Texels on the left and on the right of the cut, that no kernel reaches around its end in two iterations."""
+    size = SIDE * TEXELS + 2
+    y, x = np.mgrid[0:size, 0:size]
+    left = LINES[line][3](x, y)
+    beside = (x == 24) if line != "aslant" else (x == y)  # may belong to either side
+    far = y > 2 * TEXELS + 17
+    return left & ~beside & far, ~left & ~beside & far
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("line", LINES)
+def test_the_colours_of_the_two_sides_of_a_slit_do_not_mix(line, scheme):
+    """What is painted on one side changes nothing on the other, though both sides touch; it does without the cut."""
+    left, right = sides(line)
+    picture = np.random.default_rng(3).normal(0.5, 0.08, (*left.shape, 3))
+    other = picture.copy()
+    other[right] = np.random.default_rng(4).normal(0.5, 0.08, (*left.shape, 3))[right]
+    parameters = {"beta": 4.0, "t": 0.8, "iterations": 2, **SCHEMES[scheme]}
+    parameters["threshold"] = 0.1 if scheme == "march" else 0.01  # the march's window does not end the kernel
+    for cut in (True, False):
+        surface = cut_plane(line, cut)
+        results = [smooth_image(surface, image, **parameters)[0][left] for image in (picture, other)]
+        same = (results[0] == results[1]).all(axis=1)
+        if cut:
+            assert same.all()
+        else:
+            assert np.count_nonzero(~same) > 3 * TEXELS
+
+
+@pytest.mark.parametrize(
+    "scheme", [{}, {"scheme": "metric"}, {"window": 17}], ids=["sweep", "metric", "march"]
+)
+def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only(scheme):
+    parameters = {**REGULARISED, **scheme, "iterations": 2}
+    places = [(0, 0, 0, False), (0, 1, 0, False), (1, 0, 0, False), (1, 1, 0, False)]
+    board = Board(cells=8, texels=6, block=4, slot=24, slots=2, places=places)  # slots without gaps
+    surface = board.surface()
+    apart = surface.positions.copy()
+    chart = (surface.uv.mean(axis=1) >= 0.5) @ [1, 2]
+    positions = apart[surface.faces].reshape(-1, 3) + 100.0 * np.repeat(chart, 3)[:, None]
+    faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
+    image = board.image_of(painting(48))
+    together, _ = smooth_image(textured(positions, faces, surface.uv), image, **parameters)
+    for number in range(4):
+        alone = image.copy()
+        rows, columns = divmod(number, 2)
+        kept = np.zeros(image.shape[:2], bool)
+        kept[24 * rows : 24 * rows + 24, 24 * columns : 24 * columns + 24] = True
+        alone[~kept] = RANDOM.random((np.count_nonzero(~kept), 3))
+        result, _ = smooth_image(textured(positions, faces, surface.uv), alone, **parameters)
+        assert np.array_equal(result[kept], together[kept])

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from math import log, sqrt
-
 import numpy as np
 import pytest
 
-from beltrami_cli._native import SegmentManifold, morton_order, vertex_order
+from beltrami_cli._native import morton_order, vertex_order
 from oracles import surfaces
 
 
@@ -58,34 +55,3 @@ def test_vertices_of_no_face_and_of_any_part_are_kept(faces):
 def test_corners_that_are_no_vertices_are_refused(corner):
     with pytest.raises(ValueError, match="not there"):
         vertex_order(np.zeros((10, 3)), np.array([[0, 1, corner]], np.int32))
-
-
-def cost_of_a_sample(positions, faces, colours, t):
-    """Return the CPU time of a kernel for each sample that it holds, and how many it holds."""
-    order = vertex_order(positions, faces)
-    rank = np.argsort(order).astype(np.int32)
-    manifold = SegmentManifold(rank[faces], len(positions))
-    colours, shortest = np.ascontiguousarray(colours[order]), float("inf")
-    manifold.update_metric(np.ascontiguousarray(positions[order]), colours, 1.0, None, 1)
-    for _ in range(3):
-        start = time.process_time()
-        _, held, _ = manifold.smooth(colours, None, t, sqrt(-4 * t * log(0.01)), 2000, 1, None)
-        shortest = min(shortest, time.process_time() - start)
-    return shortest / held, held / len(positions)
-
-
-@pytest.mark.parametrize("kind", ["scattered", "graded"])
-def test_kernels_cost_about_the_same_however_neighbours_lie_in_space(kind):
-    """One by one, as kernels that share nothing were, they cost twenty times as much."""
-    side = 60
-    colours = np.random.default_rng(1).random((side * side, 3)).astype(np.float32)
-    flat, faces = surfaces.lattice(side, side)
-    even, _ = cost_of_a_sample(flat, faces, colours, 3.0)
-    if kind == "scattered":
-        uneven, held = cost_of_a_sample(*scattered(side), colours, 10.0)
-    else:  # where sixteen neighbours reach thousands of vertices
-        graded = surfaces.graded(flat, 8)
-        spacing = surfaces.mean_edge_length(graded, faces)
-        uneven, held = cost_of_a_sample(graded / spacing, faces, colours, 3.0)
-    assert held > 100
-    assert uneven < 5 * even
