@@ -1,4 +1,4 @@
-"""Charts, seams, and neighbours beyond seams."""
+"""Charts, seams, neighbours beyond seams, and how charts are packed."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter
 
-from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas
+from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED, build_atlas, grid_atlas, within
 from oracles.textured import cube, quads, shown_texels, strips, textured
 
 RIGHT, BELOW = 0, 1
@@ -134,15 +135,6 @@ def test_the_walk_leads_over_charts_without_texels():
     assert np.allclose(weights[~alone], [0.125, 0.875], atol=1e-6)
 
 
-def test_a_palette_whose_coordinates_are_points_covers_nothing():
-    surface = square()
-    points = dataclasses.replace(surface, uv=np.full_like(surface.uv, 0.5 / 32))
-    atlas = build_atlas(points, [(32, 32)], 3)
-    assert (atlas.covered, len(atlas.owned_cells), len(atlas.halo_cells)) == (0, 0, 0)
-    assert (atlas.kind == EMPTY).all()
-    assert atlas.kind.shape == (6, 6)
-
-
 def test_texel_centres_on_the_border_are_covered():
     """A grid with a vertex at each texel's centre, as depth maps give, covers all texels."""
     positions, faces = quads(7, 5, 1, np.zeros((5, 7)))
@@ -150,3 +142,63 @@ def test_texel_centres_on_the_border_are_covered():
     atlas = build_atlas(surface, [(8, 6)], 3)
     assert (atlas.covered, atlas.overlapped) == (48, 0)
     assert np.array_equal(atlas.squared_lengths[RIGHT][4:10, 4:11], np.ones((6, 7), np.float32))
+
+
+def stairs(count, length=12, side=8):
+    """Charts aslant, as long as wide stairs of squares: their boxes are nearly empty."""
+    positions, faces, corners = [], [], []
+    square, (square_faces) = quads(1, 1, side, np.zeros((1, 1)))
+    for chart in range(count):
+        for step in range(2 * length - 1):  # a stair: right, down, right, ...
+            place = np.array([(step + 1) // 2, step // 2]) * side
+            faces.append(square_faces + 4 * len(positions))
+            positions.append(square + np.array([*place, 1000.0 * chart]))
+            corners.append((square[:, :2] + place + [24 * chart, 4])[square_faces])
+    size = (24 * count + length * side, length * side + 8)
+    return textured(np.concatenate(positions), np.concatenate(faces), np.concatenate(corners), [size]), [size]
+
+
+@pytest.mark.parametrize("margin", [1, 3, 5])
+def test_charts_interlock_but_their_margins_do_not(margin):
+    surface, sizes = stairs(9)
+    atlas = build_atlas(surface, sizes, margin)
+    assert (atlas.charts, atlas.overlapped) == (9, 0)
+    near = np.zeros(atlas.kind.shape, int)
+    boxes = 0
+    for chart in range(9):
+        owned = np.zeros(atlas.kind.shape, bool)
+        owned.reshape(-1)[atlas.owned_cells[atlas.chart_of == chart]] = True
+        near += maximum_filter(owned, 2 * margin + 1)
+        rows, columns = np.nonzero(owned)
+        boxes += (np.ptp(rows) + 1 + 2 * margin) * (np.ptp(columns) + 1 + 2 * margin)
+    assert near.max() == 1
+    assert atlas.kind.size < 0.6 * boxes
+    # Nothing but the charts is there, and edges stay inside each.
+    assert np.count_nonzero(atlas.kind != EMPTY) == atlas.covered
+    labels = np.zeros(atlas.kind.size, int)
+    labels[atlas.owned_cells] = 1 + atlas.chart_of
+    labels = labels.reshape(atlas.kind.shape)
+    for lengths, (down, right) in zip(atlas.squared_lengths, [(0, 1), (1, 0), (1, 1), (1, -1)], strict=True):
+        row, column = np.nonzero(np.isfinite(lengths))
+        assert np.array_equal(labels[row, column], labels[row + down, column + right])
+
+
+@pytest.mark.parametrize("margin", [3, 4])
+def test_even_texels_lie_at_even_cells(margin):
+    """JPEG stores hues of squares of 2 x 2 texels: noise is measured in squares that never straddle them."""
+    surface, sizes = cube(15), [(124, 24)]
+    image = grid_atlas((7, 9), margin, None, np.ones((7, 9), bool))
+    for atlas, (width, _) in ((build_atlas(surface, sizes, margin), sizes[0]), (image, (9, 7))):
+        texels, cells = (
+            np.array(np.divmod(places, columns))
+            for places, columns in ((atlas.owned_texels, width), (atlas.owned_cells, atlas.kind.shape[1]))
+        )
+        assert len(np.unique(texels % 2, axis=1).T) == 4
+        assert np.array_equal(texels % 2, cells % 2)
+
+
+@pytest.mark.parametrize("reach", [0, 1, 2, 5, 13, 40])
+def test_cells_are_near_up_to_the_edges_of_the_canvas(reach):
+    covered = np.random.default_rng(reach).random((60, 45)) < 0.005
+    covered[[0, 11, 23, 23], [0, 17, 3, 39]] = True
+    assert np.array_equal(within(covered, reach), maximum_filter(covered, 2 * reach + 1, mode="constant"))

@@ -55,21 +55,6 @@ def test_in_a_plane_the_triangles_are_those_of_the_delaunay_triangulation():
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [3, 10, 20])
-def test_the_dense_lines_of_a_scanner_are_joined_with_each_other(ratio):
-    rng = np.random.default_rng(2)
-    x, line = (part.ravel().astype(float) for part in np.meshgrid(np.arange(15 * ratio), np.arange(11)))
-    flat = np.column_stack([x + rng.uniform(-0.3, 0.3, len(x)), ratio * line + rng.normal(0, 0.05, len(x))])
-    found = triangulate_points(np.column_stack([flat, rng.normal(0, 0.05, len(flat))]))
-    assert not len(outliers(len(flat), found))
-    expected = as_set(Delaunay(flat).simplices)
-    middle = np.flatnonzero(inside(flat, 2.5 * ratio))
-    true = as_set(t for t in expected if np.isin(t, middle).all())
-    # Ranges have noise, so neighbouring points may see four points nearly on a circle otherwise.
-    assert len(true & as_set(found)) > 0.98 * len(true)
-
-
 def test_vertices_of_a_sphere_get_the_faces_of_the_sphere_back():
     positions, faces = surfaces.icosphere(4)
     assert as_set(triangulate_points(positions)) == as_set(faces)

@@ -83,31 +83,11 @@ def test_a_quad_with_a_straight_corner_gets_no_empty_triangle():
     assert (np.linalg.norm(areas(points, cut(points, [0, 1, 2, 3])), axis=1) > 0.4).all()
 
 
-def test_convex_polygons_are_fans():
-    angles = np.linspace(0, 2 * np.pi, 7, endpoint=False)
-    points = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
-    assert cut(points, list(range(7))).tolist() == [[0, i, i + 1] for i in range(1, 6)]
-
-
 @settings(max_examples=50)
 @given(st.lists(st.integers(0, 3), min_size=0, max_size=9))
 def test_degenerate_and_self_crossing_polygons_still_give_n_minus_2(polygon):
     points = flat((0, 0), (1, 1), (1, 0), (0, 1))
     assert cut(points, polygon).shape == (max(len(polygon) - 2, 0), 3)
-
-
-def test_no_polygons_give_no_triangles():
-    assert cut(np.zeros((4, 3))).shape == (0, 3)
-
-
-def test_many_mixed_polygons_are_all_cut():
-    random = np.random.default_rng(2)
-    sizes = random.integers(3, 8, 100_000)
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    angles = 2 * np.pi * (np.arange(offsets[-1]) - np.repeat(offsets[:-1], sizes)) / np.repeat(sizes, sizes)
-    points = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
-    faces = triangulate(points, np.arange(len(points), dtype=np.int32), offsets)
-    assert len(faces) == (sizes - 2).sum()
 
 
 @pytest.mark.parametrize("size", [4, 5])

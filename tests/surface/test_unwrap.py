@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +16,7 @@ from oracles import surfaces
 
 
 def unwrapped(positions, faces, size=256, padding=4, **options):
-    return unwrap(
-        np.asarray(positions, float),
-        np.asarray(faces, np.int32),
-        size,
-        padding,
-        "mesh",
-        **options,
-    )
+    return unwrap(np.asarray(positions, float), np.asarray(faces, np.int32), size, padding, "mesh", **options)
 
 
 def owners(uv, size):
@@ -205,13 +196,3 @@ def test_what_the_process_dies_of_is_reported_in_one_line(monkeypatch):
     ) as caught:
         unwrapped(np.eye(3), [[0, 1, 2]])
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.slow
-def test_xatlas_is_loaded_by_the_other_process_only():
-    code = (
-        "import sys, numpy; from beltrami_cli.surface.unwrap import unwrap\n"
-        "unwrap(numpy.eye(3), numpy.array([[0, 1, 2]]), 64, 2, 'mesh')\n"
-        "sys.exit('xatlas' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-P", "-c", code], check=False, timeout=60).returncode == 0
