@@ -5,16 +5,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from unittest.mock import Mock
 
 import pytest
 
 from batch.batches import QUICK, batch, files_in, lines_of, statuses, write_textured
-from beltrami_cli.batch import run
-from beltrami_cli.batch.item import Attempt, Item, Record, do_item, failed
-from beltrami_cli.batch.run import Batch, Executor
+from beltrami_cli.batch.item import Record
 from beltrami_cli.errors import InputError
-from beltrami_cli.layers.settings import DEFAULTS
 from cli.commands import SAMPLES
 from hostile.folders import snapshot
 from hostile.textured_models import PICTURE, write_model
@@ -113,33 +109,6 @@ def test_results_of_an_earlier_run_are_replaced_after_a_run_that_was_killed(scan
     batch(scan, "--out-dir", out, "--resume", *QUICK, "--beta", 20)
     assert statuses(out) == {"a.ply": "done"}
     assert files_in(out) != before
-
-
-@pytest.mark.slow
-def test_a_file_that_is_begun_again_still_has_the_hashes_of_its_results(scan, made):
-    out, line = made
-
-    class Cut(BaseException):
-        """The power is cut."""
-
-    class CutOff:
-        threads, queues, is_full = 1, False, False
-
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *error):
-            pass
-
-        def start(self, key, item):
-            raise Cut
-
-    item = Item(str(scan), str(out / "a.ply"), DEFAULTS)
-    record = Record(str(out / "batch.jsonl"), resume=True, overwrite=False)
-    with pytest.raises(Cut):
-        Batch([item], record, None).run(1, None, CutOff())
-    last = lines_of(out / "batch.jsonl")[-1]
-    assert (last["status"], last["written"]) == ("started", line["written"])
 
 
 CRAFTED = {
@@ -241,33 +210,3 @@ def test_a_report_does_not_replace_a_part_of_a_model(name, part, tmp_path):
     (tmp_path / "notes.txt").write_text("replaced, since the command line says so")
     batch(*words, "--report", tmp_path / "notes.txt")
     assert lines_of(tmp_path / "notes.txt")
-
-
-class DyingWorkers(Executor):
-    """Do each file, and the first time die before saying so."""
-
-    def __init__(self, *_):
-        self.attempts = []
-
-    def __exit__(self, *error):
-        pass
-
-    is_full = False
-
-    def start(self, key, item):
-        attempt = do_item(item, None)
-        if not item.again:
-            attempt = Attempt(failed(item, "the process died", 1), wants_memory=True)
-        self.attempts.append((key, attempt))
-
-    def events(self, items):
-        yield self.attempts.pop()
-
-
-def test_a_file_is_done_whose_process_died_when_all_was_in_place(scan, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "Workers", DyingWorkers)
-    others = Item(str(scan.with_name("none.ply")), str(tmp_path / "out" / "none.ply"), DEFAULTS)
-    item = Item(str(scan), str(tmp_path / "out" / "a.ply"), DEFAULTS)
-    record = Record(str(tmp_path / "report.jsonl"), resume=False, overwrite=False)
-    outcomes = Batch([item, others], record, Mock()).run(2, None)
-    assert [outcome.status for outcome in outcomes] == ["done", "failed"]

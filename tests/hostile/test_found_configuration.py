@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import socket
-from pathlib import Path
 
 import click
 import pytest
 
 from beltrami_cli.cli.commands import long_name
-from beltrami_cli.cli.config import candidates, load, may_be_found
+from beltrami_cli.cli.config import load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.errors import UsageError
-from cli.commands import SAMPLES, beltrami, refused
+from cli.commands import SAMPLES, beltrami
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("-n", "1", "--fast")
@@ -83,16 +81,6 @@ def test_noise_may_be_a_number_but_no_file(tmp_path, monkeypatch):
             group.defaults_from(load(None), "smooth")
 
 
-def test_no_scheduler_is_connected_to(tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(0.5)
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        (tmp_path / "beltrami.toml").write_text(f'[batch]\nscheduler = "{address}"\n')
-        refused(tmp_path, "batch", NOISY, "--out-dir", "out", *QUICK, code=2)
-        with pytest.raises(TimeoutError):
-            server.accept()
-
-
 def test_a_named_file_and_variables_may_set_everything(tmp_path):
     (tmp_path / "named.toml").write_text('[smooth]\nreport = "r.json"\noverwrite = true\n')
     for arguments, variables in (
@@ -138,15 +126,6 @@ def test_what_belongs_to_another_user_is_not_read(is_link, tmp_path):
     assert "beta" not in done.stdout
 
 
-def test_files_of_this_user_and_of_root_are_read_and_no_others(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "beltrami.toml").write_text("beta = 3\n")
-    owner = (tmp_path / "beltrami.toml").stat().st_uid
-    assert load(None).common == {"beta": 3}
-    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
-    assert load(None).common == ({"beta": 3} if owner == 0 else {})
-
-
 def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path):
     deep = tmp_path / "home" / "repository" / "deep"
     deep.mkdir(parents=True)
@@ -160,20 +139,3 @@ def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path):
     assert "beta" not in run(deep, "config", **home).stdout
     (deep.parent / "beltrami.toml").write_text("[smooth]\nbeta = 5\n")
     assert "beta = 5" in run(deep, "config", **home).stdout
-
-
-def test_the_search_ends_at_the_border_of_a_file_system(monkeypatch):
-    mount = Path("/dev/shm")
-    if not mount.is_dir() or mount.stat().st_dev == mount.parent.stat().st_dev:
-        pytest.skip("there is no other file system")
-    monkeypatch.setattr(Path, "is_file", lambda _: True)
-    monkeypatch.setenv("HOME", "/nonexistent")
-    assert {path.parent for path in candidates(mount)} == {mount}
-
-
-def test_a_working_folder_that_was_removed_has_no_configuration(tmp_path, monkeypatch):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    assert load(None).path is None

@@ -106,17 +106,6 @@ def test_no_worker_imports_from_the_working_folder(kind, tmp_path):
     assert_ends_alike_with_planted("batch with new textures", COMMAND, NAMES, kind, os.environ, tmp_path)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("entry", ["", "../planted"])
-def test_an_entry_of_the_path_that_is_not_absolute_does_not_count(entry, tmp_path):
-    given = os.environ.get("PYTHONPATH", "")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([entry, str(tmp_path / "mine"), given])}
-    before = loaded_by_python(tmp_path / "probe", COMMAND, environment)
-    assert_ends_alike_with_planted(
-        "batch with new textures", COMMAND, NAMES - before, "module", environment, tmp_path
-    )
-
-
 def test_a_process_that_the_library_starts_has_no_working_folder_on_its_path(monkeypatch, tmp_path):
     (tmp_path / "probe").mkdir()
     (tmp_path / "probe" / "asked.py").write_text("raise SystemExit('loaded')")

@@ -118,16 +118,6 @@ def test_paint_of_others_around_charts_stays(tmp_path, kind):
     assert changed.max() < 6 * SIGMA
 
 
-def test_at_a_seam_between_two_colours_each_chart_keeps_its_own(tmp_path):
-    """The texels beyond the seam had the colour of their chart, and get it again without its noise."""
-    pixels = noisy()
-    pixels[:, WIDTH // 2 :] += 90
-    whole = smoothed(halves(tmp_path, pixels))
-    rows = slice(TOP + CLEAR, BOTTOM - CLEAR)
-    assert np.abs(whole[rows, LEFT[1]] - 128).mean() < SIGMA
-    assert np.abs(whole[rows, RIGHT[0] - 1] - 218).mean() < SIGMA
-
-
 def test_an_exposure_step_is_taken_from_the_gutter_too(tmp_path):
     """What continued a chart continues it still when all its colours move."""
     pixels = noisy()

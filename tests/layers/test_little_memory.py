@@ -13,16 +13,14 @@ import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
-from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
-from beltrami_cli.flow.tuning.grid_trial import perturbations
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.atlas import build_atlas, grid_atlas
+from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
 from formats.image_files import encode
 from formats.tile_files import GIVEN, tiled_model
@@ -203,23 +201,6 @@ def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
             tracemalloc.stop()
     # Some twenty arrays of three floats a sample, for 65,536 samples.
     assert peak < memory + 20 * 12 * 65_536
-
-
-@pytest.mark.parametrize("scales", [1, 3], ids=["white", "shared"])
-def test_random_planes_are_in_files_and_the_same(tmp_path, scales):
-    shape = (610, 607)
-    atlas = grid_atlas(shape, 1, None, np.ones(shape, bool))
-    noise = NoiseModel(np.tile(0.01 * np.eye(3), (scales, 1, 1)))
-    expected = perturbations(1, atlas, noise)[0]
-    with large_arrays.kept_within(1 << 20, tmp_path):
-        tracemalloc.start()
-        try:
-            planes = perturbations(1, atlas, noise)[0]
-            _, peak = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
-    assert np.array_equal(planes, expected)
-    assert peak < 3 << 20  # as floats they are 4.4 MB, and twice that while they are made
 
 
 def test_arrays_in_files_are_like_others(tmp_path, on_disk):

@@ -16,38 +16,25 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from formats.image_files import encode
 from hostile.textured_models import PICTURE
+from oracles import surfaces
 
 KERNEL = KernelParameters(iterations=1, t=1.0, beta=3.0, metric_steps=0, beta_growth=1.0, clipping="keep")
 SETTINGS = SmoothSettings(kernel=KERNEL)
-SIDE = 8
 EXTREME = [1e-310, 1e-160, 1e-45, 1e-38, 1e-22, 1e22, 1e38, 1e150, 1e200, 1e307]
 
 
 def obj(folder, scale, kind, placed=float):
-    """Write a plane of SIDE x SIDE squares, with colours at its vertices or with a texture."""
-    y, x = np.mgrid[: SIDE + 1, : SIDE + 1].reshape(2, -1)
-    shades = np.random.default_rng(3).random((len(x), 3)) if kind == "vertices" else np.empty((len(x), 0))
-    lines = [
-        f"v {placed(i * scale)!r} {placed(j * scale)!r} 0 {' '.join(map(str, c))}"
-        for i, j, c in zip(x.tolist(), y.tolist(), shades.tolist(), strict=True)
-    ]
-    if kind == "texture":
-        (folder / "m.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
-        (folder / "skin.png").write_bytes(PICTURE)
-        lines = [
-            "mtllib m.mtl",
-            *lines,
-            *(f"vt {i / SIDE} {j / SIDE}" for i, j in zip(x, y, strict=True)),
-            "usemtl m",
-        ]
+    """Write a square of a side of 8, with colours at its vertices or with a texture."""
+    (folder / "m.mtl").write_text("newmtl m\nmap_Kd skin.png\n")
+    (folder / "skin.png").write_bytes(PICTURE)
+    lines = ["mtllib m.mtl", "usemtl m"] if kind == "texture" else []
+    for number, (i, j) in enumerate(np.ndindex(9, 9)):
+        colour = f"0.{number:02} 0.5 0.2" if kind == "vertices" else ""
+        lines.append(f"v {placed(j * scale)!r} {placed(i * scale)!r} 0 {colour}\nvt {j / 8} {i / 8}")
+    corners = 1 + surfaces.grid_faces(9, 9)
     corner = "{0}/{0}" if kind == "texture" else "{0}"
-    corners = 1 + np.arange((SIDE + 1) ** 2).reshape(SIDE + 1, SIDE + 1)
-    if kind != "points":
-        quads = np.stack(
-            [corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]], axis=2
-        ).reshape(-1, 4)
-        lines += ["f " + " ".join(corner.format(c) for c in quad) for quad in quads.tolist()]
-    (folder / "plane.obj").write_text("\n".join(lines) + "\n")
+    lines += ["f " + " ".join(corner.format(c) for c in face) for face in corners.tolist()]
+    (folder / "plane.obj").write_text("\n".join([*lines, ""]))
     return folder / "plane.obj"
 
 

@@ -90,27 +90,6 @@ def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_cov
     assert reported.endswith("--unwrap makes a new atlas")
 
 
-@pytest.mark.slow
-def test_what_a_change_would_do_to_an_image_is_not_said_of_a_copy(tmp_path):
-    model = write_model(tmp_path, "obj", "skin.png", "model.mtl")
-    two = np.zeros((32, 32, 3), np.uint8)
-    two[:, 16:] = 255
-    (tmp_path / "skin.png").write_bytes(encoded(two, "P"))
-    for source in (model, tmp_path / "skin.png"):
-        out = tmp_path / "o" / source.name
-        out.parent.mkdir(exist_ok=True)
-        assert smooth_file(source, out, job=Job(overwrite=True)).warnings == []
-        assert out.read_bytes() == source.read_bytes()
-    (tmp_path / "skin.png").write_bytes(
-        encoded(np.random.default_rng(2).integers(0, 256, (32, 32, 3), np.uint8), "P")
-    )
-    for source in (model, tmp_path / "skin.png"):
-        (reported,) = smooth_file(
-            source, tmp_path / source.with_stem("new").name, iterations=1, beta=2, job=Job(dry_run=True)
-        ).warnings
-        assert "palette" in reported
-
-
 def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path):
     model = write_model(tmp_path, "gltf", "skin.png")
     (tmp_path / "skin.png").write_bytes(PICTURE[:60])
