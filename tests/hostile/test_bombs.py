@@ -1,4 +1,4 @@
-"""Small files that promise huge contents cost no more than their refusal: one line, exit code 3, little memory."""
+"""Small files that promise huge contents, or images too large for memory, cost no more than a refusal in one line."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.usd.layers import layer_from
-from cli.commands import COMMAND
-from formats.image_files import png_chunk
+from cli.commands import COMMAND, refused
+from formats.image_files import encode, png_chunk
 from hostile.textured_models import PICTURE, write_model
 
 LIMIT = "300M"
@@ -65,8 +65,8 @@ def ply(*lines, body=b""):
     return header.encode() + body
 
 
-def png(width, height, data, *chunks):
-    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+def png(width, height, data, *chunks, colour=2):
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, colour, 0, 0, 0))
     return b"".join(
         [b"\x89PNG\r\n\x1a\n", header, *chunks, png_chunk(b"IDAT", data), png_chunk(b"IEND", b"")]
     )
@@ -314,3 +314,67 @@ def test_a_large_image_is_smoothed_where_there_is_room(tmp_path):
     model = with_texture(PICTURE)(tmp_path)
     arguments = [*COMMAND, "smooth", str(model), str(tmp_path / "out.ply"), "--max-memory", LIMIT]
     assert subprocess.run(arguments, check=False).returncode == 0
+
+
+# The largest that is read; there are no pixels behind the header, so decoding would say "damaged".
+SIDE = 16384
+# Decoded, one takes 256 MB, which fits, and for every use at least 2 bytes per pixel more, which do not.
+IMAGE_LIMIT = "512M"
+# Jobs that recolour keep their arrays in files then; other jobs on all pixels take at least 30 bytes per pixel.
+LIMIT_IN_MEMORY = "8G"
+
+
+COMMANDS = [
+    "info large.png",
+    "smooth large.png out.png",
+    "smooth large.png out.jpg -n 0",
+    "noise large.png out.png --sigma 5%",
+    "kernel large.png out.png --at 5,5",
+    "compare large.png large.png",
+    "report large.png large.png out.html",
+    "render large.png out.png",
+    "sweep large.png out.png --beta 1,2",
+    "view large.png --no-open",
+    "smooth small.png out.png --height large.png",
+    "smooth small.png out.png --positions large.png",
+    "smooth small.png out.png --mask large.png",
+    "smooth small.png out.png --guide large.png",
+    "smooth small.png out.png --noise large.png",
+    "info model.obj",
+    "smooth model.obj out.obj",
+    "smooth model.obj out.glb --unwrap",
+    "level model.obj out.obj",
+    "noise model.obj out.obj --sigma 5%",
+    "kernel model.obj out.png --at 0.5,0.5",
+    "check model.obj other.obj",
+    "compare model.obj other.obj",
+    "report model.obj other.obj out.html",
+    "render model.obj out.png",
+    "bake model.obj out.ply --to vertices",
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("large")
+    large = png(SIDE, SIDE, zlib.compress(b""), colour=0)
+    (folder / "large.png").write_bytes(large)
+    (folder / "other.png").write_bytes(large + b"\0")
+    (folder / "small.png").write_bytes(encode(np.full((8, 8, 1), 99, np.uint8), "png"))
+    for name, image in (("other", "other.png"), ("model", "large.png")):
+        write_model(folder, "obj", image, f"{name}.mtl").rename(folder / f"{name}.obj")
+    return folder
+
+
+_JOBS = tuple(f"{name} large" for name in ("noise", "kernel", "compare", "report"))
+IN_MEMORY = [each for each in COMMANDS if each.startswith(_JOBS)]
+
+
+@pytest.mark.parametrize(
+    ("command", "limit"),
+    [*((each, IMAGE_LIMIT) for each in COMMANDS), *((each, LIMIT_IN_MEMORY) for each in IN_MEMORY)],
+)
+def test_what_does_not_fit_is_refused_before_it_is_decoded(command, limit, folder):
+    said = refused(folder, *command.split(), "--max-memory", limit, code=3)
+    assert "fit into memory" in said, said
+    assert "raise --max-memory" in said
