@@ -10,7 +10,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.arrays import smooth
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
-from oracles.fast_marching import Manifold
+from oracles.geodesics import Manifold
 from properties.manifolds import image_manifold, segment_manifold
 
 SECONDS = 30  # of processor time; a bounded tangle takes a quarter of it, one that is not twice as long

@@ -1,20 +1,20 @@
-"""Noise that differs from place to place, as of two photographs in one image."""
+"""Noise that differs from place to place, as of two photographs, in one image or on vertices."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
+from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.reading import read_noise
+from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
+from beltrami_cli.surface.records import SampledSurface, linear_to_srgb, srgb_to_linear
 from oracles.paintings import flat_paint, line_art, photograph
+from oracles.surfaces import icosphere
 
 SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
-
-
-def sigma_at_rows():
-    """Return the standard deviation of rows: the lower half is louder."""
-    return np.where(np.arange(SIZE) < SIZE // 2, QUIET, LOUD)[:, None, None]
 
 
 def relative(image):
@@ -25,7 +25,8 @@ def relative(image):
 
 def test_the_noise_of_both_halves_is_found_in_one_channel():
     """Within 20 % in the loud half; textures of one channel make the quiet one louder."""
-    noise = sigma_at_rows() * np.random.default_rng(0).standard_normal((SIZE, SIZE, 1))
+    sigma = np.where(np.arange(SIZE) < SIZE // 2, QUIET, LOUD)[:, None, None]
+    noise = sigma * np.random.default_rng(0).standard_normal((SIZE, SIZE, 1))
     found = relative(np.clip(photograph(SIZE, contrast=0.05)[..., :1] + noise, 0, 1))
     below = np.sqrt(np.median(found[: SIZE // 2 - 8])), np.sqrt(np.median(found[SIZE // 2 + 8 :]))
     assert below[1] == pytest.approx(LOUD / np.sqrt((QUIET**2 + LOUD**2) / 2), rel=0.2)
@@ -40,3 +41,54 @@ def test_textures_and_even_noise_are_the_same_everywhere(scene, sigma, channels)
     clean = scene(SIZE)[..., :channels]
     noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
     assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
+
+
+CHOSEN = KernelParameters(free=TUNABLE)
+
+
+def scene(channels=3, contrast=0.12):
+    """Return vertices and triangles of a sphere with a photograph around it, and their standard deviations of noise."""
+    positions, faces = icosphere(6)
+    picture = photograph(256, contrast=contrast)
+    place = 255 * (positions[:, 1:].T / 2 + 0.5)
+    clean = np.stack([map_coordinates(picture[..., k], place, order=1) for k in range(channels)], axis=1)
+    return positions, faces, clean, np.where(positions[:, :1] < 0, QUIET, LOUD)
+
+
+def noisy(clean, sigma, seed=0):
+    return np.clip(clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape), 0, 1).astype(
+        np.float32
+    )
+
+
+def manifold(positions, faces, colours):
+    return mesh_manifold(SampledSurface(positions, faces, faces, colours), CHOSEN)
+
+
+@pytest.mark.parametrize(("channels", "contrast"), [(3, 0.12), (1, 0.05)])
+def test_the_noise_of_both_halves_is_found(channels, contrast):
+    """Within 40 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
+    positions, faces, clean, sigma = scene(channels, contrast)
+    found = manifold(positions, faces, noisy(clean, sigma))
+    local = found.geometry.in_order(np.sqrt(found.noise.relative))[:, 0] * np.sqrt(
+        np.mean(found.noise.of_input**2)
+    )
+    assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.4)
+    quiet = np.median(local[positions[:, 0] < -0.2])
+    assert QUIET * 0.8 < quiet < 0.7 * LOUD
+
+
+@pytest.mark.parametrize(("channels", "sigma"), [(1, 20), (3, 0), (3, 5)])
+def test_textures_and_even_noise_are_the_same_everywhere(channels, sigma):
+    positions, faces, clean, _ = scene(channels)
+    assert manifold(positions, faces, noisy(clean, sigma / 255)).noise.relative is None
+
+
+def test_noise_by_level_is_no_noise_by_place():
+    positions, faces, _, _ = scene()
+    levels = np.repeat(0.5 + 0.4 * np.sin(9 * positions[:, :1]), 3, axis=1)
+    light = srgb_to_linear(levels).astype(float)
+    seen = light + np.sqrt(0.004 * light + 0.005**2) * np.random.default_rng(0).standard_normal(light.shape)
+    found = manifold(positions, faces, linear_to_srgb(np.clip(seen, 0, 1)).astype(np.float32))
+    assert found.noise.relative is None
+    assert found.noise.stabiliser is not None

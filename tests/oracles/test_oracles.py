@@ -11,9 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from oracles import strategies, surfaces
-from oracles.exact_geodesic import exact_distances
-from oracles.fast_marching import Manifold, triangle_update
-from oracles.kernel import embed, short_time_kernel
+from oracles.geodesics import Manifold, embed, exact_distances, short_time_kernel, triangle_update
 
 
 def edge_distances(embedding, faces, source):

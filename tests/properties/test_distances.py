@@ -13,8 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from beltrami_cli.flow.parameters import KernelParameters
 from oracles import strategies, surfaces
-from oracles.exact_geodesic import exact_distances
-from oracles.fast_marching import Manifold
+from oracles.geodesics import Manifold, exact_distances
 from properties.manifolds import apply_kernel, distances, image_manifold, segment_manifold
 
 

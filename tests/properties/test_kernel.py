@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import beltrami_cli
 from oracles import strategies, surfaces
-from oracles.kernel import embed, short_time_kernel
+from oracles.geodesics import embed, short_time_kernel
 from properties.manifolds import apply_kernel, image_manifold, one_iteration, segment_manifold
 
 # A colour may flip in or out at the cut-off, where its weight is the threshold and float32 decides otherwise

@@ -64,12 +64,6 @@ def test_tiny_clouds_are_smoothed_as_far_as_they_can(count):
     assert np.array_equal(result.colours, colours) == (count < 3)
 
 
-def test_points_in_a_plane_may_have_two_coordinates():
-    positions = scattered(500, 20)
-    two = beltrami_cli.smooth(positions[:, :2], None, noisy(500)).colours
-    assert np.array_equal(two, beltrami_cli.smooth(positions, None, noisy(500)).colours)
-
-
 @pytest.mark.parametrize("change", [{"positions": np.eye(4)}, {"smooth_geometry": True}])
 def test_what_needs_faces_is_refused_without(change):
     arguments = {"positions": np.eye(4)[:, :3], "faces": None, "colours": noisy(4), **change}

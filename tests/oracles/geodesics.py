@@ -1,4 +1,4 @@
-"""Fast marching on a triangulated manifold in any dimension: slow, plain, in double precision.
+"""Fast marching on a triangulated manifold in any dimension, and a kernel: slow, plain, in double precision.
 
 Follows R. Kimmel, J. A. Sethian, "Computing geodesic paths on manifolds", PNAS 95 (1998): an upwind update
 from two known corners of a triangle, with obtuse corners split by unfolding neighbouring triangles. Only edge
@@ -11,6 +11,10 @@ the two edges that meet in it. Rules for what is not a manifold:
 - faces with the same three corners are one face; a face that repeats a corner contributes its edges only;
 - unfolding stops at an edge that does not have exactly two faces, and at an edge of length zero;
 - a corner on an edge of length zero, or opposite one, has no angle and leaves its edges.
+
+The kernel follows A. Spira, R. Kimmel, N. Sochen, "A short time Beltrami kernel for smoothing images and manifolds",
+IEEE Transactions on Image Processing 16 (2007), equations (8) and (9). Exact distances in space are by pygeodesic
+(Mitchell, Mount, Papadimitriou 1987).
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass, field
 from itertools import combinations
-from math import inf, sqrt
+from math import inf, log, sqrt
 
 import numpy as np
+from pygeodesic import geodesic
 
 # A corner counts as obtuse only if its cosine is below this. Right angles of a grid must not be split or left
 # whole by the last bit of a square root; both ways are correct there, but they differ in value.
@@ -177,3 +182,31 @@ def triangle_update(phi_a, b, phi_b, a, cosine):
     s = (-half + sqrt(discriminant)) / square
     inside = u < s and a * cosine * s < b * (s - u) and b * (s - u) * cosine < a * s
     return phi_a + s if inside else inf
+
+
+def embed(positions, colours, beta):
+    """Return the image manifold (X, beta I), shape (V, M + N)."""
+    return np.hstack([np.asarray(positions, float), beta * np.asarray(colours, float)])
+
+
+def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None):
+    """Return the colours after one Jacobi iteration on an image manifold; `t` is in squared units of it."""
+    colours = np.asarray(colours, float)
+    weights = np.ones(len(colours)) if weights is None else np.asarray(weights, float)
+    manifold = Manifold(embedding, faces)
+    reach = sqrt(-4 * t * log(threshold))
+    smoothed = np.empty_like(colours)
+    for p in range(len(colours)):
+        d = manifold.distances(p, stop=reach)
+        kernel = np.where(np.isfinite(d), weights * np.exp(-(np.minimum(d, 1e6 * reach) ** 2) / (4 * t)), 0.0)
+        # A sample whose whole neighbourhood counts nothing keeps its colour.
+        smoothed[p] = kernel @ colours / kernel.sum() if kernel.sum() > 0 else colours[p]
+    return smoothed
+
+
+def exact_distances(positions, faces, source):
+    """Return the lengths of the shortest paths over a manifold in space, every vertex of which has a face."""
+    points = np.ascontiguousarray(positions, dtype=np.float64)
+    solver = geodesic.PyGeodesicAlgorithmExact(points, np.ascontiguousarray(faces, dtype=np.int32))
+    found, _ = solver.geodesicDistances(np.array([source], dtype=np.int32), None)
+    return np.asarray(found)
