@@ -79,7 +79,7 @@ def test_the_noise_of_both_halves_is_found(channels, contrast):
 
 
 @pytest.mark.parametrize(("channels", "sigma"), [(1, 20), (3, 0), (3, 5)])
-def test_textures_and_even_noise_are_the_same_everywhere(channels, sigma):
+def test_textures_and_even_noise_of_vertices_are_the_same_everywhere(channels, sigma):
     positions, faces, clean, _ = scene(channels)
     assert manifold(positions, faces, noisy(clean, sigma / 255)).noise.relative is None
 

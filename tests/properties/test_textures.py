@@ -217,3 +217,24 @@ def test_no_kernel_reaches_over_charts_that_are_neighbours_in_the_image_only(sch
         alone[~kept] = RANDOM.random((np.count_nonzero(~kept), 3))
         result, _ = smooth_image(textured(positions, faces, surface.uv), alone, **parameters)
         assert np.array_equal(result[kept], together[kept])
+
+
+def test_a_fine_chart_is_not_spoilt_by_a_coarse_one_beyond_its_seam():
+    """Stripes that coarse texels do not resolve: each is shown in several fine cells there, but is one sample."""
+    ratio = 24 / 64
+    positions, faces = surfaces.plane(2, 3)
+    corners = positions[faces][:, :, :2]
+    fine = corners.mean(axis=1)[:, 0] < 1
+    uv = np.where(fine[:, None, None], 64 * corners, [80, 0] + 64 * ratio * (corners - [1, 0])) / 128
+    apart = np.concatenate([positions, positions + np.array([9, 0, 0])])
+    torn = textured(apart, np.where(fine[:, None], faces, faces + len(positions)), uv)
+    y, x = np.mgrid[:128, :128]
+    along = np.where(x < 64, x + 0.5, 64 + (x - 79.5) / ratio)  # on the surface, in fine texels
+    stripes = 0.3 + 0.4 * ((along + (y + 0.5) * np.where(x < 64, 1, 1 / ratio)) // 8 % 2)[..., None]
+    noisy = stripes + np.random.default_rng(8).normal(0, 20 / 255, stripes.shape)
+    settings = {"beta": 18.0, "beta_growth": 1.5, "t": 4.0, "iterations": 8, "metric_steps": 2}
+    whole, alone = (
+        np.mean((smooth_image(surface, noisy, **settings)[0] - stripes)[:64, 60:64] ** 2)
+        for surface in (textured(positions, faces, uv), torn)
+    )
+    assert whole < alone
