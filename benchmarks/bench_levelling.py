@@ -91,7 +91,7 @@ def show_limits(models):
             for seed in (1, 2):
                 truth, exposed = scene.exposed(seed, **kind)
                 for without_paint in (False, True):
-                    after = scene.told(seed, without_paint=without_paint, **kind).clip(0, 1)
+                    after = scene.informed(seed, without_paint=without_paint, **kind).clip(0, 1)
                     falls += [fall(exposed, after, truth, each) for each in (None, groups)]
             means = np.mean(np.reshape(falls, (2, 4)), axis=0)
             cells.append("{:6.1f} ({:4.1f}) /{:5.1f} ({:4.1f})".format(*means))

@@ -1,4 +1,4 @@
-"""Scenes of known exposures, and what levelling could reach there at most."""
+"""Scenes of known exposures, and bounds of the result of levelling them."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ class MeasuredScene(ExposureScene):
     """A scene that knows its exposures and its paint."""
 
     def restored(self, seed, *, fall_off=False, clipped=False, shown=None):
-        """Return what one makes of colours, of the exposed ones if not given, who knows the exposures."""
+        """Take the true exposures out of colours, by default the exposed ones."""
         truth, exposed = self.exposed(seed, fall_off=fall_off, clipped=clipped)
         exposed = exposed if shown is None else shown
         _, expose = self.exposures(seed, fall_off=fall_off, clipped=clipped)
         offset = expose(0 * truth)
         return (exposed - offset) / (expose(1 + 0 * truth) - offset)
 
-    def told(self, seed, *, without_paint, **kind):
-        """Return what levelling makes of exposed colours if it is told which stretches of seams are painted.
+    def informed(self, seed, *, without_paint, **kind):
+        """Level exposed colours with the knowledge of which stretches of seams are painted.
 
-        Or what it makes without paint and noise at seams: what exposures and the layout of seams allow.
+        Or without paint and noise at seams, which shows what exposures and the layout of seams allow.
         """
         truth, exposed = self.exposed(seed, **kind)
         _, expose = self.exposures(seed, **kind)
@@ -37,11 +37,11 @@ class MeasuredScene(ExposureScene):
         if without_paint:
             middle, none = true.colours.mean(axis=1), np.zeros(true.low.shape, bool)
             sides = [expose(middle, true.ends[:, side], true.places[:, side]) for side in (0, 1)]
-            told = replace(true, colours=np.stack(sides, axis=1), low=none, high=none)
+            steps = replace(true, colours=np.stack(sides, axis=1), low=none, high=none)
         else:
             paint = np.sqrt(np.mean(np.square(np.diff(true.colours, axis=1)), axis=(1, 2)))
-            told = shown.part(paint < 2.5 * deviations(true, true.colours) + 3 / 255)
-        with patch("beltrami_cli.levelling.correction.steps_over_seams", return_value=told):
+            steps = shown.part(paint < 2.5 * deviations(true, true.colours) + 3 / 255)
+        with patch("beltrami_cli.levelling.correction.steps_over_seams", return_value=steps):
             return self.levelled(exposed)[0]
 
     def steps(self, colours):

@@ -93,7 +93,7 @@ def test_signs_of_a_mesh_are_independent():
 
 @pytest.mark.slow
 def test_choice_and_fixed_rule_are_not_far_from_the_best():
-    """On an image, and on a mesh of which parts are tried; the fixed rule loses most on flat paint."""
+    """On an image, and on a mesh that is tried in parts; the fixed rule loses most on flat paint."""
     picture, (positions, faces) = shapes(96), surfaces.icosphere(5)
     on_ball = 0.5 + 0.2 * np.sign(np.sin(5 * positions)) * np.array([1, 0.5, 0.8])
     for clean, smooth in (

@@ -45,7 +45,7 @@ def test_one_sample_changes_nothing_far_from_it(on, encoding, value):
         np.sqrt(np.mean(np.square((smoothed(own, on, encoding) - truth)[far]))) for own in (noisy, single)
     ]
     assert errors[0] < SIGMA / 2
-    assert errors[1] < 1.5 * errors[0]  # of which the hue of a large one may take part
+    assert errors[1] < 1.5 * errors[0]  # the hue of a large one may take part
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Noise that depends on the level of colours, noise that is given, and what is said of noise in numbers."""
+"""Noise that depends on the level of colours, noise that is given, and the numbers that `info` reports of it."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ def short_time_kernel(embedding, faces, colours, t, threshold=0.01, weights=None
 
 
 def exact_distances(positions, faces, source):
-    """Return the lengths of the shortest paths over a manifold in space, every vertex of which has a face."""
+    """Return the lengths of the shortest paths over a manifold in space without isolated vertices."""
     points = np.ascontiguousarray(positions, dtype=np.float64)
     solver = geodesic.PyGeodesicAlgorithmExact(points, np.ascontiguousarray(faces, dtype=np.int32))
     found, _ = solver.geodesicDistances(np.array([source], dtype=np.int32), None)

@@ -169,9 +169,9 @@ def sides(line):
     size = SIDE * TEXELS + 2
     y, x = np.mgrid[0:size, 0:size]
     left = LINES[line][3](x, y)
-    beside = (x == 24) if line != "aslant" else (x == y)  # may belong to either side
+    on_line = (x == 24) if line != "aslant" else (x == y)  # may belong to either side
     far = y > 2 * TEXELS + 17
-    return left & ~beside & far, ~left & ~beside & far
+    return left & ~on_line & far, ~left & ~on_line & far
 
 
 @pytest.mark.slow
