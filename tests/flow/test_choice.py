@@ -96,9 +96,11 @@ def test_choice_and_fixed_rule_are_not_far_from_the_best():
     """On an image, and on a mesh that is tried in parts; the fixed rule loses most on flat paint."""
     picture, (positions, faces) = shapes(96), surfaces.icosphere(5)
     on_ball = 0.5 + 0.2 * np.sign(np.sin(5 * positions)) * np.array([1, 0.5, 0.8])
+    sigma = np.full(len(positions), SIGMA)
     for clean, smooth in (
         (picture, partial(beltrami_cli.smooth_image, noisy(picture), space="data")),
-        (on_ball, partial(beltrami_cli.smooth, positions, faces, noisy(on_ball), space="data")),
+        # With noise that is given for each vertex, also for the parts.
+        (on_ball, partial(beltrami_cli.smooth, positions, faces, noisy(on_ball), space="data", noise=sigma)),
     ):
         chosen = smooth()
         given = {"t": 4.0, "beta_growth": 1.5}

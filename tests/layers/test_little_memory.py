@@ -187,6 +187,16 @@ def plan_with_patches(side):
     return plan_on_image(surface, colours.__getitem__, kernel)
 
 
+def test_distances_that_patches_dropped_from_memory_can_be_measured_again():
+    plan = plan_with_patches(64)
+    geometry = plan.manifold.geometry
+    before = geometry.atlas.squared_lengths.copy(), geometry.scale.copy()
+    smooth(plan)
+    assert geometry.atlas.lengths.array is geometry.scales.array is None
+    for old, new in zip(before, (geometry.atlas.squared_lengths, geometry.scale), strict=True):
+        np.testing.assert_array_equal(old, new)
+
+
 @pytest.mark.slow
 def test_patches_keep_what_is_large_for_the_memory_in_files(tmp_path):
     """Besides fixed blocks of samples: the colours alone, in all their versions, are 44 MB in memory."""
