@@ -33,13 +33,6 @@ def part_of(window: Window, part: Window) -> Window:
     return left, upper, left + (part[2] - part[0]) * width, upper + (part[3] - part[1]) * height
 
 
-def pixels_of(window: Window, width: int, height: int) -> tuple[slice, slice]:
-    """Return the rows and columns of an image of a view that a window covers."""
-    left, right = (round(window[k] * width) for k in (0, 2))
-    upper, lower = (round(window[k] * height) for k in (1, 3))
-    return slice(max(upper, 0), lower), slice(max(left, 0), right)
-
-
 @dataclass(frozen=True)
 class Camera:
     """A camera, perspective or orthographic."""

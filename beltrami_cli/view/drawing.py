@@ -10,19 +10,21 @@ from itertools import takewhile
 from pathlib import PurePath, PurePosixPath
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import Progress
 from beltrami_cli.surface.records import as_bytes, linear_to_srgb, srgb_to_linear
-from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of, pixels_of
+from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import Drawable, ImageView, framed
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
-_FRAMES = np.array([[230, 159, 0], [0, 158, 115], [86, 180, 233], [204, 121, 167], [213, 94, 0]]) / 255
-_DARK, _LIGHT = 0.1, 0.95  # greys of letters
+_FRAMES = [(230, 159, 0), (0, 158, 115), (86, 180, 233), (204, 121, 167), (213, 94, 0)]
+_DARK, _LIGHT = 26, 242  # greys of letters, of 255
+_LIGHT_GROUND = 0.4  # luminance, beyond which letters are dark
 _GREY = 128 / 255  # the background where white hides the outline
 _LOST = (
     0.25  # share of an outline that may be twice as close to white as to grey, beyond a lightness L* of 85
@@ -85,18 +87,34 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
 
 def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> Uint8s:
     """Arrange panels of one size in rows and columns, as sRGB (H, W, 3), or (H, W, 4) without background."""
-    labelled = any(panel.label for panel in panels if panel is not None)
-    pictures = [None if panel is None else _drawn(panel, background, labelled=labelled) for panel in panels]
-    height, width, _ = next(picture.shape for picture in pictures if picture is not None)
-    blank, gap = _blank(height, width, background), _gap(width)
-    drawn = [blank if picture is None else picture for picture in pictures]
-    rows = []
-    for first in range(0, len(drawn), columns):
-        row = drawn[first : first + columns]
-        row += [blank] * (min(columns, len(drawn)) - len(row))
-        rows.append(_joined(row, gap, background, axis=1))
-    sheet = _joined(rows, gap, background, axis=0)
-    return as_bytes(np.clip(sheet if background.opacity == 0 else sheet[..., :3], 0, 1))
+    shown = [panel for panel in panels if panel is not None]
+    height, width = shown[0].view.shape[:2]
+    gap, columns = _gap(width), min(columns, len(panels))
+    strip = round(1.8 * _letters(width)) if any(panel.label for panel in shown) else 0
+    below = gap + len(shown[0].details[0]) if shown[0].details else 0
+    across, down = width + gap, strip + height + below + gap
+    size = columns * across - gap, -(-len(panels) // columns) * down - gap
+    ground = as_bytes(np.array([*background.colour, background.opacity]))
+    sheet = Image.new("RGBA", size, tuple(ground.tolist()))
+    for number, panel in enumerate(panels):
+        if panel is None:
+            continue
+        left, top = number % columns * across, number // columns * down
+        if panel.label:
+            _draw_label(sheet, (left, top, width, strip), panel.label, background)
+        view, thickness = _image_of(panel.view, background), max(2, width // 250)
+        for index, window in enumerate(panel.windows):
+            corners = [round(share * side) for share, side in zip(window, (width, height) * 2, strict=True)]
+            _draw_frame(view, corners, thickness, index)
+        sheet.paste(view, (left, top + strip))
+        row = [_image_of(detail, background) for detail in panel.details]
+        left += (width - sum(detail.width + gap for detail in row) + gap) // 2
+        for index, detail in enumerate(row):
+            _draw_frame(detail, [0, 0, *detail.size], thickness, index)
+            sheet.paste(detail, (left, top + strip + height + gap))
+            left += detail.width + gap
+    pixels = np.asarray(sheet)
+    return pixels if background.opacity == 0 else np.ascontiguousarray(pixels[..., :3])
 
 
 def detail_size(width: int, count: int) -> int:
@@ -120,70 +138,46 @@ def _gap(width: int) -> int:
     return max(2, width // 80)
 
 
-def _drawn(panel: Panel, background: Background, *, labelled: bool) -> Float64s:
-    """Return the label, the view with frames, and the details of a panel, one below the other."""
-    view = displayed(panel.view, background)
-    height, width = view.shape[:2]
-    thickness = max(2, width // 250)
-    for number, window in enumerate(panel.windows):
-        _draw_frame(view[pixels_of(window, width, height)], thickness, number)
-    parts = [_label(panel.label, width, background)] if labelled else []
-    parts.append(view)
-    if panel.details:
-        details = [displayed(detail, background) for detail in panel.details]
-        for number, detail in enumerate(details):
-            _draw_frame(detail, thickness, number)
-        row = _joined(details, _gap(width), background, axis=1)
-        rest = width - row.shape[1]
-        sides = [_blank(len(row), part, background) for part in (rest // 2, rest - rest // 2)]
-        parts += [_blank(_gap(width), width, background), np.concatenate([sides[0], row, sides[1]], axis=1)]
-    return np.concatenate(parts)
+def _image_of(view: Float32s, background: Background) -> Image.Image:
+    return Image.fromarray(as_bytes(np.clip(displayed(view, background), 0, 1)))
 
 
-def _label(text: str, width: int, background: Background) -> Float64s:
-    letters = max(11, round(min(width, 900) / 26))
-    strip = _blank(round(1.8 * letters), width, background)
-    if not text:
-        return strip
-    cover = _lettering(text, (width, len(strip)), letters)[..., None]
-    is_light = background.opacity == 0 or np.dot(background.colour, LUMINANCE) > 0.4
-    return strip * (1 - cover) + np.array([_DARK if is_light else _LIGHT] * 3 + [1.0]) * cover
+def _draw_frame(image: Image.Image, corners: Sequence[int], thickness: int, number: int) -> None:
+    """Draw the border of a rectangle, as far as it lies in the image."""
+    left, upper = max(corners[0], 0), max(corners[1], 0)
+    right, lower = min(corners[2], image.width), min(corners[3], image.height)
+    if left < right and upper < lower:
+        box, colour = (left, upper, right - 1, lower - 1), _FRAMES[number % len(_FRAMES)]
+        ImageDraw.Draw(image).rectangle(box, outline=(*colour, 255), width=thickness)
 
 
-def _lettering(text: str, size: tuple[int, int], height: int) -> Float32s:
-    """Return how much of each pixel of a strip is covered by a line of text in its middle, 0 to 1."""
+def _letters(width: int) -> int:
+    """Return the height of letters above a view."""
+    return max(11, round(min(width, 900) / 26))
+
+
+def _draw_label(
+    sheet: Image.Image, strip: tuple[int, int, int, int], text: str, background: Background
+) -> None:
+    """Write a line of text, or its end, into the middle of a strip: left, top, width and height."""
     import OpenImageIO
 
+    left, top, *size = strip
+    height = _letters(size[0])
     words = text = one_line(text)
     box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
     while box.width > 0.96 * size[0] and text:
         text = text[1:]
         words = "..." + text
         box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
-    strip = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(*size, 1, "float"))
+    cover = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(*size, 1, "float"))
     x = (size[0] - box.width) // 2 - box.xbegin
     y = round(size[1] / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
-    if not OpenImageIO.ImageBufAlgo.render_text(strip, x, y, words, height, _FONT, (1.0,)):
-        raise ProcessingError(f"labels cannot be drawn ({error_of(strip)}); use --no-labels")
-    return np.clip(np.asarray(strip.get_pixels(OpenImageIO.FLOAT), np.float32)[..., 0], 0, 1)
-
-
-def _blank(height: int, width: int, background: Background) -> Float64s:
-    return np.tile(np.array([*background.colour, background.opacity]), (height, width, 1))
-
-
-def _joined(parts: Sequence[Float64s], gap: int, background: Background, axis: int) -> Float64s:
-    """Put parts next to each other, with gaps between them."""
-    height, width = parts[0].shape[:2]
-    between = _blank(gap, width, background) if axis == 0 else _blank(height, gap, background)
-    pieces = [piece for part in parts for piece in (between, part)]
-    return np.concatenate(pieces[1:], axis=axis)
-
-
-def _draw_frame(picture: Float64s, thickness: int, number: int) -> None:
-    inner = picture[thickness:-thickness, thickness:-thickness].copy()
-    picture[..., :3], picture[..., 3] = _FRAMES[number % len(_FRAMES)], 1
-    picture[thickness:-thickness, thickness:-thickness] = inner
+    if not OpenImageIO.ImageBufAlgo.render_text(cover, x, y, words, height, _FONT, (1.0,)):
+        raise ProcessingError(f"labels cannot be drawn ({error_of(cover)}); use --no-labels")
+    is_light = background.opacity == 0 or np.dot(background.colour, LUMINANCE) > _LIGHT_GROUND
+    mask = Image.fromarray(np.asarray(cover.get_pixels(OpenImageIO.UINT8))[..., 0])
+    sheet.paste((*[_DARK if is_light else _LIGHT] * 3, 255), (left, top), mask)
 
 
 Draw = Callable[..., Float32s]  # of a size and a window

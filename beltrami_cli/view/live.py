@@ -11,7 +11,7 @@ import json
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,7 +41,7 @@ from beltrami_cli.view.parameters import (
     settings_from,
     used_parameters,
 )
-from beltrami_cli.view.preview import Focus, Layers, NoPreviewError, Previewer, Shown
+from beltrami_cli.view.preview import Focus, Layers, NoPreviewError, Previewer
 from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw
@@ -60,22 +60,10 @@ _PATIENCE = 1.0  # seconds in which work ends
 _REACH = 32  # 255ths that are shown brightest first
 
 
-@dataclass(eq=False)
-class _Page:
-    """What a page shows."""
-
-    number: int = 0  # of its last request
-    shown: Shown = field(default_factory=dict)
-    chosen: dict[str, float] = field(default_factory=dict)
-    chosen_by: tuple[float, str | None] | None = None  # the strength and the noise
-
-
 @dataclass(frozen=True)
 class _Change:
     """What a page asks for, and the request that it waits for."""
 
-    page: _Page
-    number: int
     settings: SmoothSettings
     layer: int
     focus: Focus | None
@@ -96,8 +84,9 @@ class Live:
         self._layers = Layers(self._document)
         self._previewers: dict[int, Previewer] = {}
         self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}
-        self._pages: dict[str, _Page] = {}
-        self._counting, self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(4))
+        # The values that were chosen last, by the strength and the noise that they were chosen for.
+        self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}
+        self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(3))
         with pictures_kept(image_files(self._document)):
             self._with_pictures = contextvars.copy_context()
         self.files = {
@@ -150,25 +139,17 @@ class Live:
         self, asked: dict[str, Any], settings: SmoothSettings, command: str, request: PageRequest
     ) -> None:
         """Smooth the part in view, then the whole, and wait until the page asks for something else."""
-        key, layer, focus = _part(asked, "page", str), _part(asked, "layer", int), _focus(asked)
+        layer, focus = _part(asked, "layer", int), _focus(asked)
         if not 0 <= layer < len(self._layers.slots):
             raise MalformedError
-        with self._counting:
-            page = self._pages.setdefault(key, _Page())
-            page.number += 1
-            change = _Change(page, page.number, settings, layer, focus, request)
-        try:
-            request.send(kind="accepted", command=command)
-            with self._previewing:
-                self._preview(change)
-            request.wait(_WAIT)
-            with self._smoothing:
-                self._smooth(change)
-            request.wait()
-        finally:
-            with self._counting:
-                if page.number == change.number:
-                    del self._pages[key]
+        change = _Change(settings, layer, focus, request)
+        request.send(kind="accepted", command=command)
+        with self._previewing:
+            self._preview(change)
+        request.wait(_WAIT)
+        with self._smoothing:
+            self._smooth(change)
+        request.wait()
 
     def _preview(self, change: _Change) -> None:
         """Smooth the part in view: by the kernel at once, then with patches if the whole has these."""
@@ -209,14 +190,15 @@ class Live:
         samples = sum(len(patch.rows) for patch in patches)
         self._rates[stage] = 0.5 * self._rates[stage] + 0.5 * samples * iterations / max(spent, 1e-3)
         change.request.check()
-        shown = [self._layers.patched(change.page.shown, change.layer, patch) for patch in patches]
+        shown = [self._layers.patched(change.layer, patch) for patch in patches]
         change.request.send(kind="preview", patches=shown, stage=stage, seconds=spent, samples=samples)
 
     def _at_once(self, change: _Change) -> SmoothSettings:
         """Return settings without a search: free parameters are as they were chosen last, or by the rule."""
-        kernel, page = change.settings.kernel, change.page
-        known = {name: page.chosen[name] for name in kernel.free if name in page.chosen}
-        if page.chosen_by == (kernel.strength, kernel.noise) and len(known) == len(kernel.free):
+        kernel = change.settings.kernel
+        chosen = self._chosen.get((kernel.strength, kernel.noise), {})
+        known = {name: chosen[name] for name in kernel.free if name in chosen}
+        if len(known) == len(kernel.free):
             kernel = dataclasses.replace(kernel, **known, free=())  # type: ignore[arg-type]
         else:
             kernel = dataclasses.replace(kernel, fast=True)
@@ -226,7 +208,7 @@ class Live:
 
     def _smooth(self, change: _Change) -> None:
         """Smooth the whole as `smooth` does, and show it."""
-        request, settings, page = change.request, change.settings, change.page
+        request, settings = change.request, change.settings
         try:
             result, painted = self._whole(change)
             made = smooth_report(FileReport(input=self._source, output="", format=""), painted, settings)
@@ -243,12 +225,11 @@ class Live:
         levels = [level for each in painted for level in each.report.noise.values()]
         with self._previewing:
             request.check()
-            page.chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
-            page.chosen_by = settings.kernel.strength, settings.kernel.noise
+            chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
+            self._chosen[settings.kernel.strength, settings.kernel.noise] = chosen
             request.send(
-                kind="whole", number=change.number, patches=self._layers.whole(page.shown, result),
-                used=rendered("parameters.html", used=used), chosen=page.chosen,
-                notices=[*dict.fromkeys([*self._document.notices, *said])],
+                kind="whole", patches=self._layers.whole(result), chosen=chosen,
+                used=rendered("parameters.html", used=used), notices=[*dict.fromkeys([*self._document.notices, *said])],
                 noise=None if settings.kernel.noise or not levels else f"{255 * np.mean(levels):.1f}/255",
             )  # fmt: skip
 

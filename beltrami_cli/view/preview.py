@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from trimesh.remesh import subdivide_to_size
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.parameters import KernelParameters
@@ -28,7 +29,7 @@ from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import EmbeddingSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
-from beltrami_cli.surface.records import PaintedVertices, Slot, TexturedSurface
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.models import (
     Box,
     ModelWriter,
@@ -43,7 +44,7 @@ Progress = Callable[[int, int], None]
 
 _PIECE = 320  # texels of a triangle at most, so that enough of them fit
 _MOST_PIECES = 100_000  # in a whole texture, even if they are larger then
-_MOST_SPLITS = 8
+_MOST_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
 _NEAR = 0.05  # of the model's size: triangles so near to the line of sight are looked at
 
@@ -71,33 +72,6 @@ class Patch:
     places: Float64s | None = None  # positions of vertices, (K, 3), if they moved
 
 
-@dataclass(frozen=True)
-class _Part:
-    """The part of a document's triangles that is smoothed, as guides of textures read it."""
-
-    document: Document
-    whole: TexturedSurface
-    part: TexturedSurface
-    faces: Int64s
-
-    @property
-    def name(self) -> str:
-        return self.document.name
-
-    def slots(self) -> tuple[Slot, ...]:
-        return self.document.slots()
-
-    def textured(self, slot: Slot) -> TexturedSurface:
-        guiding, faces = self.document.textured(slot), self.faces
-        if len(guiding.faces) != len(self.whole.faces):
-            return guiding  # which is refused as for the whole
-        has_same_uv = (guiding.uv[faces] == self.whole.uv[faces]).all(axis=(1, 2))
-        return dataclasses.replace(
-            self.part, textures=guiding.textures, texture_of=guiding.texture_of[faces],
-            uv=np.where(has_same_uv[:, None, None], self.part.uv, np.nan),
-        )  # fmt: skip
-
-
 class Previewer:
     """Smooths parts of one layer of a document; `slot`: of its textures, None: its vertices or its pixels."""
 
@@ -115,11 +89,10 @@ class Previewer:
             corners, faces = self._painted.positions, self._painted.faces
             self._centres = corners[faces].mean(axis=1) if len(faces) else corners
         else:
-            self._own = document.textured(slot)
-            pictures = [read_texture(texture) for texture in self._own.textures]
-            texels = np.array([picture.pixels[..., 0].size for picture in pictures], np.float64)
-            self._surface, self._faces, self._held = _pieces(self._own, texels)
-            self._centres = self._surface.positions.reshape(-1, 3, 3).mean(axis=1)
+            surface = document.textured(slot)
+            sizes = [read_texture(texture).pixels.shape[1::-1] for texture in surface.textures]
+            self._surface, self._texels = _pieces(surface, np.array(sizes, np.float64))
+            self._centres = self._surface.positions[self._surface.faces].mean(axis=1)
             self._flat = np.column_stack([self._surface.uv.mean(axis=1), 1e3 * self._surface.texture_of])
 
     def smooth(
@@ -188,11 +161,17 @@ class Previewer:
         surface = self._surface
         assert surface is not None
         assert self._slot is not None
+        if settings.embedding.guides:
+            raise NoPreviewError("guides of textures are laid out for the whole model")
         order = self._around(focus)
-        order = order[: max(1, int(np.searchsorted(np.cumsum(self._held[order]), budget)))]
-        part = _chosen(surface, order)
-        read = _Part(self._document, self._own, part, self._faces[order])
-        layer = TextureLayer.read(part, self._slot, settings, guided=(read, self._access))
+        order = order[: max(1, int(np.searchsorted(np.cumsum(self._texels[order]), budget)))]
+        rows, corners = np.unique(surface.faces[order], return_inverse=True)
+        part = dataclasses.replace(
+            surface, positions=surface.positions[rows], faces=corners.reshape(-1, 3).astype(np.int32),
+            uv=surface.uv[order], texture_of=surface.texture_of[order],
+            space_of=None if surface.space_of is None else surface.space_of[rows],
+        )  # fmt: skip
+        layer = TextureLayer.read(part, self._slot, settings, guided=(self._document, self._access))
         new, painter = _smooth(layer, progress), painter_of(layer, gutter=None)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
@@ -264,55 +243,36 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
     return np.asarray(np.argsort(np.einsum("ij,ij->i", centres - middle, centres - middle)), np.int64)
 
 
-def _pieces(surface: TexturedSurface, texels: Float64s) -> tuple[TexturedSurface, Int64s, Float64s]:
-    """Cut textured triangles at the middles of their sides until each has few texels, and corners of its own.
+def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface, Float64s]:
+    """Cut textured triangles into pieces of few texels; return also how many texels each piece covers.
 
-    `texels`: of each texture. Return also the original triangle of each piece, and how many texels it covers.
+    `sizes`: width and height of each texture, shape (T, 2).
     """
-    most = max(_PIECE, float(texels.sum()) / _MOST_PIECES)
     faces = np.flatnonzero(surface.texture_of >= 0)
-    corners = np.concatenate([surface.positions[surface.faces[faces]], surface.uv[faces]], axis=2)
-    for splits in range(_MOST_SPLITS + 1):
-        one, two = (corners[:, k, 3:] - corners[:, 0, 3:] for k in (1, 2))
-        covered = (
-            np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 * texels[surface.texture_of[faces]]
-        )
-        large = covered > most
-        if splits == _MOST_SPLITS or not large.any():
-            break
-        corners = np.concatenate([corners[~large], _quarters(corners[large])])
-        faces = np.concatenate([faces[~large], np.repeat(faces[large], 4)])
-    spaces = None if surface.space_of is None else surface.space_of[surface.faces[faces]].reshape(-1)
-    pieces = dataclasses.replace(
-        surface, positions=np.ascontiguousarray(corners[..., :3]).reshape(-1, 3), faces=_corners_of(len(faces)),
-        uv=np.ascontiguousarray(corners[..., 3:]), texture_of=surface.texture_of[faces], space_of=spaces,
+    places = surface.uv[faces] * sizes[surface.texture_of[faces], None]  # in texels
+    most = max(_PIECE, float(_areas(places).sum()) / _MOST_PIECES)
+    corners = surface.faces[faces]
+    spaces = np.zeros(corners.shape) if surface.space_of is None else surface.space_of[corners]
+    # Lengths are measured along the first three columns; the others are interpolated.
+    flat = np.concatenate([places, np.zeros((*corners.shape, 1))], axis=2)
+    rows = np.concatenate([flat, surface.positions[corners], surface.uv[faces], spaces[..., None]], axis=2)
+    cut, pieces, index = subdivide_to_size(
+        rows.reshape(-1, rows.shape[2]), np.arange(3 * len(faces)).reshape(-1, 3), np.sqrt(2 * most),
+        max_iter=_MOST_SPLITS, return_index=True,
     )  # fmt: skip
-    return pieces, faces, covered
-
-
-def _corners_of(pieces: int) -> Int32s:
-    return np.arange(3 * pieces, dtype=np.int32).reshape(-1, 3)
-
-
-def _chosen(pieces: TexturedSurface, chosen: Int64s) -> TexturedSurface:
-    rows = pieces.faces[chosen].reshape(-1)
-    return dataclasses.replace(
-        pieces, positions=pieces.positions[rows], faces=_corners_of(len(chosen)),
-        uv=pieces.uv[chosen], texture_of=pieces.texture_of[chosen],
-        space_of=None if pieces.space_of is None else pieces.space_of[rows],
+    made = dataclasses.replace(
+        surface, positions=cut[:, 3:6], faces=pieces.astype(np.int32), uv=cut[pieces, 6:8],
+        texture_of=surface.texture_of[faces[index]],
+        space_of=None if surface.space_of is None else np.rint(cut[:, 8]).astype(surface.space_of.dtype),
     )  # fmt: skip
+    return made, _areas(cut[pieces, :2])
 
 
-def _quarters(corners: Float64s) -> Float64s:
-    """Return the four triangles between the corners and the middles of the sides of each, (4 K, 3, X)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.stack([np.stack(part, axis=1) for part in parts], axis=1).reshape(-1, 3, corners.shape[2])
+def _areas(places: Float64s) -> Float64s:
+    """Return the areas of triangles in a plane, (F, 3, 2)."""
+    one, two = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+    return np.asarray(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2)
 
-
-# Pixels as a page shows them, by layer and texture, where they differ from the document.
-Shown = dict[tuple[int, int], Uint8s]
 
 _QUICK = 1  # of zlib
 
@@ -328,6 +288,8 @@ class Layers:
         self._row_of: Int64s | None = None
         self._can_move = False  # whether vertices have moved, on any page
         self._boxes: list[Box] = []
+        # The last pixels that were sent, by layer and texture, where they differ from the document.
+        self._shown: dict[tuple[int, int], Uint8s] = {}
 
     def glb(self, reach: float) -> bytes:
         """Return the document for the viewer, with the same before and after."""
@@ -344,7 +306,7 @@ class Layers:
         box = self._boxes[layer]
         return Focus(box.low + box.size * focus.origin, focus.direction)
 
-    def patched(self, shown: Shown, layer: int, patch: Patch) -> dict[str, Any]:
+    def patched(self, layer: int, patch: Patch) -> dict[str, Any]:
         """Return a patch for the viewer, and keep what a texture looks like with it."""
         if patch.texture < 0:
             assert self._row_of is not None
@@ -354,7 +316,7 @@ class Layers:
             if patch.places is not None:
                 kept["places"] = self._boxes[layer].shares(patch.places).astype(np.float32)
             return {"layer": layer, **{name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}}
-        pixels = self._pixels(shown, layer, patch.texture)
+        pixels = self._pixels(layer, patch.texture)
         pixels[patch.rows, patch.columns] = patch.colours
         top, left = int(patch.rows.min()), int(patch.columns.min())
         part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
@@ -363,18 +325,20 @@ class Layers:
             "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
         }  # fmt: skip
 
-    def _pixels(self, shown: Shown, layer: int, texture: int) -> Uint8s:
+    def _pixels(self, layer: int, texture: int) -> Uint8s:
         key = layer, texture
-        if key not in shown:
-            file, is_image = textures_of(self.document, self.slots[layer])[texture], self._is_image
-            shown[key] = displayed_pixels(read_image(file.data, file.name, finite=not is_image))
-        return shown[key]
+        if key not in self._shown:
+            self._shown[key] = self._displayed(textures_of(self.document, self.slots[layer])[texture])
+        return self._shown[key]
 
-    def whole(self, shown: Shown, result: Document) -> list[dict[str, Any]]:
-        shown.clear()
-        return [patch for layer in range(len(self.slots)) for patch in self._smoothed(shown, result, layer)]
+    def _displayed(self, texture: Texture) -> Uint8s:
+        return displayed_pixels(read_image(texture.data, texture.name, finite=not self._is_image))
 
-    def _smoothed(self, shown: Shown, result: Document, layer: int) -> list[dict[str, Any]]:
+    def whole(self, result: Document) -> list[dict[str, Any]]:
+        self._shown.clear()
+        return [patch for layer in range(len(self.slots)) for patch in self._smoothed(result, layer)]
+
+    def _smoothed(self, result: Document, layer: int) -> list[dict[str, Any]]:
         slot = self.slots[layer]
         if slot is None and not self._is_image:
             painted = result.painted()
@@ -382,13 +346,12 @@ class Layers:
             unmoved = self.document.painted().positions
             self._can_move |= not np.array_equal(painted.positions, unmoved, equal_nan=True)
             places = painted.positions if self._can_move else None
-            return [self.patched(shown, layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
+            return [self.patched(layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
         old, new = textures_of(self.document, slot), textures_of(result, slot)
         found = []
         for index, (before, after) in enumerate(zip(old, new, strict=True)):
             if after.data != before.data:
-                picture = read_image(after.data, after.name, finite=not self._is_image)
-                shown[layer, index] = displayed_pixels(picture)
+                self._shown[layer, index] = self._displayed(after)
             mime, data = image_of(after, slot or "baseColor")
             source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
             found.append({"layer": layer, "texture": index, "source": source})

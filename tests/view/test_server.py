@@ -155,34 +155,33 @@ def test_parts_of_another_type_save_nothing(name, page_server, live, monkeypatch
     [
         ("values", dict, ()),
         ("target", str, ()),
-        ("page", str, ()),
         ("layer", int, (-1, 1)),
         ("focus", dict, ({}, {"origin": None})),
         ("origin", list, ([], [1], [[1]], [0, 0, float("nan")], [0, 0, "x"])),
         ("direction", list, ([], [1], [[1]], [0, 0, True])),
     ],
 )
-def test_parts_of_another_type_change_nothing(name, kind, more, page_server, live):
-    right = {"values": {}, "target": "out.ply", "page": "page", "layer": 0, "focus": FOCUS}
+def test_parts_of_another_type_change_nothing(name, kind, more, page_server):
+    right = {"values": {}, "target": "out.ply", "layer": 0, "focus": FOCUS}
     for value in (*more, *(each for each in VALUES if type(each) is not kind)):
         if value is None and name in ("focus", "direction"):  # which may be left open
             continue
         part = {name: value} if name in right else {"focus": {**FOCUS, name: value}}
         assert sent(page_server, "change", json.dumps({**right, **part})) == MALFORMED, value
-    assert not live._pages
+    assert not page_server.answered
 
 
 @pytest.mark.slow
-def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server, live):
+def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server):
     connection = http.client.HTTPConnection(page_server.host, timeout=10)
-    request = {"values": {}, "target": "out.ply", "page": "page", "layer": 0, "focus": FOCUS}
+    request = {"values": {}, "target": "out.ply", "layer": 0, "focus": FOCUS}
     own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
     connection.request("POST", f"/{page_server.token}/change", json.dumps(request), own)
     assert json.loads(connection.getresponse().readline()) == {"kind": "accepted", "command": "command"}
-    assert live._pages
+    assert page_server.answered
     connection.close()
     end = time.monotonic() + 60
-    while live._pages:
+    while page_server.answered:
         assert time.monotonic() < end
         time.sleep(0.05)
 

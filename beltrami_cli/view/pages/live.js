@@ -2,7 +2,7 @@
 "use strict";
 (async () => {
   const part = (name) => document.getElementById(name);
-  const page = crypto.randomUUID(), form = part("controls");
+  const form = part("controls");
   const asked = async (name, request, more = {}) => {
     const answer = await fetch(name, { method: "POST", body: JSON.stringify(request), ...more });
     if (!answer.ok) throw new Error((await answer.json()).message);
@@ -11,7 +11,7 @@
 
   const viewer = await Viewer.opened(async () => (await fetch("model.glb")).arrayBuffer());
   const start = Viewer.data("start");
-  let refused = "", none = "", isSending = false, isStale = false, current = new AbortController();
+  let wholes = 0, refused = "", none = "", isSending = false, isStale = false, current = new AbortController();
 
   function fill(values) {
     for (const [name, value] of Object.entries(values)) {
@@ -50,7 +50,7 @@
     while (isStale) {
       isStale = false;
       try {
-        const request = { page, values: values(), layer: viewer.number, focus: viewer.focus(), target: part("target").value };
+        const request = { values: values(), layer: viewer.number, focus: viewer.focus(), target: part("target").value };
         part("viewer").dataset.asked = performance.now();
         none = "";
         const next = new AbortController(), { body } = await asked("change", request, { signal: next.signal });
@@ -136,7 +136,7 @@
       part("viewer").dataset.latency = performance.now() - part("viewer").dataset.asked;
       say(`Preview of ${samples} samples in the middle${stage}, ${seconds.toFixed(2)} s; the whole follows.`);
     },
-    whole: async ({ patches, used, chosen, notices, noise, number: which }) => {
+    whole: async ({ patches, used, chosen, notices, noise }) => {
       await viewer.painting.paint(patches);
       part("progress").value = 1;
       none = "";
@@ -149,7 +149,7 @@
       }
       if (noise) form.elements.noise.placeholder = `estimated: ${noise}`;
       label();
-      part("viewer").dataset.whole = which;
+      part("viewer").dataset.whole = ++wholes;
     },
     failed: ({ message }) => say(message),
   };
