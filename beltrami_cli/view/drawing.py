@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.reading import error_of
-from beltrami_cli.jobs.job import Progress
+from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.surface.records import as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.settings import RenderSettings
@@ -184,7 +184,6 @@ Draw = Callable[..., Float32s]  # of a size and a window
 
 _ALIKE = 0.1  # boxes that differ by less than this, in sizes of the first, are seen by one camera
 _COVERED = 0.98  # of a detail, at least, if there is any such place
-_STEPS_OF_A_VIEW = 100  # that progress counts
 _STEPS = 8  # places tried along each side of a detail
 
 
@@ -227,8 +226,8 @@ def draw_panels(
     half = 0.5 / settings.zoom
     whole = 0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half
     drawn = []
-    for done, draw in enumerate(drawers):
-        drawn.append(draw(settings.size, whole, progress=_share_of(progress, done, len(drawers))))
+    for draw in tracked(drawers, "drawing", progress):
+        drawn.append(draw(settings.size, whole))
     windows = _detail_windows(drawn[len(views) - 1], settings)
     side = detail_size(settings.size[0], len(windows))
     panels = []
@@ -236,18 +235,7 @@ def draw_panels(
         at = turn * len(views) + number
         details = [drawers[at]((side, side), part_of(whole, window)) for window in windows]
         panels.append(Panel(drawn[at], labels[number] if turn == 0 else "", details, windows))
-    if progress is not None:
-        progress("drawing", _STEPS_OF_A_VIEW * len(drawers), _STEPS_OF_A_VIEW * len(drawers))
     return panels
-
-
-def _share_of(progress: Progress | None, view: int, views: int) -> Callable[[int, int], None] | None:
-    """Return what shows how much is drawn of one of several views."""
-    if progress is None:
-        return None
-    first, total = _STEPS_OF_A_VIEW * view, _STEPS_OF_A_VIEW * views
-    progress("drawing", first, total)
-    return lambda done, rows: progress("drawing", first + _STEPS_OF_A_VIEW * done // rows, total)
 
 
 def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings:

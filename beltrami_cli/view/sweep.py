@@ -37,7 +37,7 @@ from beltrami_cli.view.drawing import (
 from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
-from beltrami_cli.view.views import Drawable, image_files, require_memory_to_draw, view_of
+from beltrami_cli.view.views import image_files, require_memory_to_draw, view_of
 
 Tried = tuple[dict[str, float], SmoothSettings]
 
@@ -183,14 +183,13 @@ def columns_of(trials: Sequence[Trial]) -> tuple[list[str], list[str]]:
 
 
 class _Sheet:
-    """Views of the inputs and the results, drawn as they come, by one tracer: for a picture, or for a page.
+    """Views of the inputs and the results, drawn as they come: for a picture, or for a page.
 
     As a context it sees that all is on the page at its end, or what there is if it ends early.
     """
 
     def __init__(self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None) -> None:
         self._title, self._labels, self._looks, self._page = title, labels, looks, page
-        self._view: Drawable | None = None
         self._trials: list[Trial] = []
         self._panels: list[Panel] = []  # of trials the last ones
         self._pictures: dict[tuple[int, Background], tuple[int, int, str]] = {}
@@ -208,10 +207,10 @@ class _Sheet:
 
     def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
         """Draw a document; details lie where there is most to see in the first."""
-        self._view = view_of(document, self._looks, self._view)
+        view = view_of(document, self._looks)
         if not self._panels:
-            self._looks = with_fixed_crops(self._view, self._looks)
-        self._panels += draw_panels([self._view], [label], self._looks, progress)
+            self._looks = with_fixed_crops(view, self._looks)
+        self._panels += draw_panels([view], [label], self._looks, progress)
 
     def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
         self.add(trial.label, result, progress)

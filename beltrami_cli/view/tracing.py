@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
-from copy import copy
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -149,38 +148,6 @@ class Hits(NamedTuple):
     distances: Float64s
 
 
-class Tracer:
-    """Triangles, (F, 3), of finite positions, (V, 3), that rays can be cast at."""
-
-    def __init__(self, positions: Float64s, faces: Int32s) -> None:
-        scenes, meshes = require_embree()
-        low, high = positions.min(axis=0), positions.max(axis=0)
-        # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
-        self._middle = (low + high) / 2
-        self.size = size_between(low, high)
-        vertices = np.ascontiguousarray(self._normalised(positions))
-        with memory_reserved(_FACE_BYTES * len(faces)):
-            self._scene = scenes.EmbreeScene(robust=True)
-            self._mesh = meshes.TriangleMesh(self._scene, vertices, np.ascontiguousarray(faces, np.int32))
-            self.cast(positions[:1], np.array([[0.0, 0.0, 1.0]]))  # now the tree is built
-
-    def cast(self, starts: Float64s, directions: Float64s) -> Hits:
-        """Return what rays along unit directions hit first."""
-        origins = np.ascontiguousarray(self._normalised(starts))
-        found = self._scene.run(origins, np.ascontiguousarray(directions, np.float32), output=1)
-        faces = found["primID"]
-        rays = np.flatnonzero(faces >= 0)
-        u, v = found["u"][rays], found["v"][rays]
-        weights = np.stack([1 - u - v, u, v], axis=1)
-        return Hits(rays, faces[rays], weights, found["tfar"][rays].astype(np.float64) * self.size)
-
-    def _normalised(self, positions: Float64s) -> Float32s:
-        if positions.strides[0] or not len(positions):
-            return np.asarray((positions - self._middle) / self.size, np.float32)
-        place = np.asarray((positions[0] - self._middle) / self.size, np.float32)  # one for all
-        return np.broadcast_to(place, positions.shape)
-
-
 def require_embree() -> tuple[Any, Any]:
     """Import the two modules that cast rays."""
     about = "embreex", "render", "to draw surfaces"
@@ -201,30 +168,35 @@ class SurfaceView:
     """A painted surface of at least one triangle, seen from both sides, to be looked at from anywhere."""
 
     def __init__(self, positions: Float64s, faces: Int32s, paint: Paint) -> None:
+        scenes, meshes = require_embree()
         used = np.zeros(len(positions), bool)
         used[faces] = True
-        self.positions = positions[used]
-        self.faces = (np.cumsum(used, dtype=np.int32) - 1)[faces]
-        self._all, self._faces, self._paint = positions, faces, paint
-        self._tracer = Tracer(self.positions, self.faces)
+        self.positions, self.faces = positions[used], (np.cumsum(used, dtype=np.int32) - 1)[faces]
+        self._paint = paint
+        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
+        # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.
+        self._middle, self._size = (low + high) / 2, size_between(low, high)
+        with memory_reserved(_FACE_BYTES * len(faces)):
+            self._scene = scenes.EmbreeScene(robust=True)
+            self._mesh = meshes.TriangleMesh(self._scene, self._normalised(self.positions), self.faces)
+            self._cast(positions[:1], np.array([[0.0, 0.0, 1.0]]))  # now the tree is built
 
-    @classmethod
-    def of(cls, positions: Float64s, faces: Int32s, paint: Paint, like: object) -> SurfaceView:
-        """Return a painted surface; `like`: a view of perhaps the same surface, whose tracer serves again then."""
-        if not (
-            isinstance(like, SurfaceView)
-            and np.array_equal(positions, like._all)
-            and np.array_equal(faces, like._faces)
-        ):
-            return cls(positions, faces, paint)
-        again = copy(like)
-        again._paint = paint
-        return again
+    def _cast(self, starts: Float64s, directions: Float64s) -> Hits:
+        """Return what rays along unit directions hit first."""
+        # Rays from an eye have one start, which is normalised once.
+        origins = self._normalised(starts if starts.strides[0] else starts[:1])
+        origins = np.ascontiguousarray(np.broadcast_to(origins, starts.shape))
+        found = self._scene.run(origins, np.ascontiguousarray(directions, np.float32), output=1)
+        faces = found["primID"]
+        rays = np.flatnonzero(faces >= 0)
+        u, v = found["u"][rays], found["v"][rays]
+        weights = np.stack([1 - u - v, u, v], axis=1)
+        return Hits(rays, faces[rays], weights, found["tfar"][rays].astype(np.float64) * self._size)
 
-    def draw(
-        self, camera: Camera, size: tuple[int, int], window: Window, *,
-        lit: bool, progress: Callable[[int, int], None] | None = None,
-    ) -> Float32s:  # fmt: skip
+    def _normalised(self, positions: Float64s) -> Float32s:
+        return np.ascontiguousarray((positions - self._middle) / self._size, np.float32)
+
+    def draw(self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool) -> Float32s:
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         pixel = (window[2] - window[0]) / (size[0] * SAMPLES)
 
@@ -232,7 +204,7 @@ class SurfaceView:
             starts, directions = camera.rays(columns, rows, np.float32)
             return self._seen(camera, starts, directions, pixel, lit=lit)
 
-        return sampled(size, window, light, progress)
+        return sampled(size, window, light)
 
     def _seen(
         self, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
@@ -242,7 +214,7 @@ class SurfaceView:
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
         for _ in range(1 if self._paint.is_opaque else _LAYERS):
-            hits = self._tracer.cast(starts, directions)
+            hits = self._cast(starts, directions)
             active = active[hits.rays]
             travelled = travelled[hits.rays] + hits.distances
             seen_from = hits._replace(distances=travelled)
@@ -253,7 +225,7 @@ class SurfaceView:
             on = np.flatnonzero(total[:, 3] < _ALL)
             if not len(on):
                 break
-            step, rays = _STEP * self._tracer.size, hits.rays[on]
+            step, rays = _STEP * self._size, hits.rays[on]
             directions = directions[rays]
             starts = starts[rays] + (hits.distances[on] + step)[:, None] * directions
             active, travelled = active[on], travelled[on] + step
@@ -277,24 +249,23 @@ class SurfaceView:
 
     @cached_property
     def _face_normals(self) -> Float32s:
-        corners = self._all[self._faces]
+        corners = self.positions[self.faces]
         crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return np.asarray(unit_vectors(crosses), np.float32)
 
     @cached_property
     def _corner_normals(self) -> Float32s:
         """Normals of the corners of triangles, (F, 3, 3): smooth, except at creases."""
-        place_of, _ = group_equal_rows(*self._all.T)
-        smooth = vertex_normals(self._all, self._faces, place_of).astype(np.float64)[self._faces]
+        place_of, _ = group_equal_rows(*self.positions.T)
+        smooth = vertex_normals(self.positions, self.faces, place_of).astype(np.float64)[self.faces]
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
         return np.asarray(np.where(creased, flat, smooth), np.float32)
 
 
 def sampled(
-    size: tuple[int, int], window: Window, light: Callable[[Float64s, Float64s], Float32s],
-    progress: Callable[[int, int], None] | None = None,
-) -> Float32s:  # fmt: skip
+    size: tuple[int, int], window: Window, light: Callable[[Float64s, Float64s], Float32s]
+) -> Float32s:
     """Average the light at places all over each pixel of a window of a view, shape (height, width, 4).
 
     `light` is called with columns (C,) and rows (R, 1), in fractions of the view, and returns (R * C, 4).
@@ -305,8 +276,6 @@ def sampled(
     rows_at_once = max(1, _BLOCK // width)
     for first in range(0, height, rows_at_once):
         last = min(first + rows_at_once, height)
-        if progress is not None:
-            progress(first, height)
         # One place in each pixel at a time, so that sums go over whole blocks.
         down, sums = y[first * SAMPLES : last * SAMPLES, None], image[first:last].reshape(-1, 4)
         for row, column in np.ndindex(SAMPLES, SAMPLES):

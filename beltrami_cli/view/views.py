@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -52,10 +52,7 @@ class CloudView:
         self._colours = colours.astype(np.float32)
         self._radii = disc_radii(positions)
 
-    def draw(
-        self, camera: Camera, size: tuple[int, int], window: Window, *,
-        lit: bool, progress: Callable[[int, int], None] | None = None,
-    ) -> Float32s:  # fmt: skip
+    def draw(self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool) -> Float32s:
         """Draw as `SurfaceView.draw` does; points have no normals, so that no lamp shines on them."""
         width, height = (side * SAMPLES for side in size)
         places, depths = camera.project(self.positions)
@@ -79,9 +76,7 @@ class ImageView:
     def __init__(self, sheet: Sheet) -> None:
         self._pyramid = Pyramid(sheet)
 
-    def draw(
-        self, size: tuple[int, int], window: Window, progress: Callable[[int, int], None] | None = None
-    ) -> Float32s:
+    def draw(self, size: tuple[int, int], window: Window) -> Float32s:
         """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
         shape = np.array(self._pyramid.shape[1::-1])
         view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
@@ -99,7 +94,7 @@ class ImageView:
             seen[inside] = self._pyramid.look_up((at / shape)[inside], ("clamp", "clamp"), texels)
             return seen
 
-        return sampled(size, window, light, progress)
+        return sampled(size, window, light)
 
 
 Drawable = SurfaceView | CloudView | ImageView
@@ -135,8 +130,8 @@ def require_memory_to_draw(
             raise InputError(document.name, cause, f"raise --max-memory{remedy}")
 
 
-def view_of(document: Document, settings: RenderSettings, like: Drawable | None = None) -> Drawable:
-    """Return the view of a document; `like`: a view of the same surface, whose tracer is used again."""
+def view_of(document: Document, settings: RenderSettings) -> Drawable:
+    """Return the view of an image, or else of the textures, the vertex colours or the points of a document."""
     if document.kind == "image":
         return ImageView(sheet_of(document.picture()))
     slot: Slot = settings.slot  # type: ignore[assignment]
@@ -150,12 +145,12 @@ def view_of(document: Document, settings: RenderSettings, like: Drawable | None 
         sheets = [texture_sheet(texture, slot) for texture in surface.textures]
         positions = within_reach(surface.positions)
         areas = triangle_areas(positions, surface.faces)
-        return SurfaceView.of(positions, surface.faces, TexturePaint(surface, sheets, areas), like)
+        return SurfaceView(positions, surface.faces, TexturePaint(surface, sheets, areas))
     painted = document.painted()
     light, finite = light_of(painted), np.isfinite(painted.positions).all(axis=1)
     positions = within_reach(painted.positions)
     if len(painted.faces):
-        return SurfaceView.of(positions, painted.faces, VertexPaint(painted.faces, light), like)
+        return SurfaceView(positions, painted.faces, VertexPaint(painted.faces, light))
     return CloudView(positions[finite], light[finite])
 
 
