@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,6 @@ _OPPOSITE = 180 + 1e-9
 # Section III-C of [4]: a Gaussian window of 11 x 11 with a deviation of 1.5, K1 and K2; full scale is 1.
 _RADIUS, _DEVIATION = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
-_WINDOW = np.exp(-0.5 * (np.arange(-_RADIUS, _RADIUS + 1) / _DEVIATION) ** 2)
-_WINDOW /= _WINDOW.sum()
 # Samples, and the side of a square of windows, that are worked on at a time: three channels in double precision stay in
 # the processor's cache, and below 256 KB, from which on NumPy searches the call stack before each sum.
 _BLOCK = 1 << 13
@@ -103,8 +101,7 @@ class ComparedColours:
         return one.reshape(-1, width, one.shape[1]), other.reshape(-1, width, other.shape[1])
 
 
-@dataclass
-class _Sums:
+class _Sums(NamedTuple):
     """Sums over samples. Delta E has a weight of its own, since it is undefined for some colours."""
 
     samples: int = 0
@@ -113,17 +110,15 @@ class _Sums:
     seen_weight: float = 0.0
     delta_e: float = 0.0
 
-    def add(self, squares: Float64s, delta_e: Float64s | None, weights: Float64s) -> None:
-        self.samples += len(squares)
-        self.weight += float(weights.sum())
-        self.squares += float(weights @ squares)
-        if delta_e is not None:
-            self.seen_weight += float(weights.sum())
-            self.delta_e += float(weights @ delta_e)
+    @classmethod
+    def of(cls, squares: Float64s, delta_e: Float64s | None, weights: Float64s) -> _Sums:
+        total = float(weights.sum())
+        seen = (0.0, 0.0) if delta_e is None else (total, float(weights @ delta_e))
+        return cls(len(squares), total, float(weights @ squares), *seen)
 
     @classmethod
     def joined(cls, several: Iterable[_Sums]) -> _Sums:
-        return cls(*map(sum, zip(*(vars(each).values() for each in (cls(), *several)), strict=True)))
+        return cls(*map(sum, zip(cls(), *several, strict=True)))
 
     @property
     def psnr(self) -> float | None:
@@ -135,13 +130,16 @@ class _Sums:
         return self.delta_e / self.seen_weight if self.seen_weight > 0 else None
 
 
+_NOTHING = _Sums()
+
+
 @dataclass
 class Measured:
     """What was measured of one part; `figures` joins several."""
 
     part: ComparedColours
-    every: _Sums = field(default_factory=_Sums)
-    near: _Sums = field(default_factory=_Sums)
+    every: _Sums = _NOTHING
+    near: _Sums = _NOTHING
     delta_e: Float64s | None = None  # (S,): CIEDE2000 differences; None where the numbers are no colours
     ssim: float | None = None
     worst: dict[str, Any] = field(default_factory=dict)  # the sample with the largest error in any channel
@@ -161,9 +159,10 @@ def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share:
         squares = np.asarray(np.square(test.astype(np.float64) - reference).mean(axis=1), np.float64)
         delta_e = colour_differences(reference, test, part.space)
         weights = np.ones(len(errors)) if part.weights is None else part.weights[block]
-        found.every.add(squares, delta_e, weights)
+        found.every = _Sums.joined([found.every, _Sums.of(squares, delta_e, weights)])
         if part.near_seams is not None and (near := part.near_seams[block]).any():
-            found.near.add(squares[near], None if delta_e is None else delta_e[near], weights[near])
+            own = _Sums.of(squares[near], None if delta_e is None else delta_e[near], weights[near])
+            found.near = _Sums.joined([found.near, own])
         if delta_e is not None:
             if found.delta_e is None:
                 found.delta_e = large_arrays.empty(len(part.index), np.float64)
@@ -218,15 +217,13 @@ def _spread(measured: Sequence[Measured], mean: float | None) -> dict[str, float
         return None
     every = [each.delta_e for each in measured if each.delta_e is not None]
     values = every[0] if len(every) == 1 else np.concatenate(every)
-    if all(each.part.weights is None for each in measured):
-        at = math.ceil(0.95 * len(values)) - 1
-        p95 = np.partition(values, at)[at]
+    parts = [each.part for each in measured]
+    if all(part.weights is None for part in parts):
+        p95 = np.quantile(values, 0.95, method="inverted_cdf")
     else:
-        parts = [each.part for each in measured]
         weights = np.concatenate([np.ones(len(p.index)) if p.weights is None else p.weights for p in parts])
         order = np.argsort(values)
-        share = np.cumsum(weights[order]) / weights.sum()
-        p95 = values[order[min(int(np.searchsorted(share, 0.95)), len(values) - 1)]]
+        p95 = values[order[np.searchsorted(np.cumsum(weights[order]), 0.95 * weights.sum())]]
     return {"mean": mean, "p95": float(p95), "worst": float(values.max())}
 
 
@@ -235,9 +232,7 @@ def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:
     errors = [np.abs(test.astype(np.float64) - reference) for reference, test in pairs if len(reference)]
     if not errors:
         return None
-    sums = _Sums()
-    for each in errors:
-        sums.add(np.square(each).mean(axis=1), None, np.ones(len(each)))
+    sums = _Sums.joined(_Sums.of(np.square(each).mean(axis=1), None, np.ones(len(each))) for each in errors)
     return {"samples": sums.samples, "psnr": sums.psnr, "worst": max(float(each.max()) for each in errors)}
 
 
@@ -403,8 +398,7 @@ def _similarity(x: Float64s, y: Float64s) -> Float64s:
 
 def _windowed(values: Float64s) -> Float64s:
     """Return the weighted means over the windows that lie within images, shape (N, R, W)."""
-    from scipy.ndimage import correlate1d
+    from scipy.ndimage import gaussian_filter
 
-    for axis in (1, 2):
-        values = correlate1d(values, _WINDOW, axis)
-    return values[:, _RADIUS:-_RADIUS, _RADIUS:-_RADIUS]
+    means = gaussian_filter(values, _DEVIATION, radius=_RADIUS, axes=(1, 2))
+    return means[:, _RADIUS:-_RADIUS, _RADIUS:-_RADIUS]
