@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+from trimesh.graph import connected_component_labels
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s
+from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
@@ -35,7 +36,8 @@ from beltrami_cli.formats.gltf.textures import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
-from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.reading import read_image, read_texture
+from beltrami_cli.layers.settings import COLOUR_SLOTS
 from beltrami_cli.surface.grouping import group_equal_rows, group_places
 from beltrami_cli.surface.records import (
     VIRIDIS,
@@ -47,7 +49,7 @@ from beltrami_cli.surface.records import (
     linear_to_srgb,
 )
 from beltrami_cli.view.pages import png_of
-from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of, texture_sheet
+from beltrami_cli.view.views import disc_radii, framed, light_of, sheet_of
 
 Pair = tuple[Document, Document]
 ImageBytes = tuple[str, bytes]  # MIME type and content
@@ -289,8 +291,8 @@ def image_of(texture: Texture, slot: Slot, picture: Callable[[], Picture] | None
     mime = next((mime for mark, mime in _MIME.items() if texture.data.startswith(mark)), None)
     if mime is not None:
         return mime, texture.data
-    sheet = texture_sheet(texture, slot) if picture is None else sheet_of(picture())
-    return "image/png", _png(_as_bytes(sheet))
+    shown = read_texture(texture) if picture is None else picture()
+    return "image/png", _png(displayed_pixels(shown, is_data=slot not in COLOUR_SLOTS))
 
 
 def _png(pixels: Uint8s) -> bytes:
@@ -325,20 +327,18 @@ def _resized(picture: Picture, share: float) -> bytes:
     return _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
 
 
-def displayed_pixels(picture: Picture) -> Uint8s:
-    """Return a picture as display values with opacity, (H, W, 4)."""
+def displayed_pixels(picture: Picture, *, is_data: bool = False) -> Uint8s:
+    """Return a picture as display values with opacity, (H, W, 4), see `sheet_of`."""
     pixels = picture.pixels
     if pixels.dtype != np.uint8 or is_associated(picture):
-        return _as_bytes(sheet_of(picture))
+        sheet = sheet_of(picture, is_data=is_data)
+        sheet[..., :3] = linear_to_srgb(sheet[..., :3])
+        return as_bytes(sheet)
     shown = np.full((*pixels.shape[:2], 4), 255, np.uint8)
     shown[..., :3] = pixels[..., picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3]
     if picture.alpha is not None:
         shown[..., 3] = pixels[..., picture.alpha]
     return shown
-
-
-def _as_bytes(sheet: Float32s) -> Uint8s:
-    return as_bytes(np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2))
 
 
 def packed_array(values: Array, level: int) -> str:
@@ -367,10 +367,10 @@ def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     here, there = order[:-1][equal], order[1:][equal]
     same = surface.texture_of[here // 3] == surface.texture_of[there // 3]
     same &= (uv[here] == uv[there]).all(axis=(1, 2))
-    joined = coo_array((np.ones(int(same.sum())), (here[same] // 3, there[same] // 3)), (count, count))
+    joined = np.stack([here[same], there[same]], axis=1) // 3
     cut = np.concatenate([here[~same], there[~same]])
     cut = cut[surface.texture_of[cut // 3] >= 0]
-    return connected_components(joined, directed=False)[1], np.stack([cut // 3, cut % 3], axis=1)
+    return connected_component_labels(joined, node_count=count), np.stack([cut // 3, cut % 3], axis=1)
 
 
 def _ends(corners: Float64s, edges: Int64s) -> Float64s:

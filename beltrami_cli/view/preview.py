@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from trimesh.remesh import subdivide_to_size
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s, Uint8s
+from beltrami_cli.arrays import Float64s, Int64s, Uint8s
 from beltrami_cli.flow.beltrami_flow import smooth
-from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
@@ -22,11 +21,10 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.metadata import CODED_TOGETHER
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.jobs.smooth import smooth_layer
-from beltrami_cli.layers.guides import vertex_guides
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.settings import EmbeddingSettings, SmoothSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
@@ -80,7 +78,6 @@ class Previewer:
         self._painted: PaintedVertices | None = None
         self._surface: TexturedSurface | None = None
         self._pixels: ImageLayer | None = None
-        self._guides: tuple[EmbeddingSettings, list[Guide]] | None = None
         self._order: tuple[bytes, Int64s] | None = None  # of triangles or points, by the last focus
         if document.kind == "image":
             return
@@ -101,6 +98,8 @@ class Previewer:
         """Smooth about `budget` samples around the focus."""
         if settings.level_seams:
             raise NoPreviewError("exposure steps are levelled over the whole model")
+        if settings.embedding.guides:
+            raise NoPreviewError("guides are read for the whole model")
         if self._document.kind == "image":
             return self._of_image(settings, focus, budget, progress)
         of_part = self._of_textures if self._painted is None else self._of_vertices
@@ -115,34 +114,32 @@ class Previewer:
         rows, columns = self._pixels.valid.shape
         around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
-        place = top, left
-        layer = _cut(self._pixels, place, kernel)
+        layer = _cut(self._pixels, (top, left), kernel)
         pixels, _ = layer.painted(_smooth(layer, progress))
         shown = displayed_pixels(dataclasses.replace(layer.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
-        return [Patch(0, row + place[0].start, column + place[1].start, shown.reshape(-1, 4))]
+        return [Patch(0, row + top.start, column + left.start, shown.reshape(-1, 4))]
 
     def _of_vertices(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         painted, grid, order = self._painted, self._document.grid(), self._around(focus)
         assert painted is not None
-        guides, is_mesh = self._vertex_guides(settings), len(painted.faces) > 0
+        is_mesh = len(painted.faces) > 0
         layer: PaintedLayer
         if grid is not None:
             vertex = painted.faces[order[0], 0] if is_mesh else order[0]
             middle = np.array(np.unravel_index(int(np.argmax(grid == vertex)), grid.shape), np.float64)
             part = np.ascontiguousarray(grid[_window(grid.shape, middle, budget)])
             rows = own = part[part >= 0]
-            layer = GridLayer(painted=painted, grid=part, settings=settings, guides=guides)
+            layer = GridLayer(painted=painted, grid=part, settings=settings)
         else:
             order = order[: budget * (2 if is_mesh else 1)]
             rows = np.unique(painted.faces[order]).astype(np.int64) if is_mesh else np.sort(order)
             own = np.arange(len(rows))
             faces = np.searchsorted(rows, painted.faces[order] if is_mesh else painted.faces)
             vertices = only_rows(painted, rows, faces.astype(np.int32))
-            guides = [dataclasses.replace(guide, values=guide.values[rows]) for guide in guides]
-            layer = VertexLayer(painted=vertices, settings=settings, guides=guides)
+            layer = VertexLayer(painted=vertices, settings=settings)
         made = smooth_layer(layer, progress).repainted
         assert made.colours is not None
         kept = dataclasses.replace(
@@ -150,19 +147,12 @@ class Previewer:
         )
         return [Patch(-1, rows, rows, displayed_colours(kept), made.positions)]
 
-    def _vertex_guides(self, settings: SmoothSettings) -> list[Guide]:
-        if self._guides is None or self._guides[0] != settings.embedding:
-            self._guides = settings.embedding, vertex_guides(self._document, settings, self._access)
-        return self._guides[1]
-
     def _of_textures(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         surface = self._surface
         assert surface is not None
         assert self._slot is not None
-        if settings.embedding.guides:
-            raise NoPreviewError("guides of textures are laid out for the whole model")
         order = self._around(focus)
         order = order[: max(1, int(np.searchsorted(np.cumsum(self._texels[order]), budget)))]
         rows, corners = np.unique(surface.faces[order], return_inverse=True)
@@ -203,12 +193,9 @@ def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
 
 def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters) -> ImageLayer:
     """Return a part of an image, which begins with a block of JPEG, with other parameters."""
-    surface = layer.surface
-
-    def rows(values: Float32s) -> Float32s:
-        part = values.reshape(*layer.valid.shape, -1)[place]
-        return part.reshape(-1, part.shape[2])
-
+    surface, noise = layer.surface, layer.noise
+    if noise is not None:
+        noise = noise.reshape(*layer.valid.shape, -1)[place].reshape(-1, noise.shape[1])
     return dataclasses.replace(
         layer,
         settings=dataclasses.replace(layer.settings, kernel=kernel),
@@ -219,8 +206,7 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
             positions=None if surface.positions is None else surface.positions[place],
             valid=layer.valid[place],
         ),
-        noise=None if layer.noise is None else rows(layer.noise),
-        guides=[dataclasses.replace(guide, values=rows(guide.values)) for guide in layer.guides],
+        noise=noise,
     )
 
 

@@ -103,7 +103,6 @@ class PageRequest(BaseHTTPRequestHandler):
     """Requests on one connection, and their answers."""
 
     server: PageServer
-    protocol_version = "HTTP/1.1"
     timeout = 60
 
     def log_message(self, *_: Any) -> None:
@@ -125,7 +124,6 @@ class PageRequest(BaseHTTPRequestHandler):
         if name is None or not self.headers.get("Origin"):
             self._send(HTTPStatus.NOT_FOUND, "text/plain")
             return
-        self.close_connection = True
         try:
             self.server.answer(name, self._request(), self)
         except GoneError:
@@ -145,7 +143,7 @@ class PageRequest(BaseHTTPRequestHandler):
         self.check()
         if self not in self.server.answered:
             self.server.answered.add(self)
-            self._send(HTTPStatus.OK, "application/json", None)
+            self._send(HTTPStatus.OK, "application/json")
         try:
             self.wfile.write(json.dumps(event).encode() + b"\n")
         except OSError as error:
@@ -210,15 +208,10 @@ class PageRequest(BaseHTTPRequestHandler):
             return None
         return name if not name or site in ("same-origin", "none") else None
 
-    def _send(self, status: HTTPStatus, kind: str, body: bytes | None = b"", **more: str) -> None:
-        """Send the head of an answer, and its body unless that follows as events."""
-        headers = {**_HEADERS, "Content-Type": kind, **more}
-        if body is not None:
-            headers["Content-Length"] = str(len(body))
-        if body is None or status != HTTPStatus.OK:
-            headers["Connection"] = "close"
+    def _send(self, status: HTTPStatus, kind: str, body: bytes = b"", **more: str) -> None:
+        """Send the head of an answer and its body, or the beginning of that; it ends as the connection is closed."""
         self.send_response(status)
-        for name, value in headers.items():
-            self.send_header(name, value)
+        for header, value in {**_HEADERS, "Content-Type": kind, **more}.items():
+            self.send_header(header, value)
         self.end_headers()
-        self.wfile.write(body or b"")
+        self.wfile.write(body)

@@ -19,7 +19,7 @@ from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSe
 from beltrami_cli.surface.baking import expanded, runs_of
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, srgb_to_linear
+from beltrami_cli.surface.records import PaintedVertices, Slot, srgb_to_linear
 from beltrami_cli.view.camera import Camera, Window
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.tracing import (
@@ -142,7 +142,8 @@ def view_of(document: Document, settings: RenderSettings) -> Drawable:
         raise InputError(document.name, f"it has no {slot} texture", "leave out --show")
     if has_texture and settings.on != "vertices":
         surface = document.textured(slot)
-        sheets = [texture_sheet(texture, slot) for texture in surface.textures]
+        is_data = slot not in COLOUR_SLOTS
+        sheets = [sheet_of(read_texture(texture), is_data=is_data) for texture in surface.textures]
         positions = within_reach(surface.positions)
         areas = triangle_areas(positions, surface.faces)
         return SurfaceView(positions, surface.faces, TexturePaint(surface, sheets, areas))
@@ -192,11 +193,6 @@ def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> Float32s:
     return sheet
 
 
-def texture_sheet(texture: Texture, slot: Slot) -> Float32s:
-    """Return a texture of a slot in linear light with opacity, (H, W, 4)."""
-    return sheet_of(read_texture(texture), is_data=slot not in COLOUR_SLOTS)
-
-
 def light_of(painted: PaintedVertices) -> Float64s:
     """Return vertex colours in linear light, (V, 3); channels other than red, green and blue are shown as grey."""
     is_rgb = set(_RGB) <= set(painted.channels)
@@ -222,7 +218,11 @@ def framed(positions: Float64s, faces: Int32s) -> Float64s:
     weights[~(is_finite & np.isfinite(weights))] = 0
     if not weights.any():
         return np.asarray(positions[is_finite])
-    low, high = np.transpose([_quantiles(axis, weights) for axis in places.T])
+    ends = [_MAX_OUTLIER_SHARE / 2, 1 - _MAX_OUTLIER_SHARE / 2]
+    known, shares = places[is_finite], weights[is_finite]
+    low, high = np.transpose(
+        [np.quantile(axis, ends, weights=shares, method="inverted_cdf") for axis in known.T]
+    )
     reach = _MIN_OUTLIER_GAP * (high - low).max()
     is_near = is_finite & ((places >= low - reach) & (places <= high + reach)).all(axis=1)
     if len(faces) and not is_near.all():  # parts that are connected to the rest are framed
@@ -231,23 +231,14 @@ def framed(positions: Float64s, faces: Int32s) -> Float64s:
     return np.asarray(positions[is_near])
 
 
-def _quantiles(values: Float64s, weights: Float64s) -> Float64s:
-    """Return the values between which all but the share of outliers lies, half of it on either side."""
-    order, tail = np.argsort(values), _MAX_OUTLIER_SHARE / 2
-    sums = np.cumsum(weights[order])
-    return np.asarray(values[order[np.searchsorted(sums, [tail * sums[-1], (1 - tail) * sums[-1]])]])
-
-
 def _parts(positions: Float64s, faces: Int32s) -> Int32s:
     """Return the connected part of the surface of each vertex; vertices in one place are connected."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+    from trimesh.graph import connected_component_labels
 
     place_of, _ = group_equal_rows(*np.nan_to_num(positions).T)
     corners = place_of[faces]
-    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
-    graph = coo_array((np.ones(links.shape[1], np.int8), (links[0], links[1])), (len(positions),) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1][place_of])
+    links = np.concatenate([corners[:, :2], corners[:, 1:]])
+    return np.asarray(connected_component_labels(links, node_count=len(positions))[place_of])
 
 
 def disc_radii(positions: Float64s) -> Float64s:

@@ -23,13 +23,12 @@ from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import PaintedVertices
 from beltrami_cli.view.models import displayed_colours, displayed_pixels
 from beltrami_cli.view.parameters import given_values, plain_settings, settings_from
-from beltrami_cli.view.preview import Focus, Layers, Previewer
+from beltrami_cli.view.preview import Focus, Layers, NoPreviewError, Previewer
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
-GUIDED = {"guides": ("{}/guide.png",), "guide_betas": (5.0,)}
 
 
 def parsed(words):
@@ -95,14 +94,10 @@ def middle(kind, document):
 
 @pytest.fixture
 def inputs(tmp_path):
-    """Files that change the surface or the metric: heights and a guide for an image, and for a texture; and others."""
+    """Files that change the surface: heights for an image; and others."""
     shown = read_image((SAMPLES / "scan-noisy.jpg").read_bytes(), "").pixels
     heights = np.add.outer(np.arange(shown.shape[0]), np.arange(shown.shape[1])) % 97 * 600
-    for name, pixels in (
-        ("heights.png", heights.astype(np.uint16)[..., None]),
-        ("guide.png", shown[::-1].copy()),
-    ):
-        (tmp_path / name).write_bytes(encode(pixels, "png"))
+    (tmp_path / "heights.png").write_bytes(encode(heights.astype(np.uint16)[..., None], "png"))
     (tmp_path / "square.png").write_bytes(encode(shown, "png"))
     textured_squares(tmp_path / "square.obj", ("square.png", 0, (0, 1)))
     rows, columns = np.indices((90, 110))
@@ -121,21 +116,16 @@ def inputs(tmp_path):
     [
         ("knot-noisy.ply", None, 2000, {}),
         ("knot-noisy.ply", None, 2000, {"smooth_geometry": True, "patches": "off"}),
-        ("knot-noisy.ply", None, 2000, {"guides": (str(SAMPLES / "knot-clean.ply"),)}),
         ("head-tex-noisy.glb", "baseColor", 20_000, {}),
         ("torus-two-noisy.gltf", "baseColor", 20_000, {}),
         ("{}/square.obj", "baseColor", 20_000, {}),  # whose triangles have 130,000 texels each
         ("scan-noisy.jpg", "image", 40_000, {}),
-        ("scan-noisy.jpg", "image", 40_000, GUIDED),
         ("scan-noisy.jpg", "image", 40_000, {"height": "{}/heights.png"}),
         ("{}/grid.npz", None, 2000, {}),
     ],
 )
 def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget, more):
-    texts = {
-        key: tuple(each.format(inputs) for each in value) for key, value in more.items() if key == "guides"
-    }
-    texts |= {key: value.format(inputs) for key, value in more.items() if key == "height"}
+    texts = {key: value.format(inputs) for key, value in more.items() if key == "height"}
     kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
     document = open_input(str(SAMPLES / name.format(inputs)), settings, EVERYTHING_INSIDE)
@@ -160,3 +150,12 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
             before, after = (each.painted().positions[patch.rows] for each in (document, whole))
             moves = np.linalg.norm(after - before, axis=1)
             assert np.median(np.linalg.norm(patch.places - after, axis=1)) < 0.4 * np.median(moves)
+
+
+@pytest.mark.parametrize(("name", "slot"), [("knot-noisy.ply", None), ("torus-two-noisy.gltf", "baseColor")])
+def test_guides_have_no_preview(name, slot):
+    document = open_input(str(SAMPLES / name), DEFAULTS, EVERYTHING_INSIDE)
+    guided, previewer = override(DEFAULTS, guides=("x",)), Previewer(document, slot)
+    focus = middle(slot, document)
+    with pytest.raises(NoPreviewError, match="guides are read"):
+        previewer.smooth(guided, focus, 100, None)
