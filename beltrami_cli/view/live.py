@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import BeltramiError, UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.parameters import TUNABLE
@@ -66,7 +65,7 @@ class _Change:
 
     settings: SmoothSettings
     layer: int
-    focus: Focus | None
+    focus: Focus
     request: PageRequest
 
 
@@ -153,8 +152,6 @@ class Live:
 
     def _preview(self, change: _Change) -> None:
         """Smooth the part in view: by the kernel at once, then with patches if the whole has these."""
-        if change.focus is None:
-            return
         settings = change.settings
         try:
             previewer, at_once = self._previewer(change), self._at_once(change)
@@ -181,7 +178,6 @@ class Live:
     def _preview_part(
         self, previewer: Previewer, change: _Change, settings: SmoothSettings, stage: str
     ) -> None:
-        assert change.focus is not None
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
         budget = int(np.clip(_WANTED * self._rates[stage] / iterations, _LEAST, _MOST))
         focus = self._layers.in_space(change.focus, change.layer)
@@ -259,20 +255,14 @@ def _part(request: dict[str, Any], name: str, kind: type[Part]) -> Part:
     return value
 
 
-def _focus(request: dict[str, Any]) -> Focus | None:
-    if request.get("focus") is None:
-        return None
-    focus = _part(request, "focus", dict)
-    return Focus(
-        _vector(focus, "origin"), None if focus.get("direction") is None else _vector(focus, "direction")
-    )
-
-
-def _vector(focus: dict[str, Any], name: str) -> Float64s:
-    numbers = _part(focus, name, list)
-    if len(numbers) != 3 or not all(type(each) in (int, float) and np.isfinite(each) for each in numbers):
+def _focus(request: dict[str, Any]) -> Focus:
+    """Return the focus of a request: three numbers of its origin, and three of its direction if it has one."""
+    numbers = _part(request, "focus", list)
+    is_number = [type(each) in (int, float) and np.isfinite(each) for each in numbers]
+    if len(numbers) not in (3, 6) or not all(is_number):
         raise MalformedError
-    return np.array(numbers, np.float64)
+    values = np.array(numbers, np.float64)
+    return Focus(values[:3], values[3:] if len(values) > 3 else None)
 
 
 def _target(source: str) -> str:

@@ -27,6 +27,7 @@ from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
 from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
+from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 from beltrami_cli.view.models import (
     Box,
@@ -235,32 +236,28 @@ def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface,
     `sizes`: width and height of each texture, shape (T, 2).
     """
     faces = np.flatnonzero(surface.texture_of >= 0)
-    places = surface.uv[faces] * sizes[surface.texture_of[faces], None]  # in texels
-    most = max(_PIECE, float(_areas(places).sum()) / _MOST_PIECES)
-    corners = surface.faces[faces]
+    corners, apart = surface.faces[faces], np.arange(3 * len(faces)).reshape(-1, 3)
     spaces = np.zeros(corners.shape) if surface.space_of is None else surface.space_of[corners]
-    # Lengths are measured along the first three columns; the others are interpolated.
-    flat = np.concatenate([places, np.zeros((*corners.shape, 1))], axis=2)
-    rows = np.concatenate([flat, surface.positions[corners], surface.uv[faces], spaces[..., None]], axis=2)
+    # Lengths are measured along the first three columns, in texels; the others are interpolated.
+    flat = surface.uv[faces] * sizes[surface.texture_of[faces], None]
+    columns = (
+        flat,
+        np.zeros((*corners.shape, 1)),
+        surface.positions[corners],
+        surface.uv[faces],
+        spaces[..., None],
+    )
+    rows = np.concatenate(columns, axis=2).reshape(-1, 9)
+    most = max(_PIECE, float(triangle_areas(rows[:, :3], apart).sum()) / _MOST_PIECES)
     cut, pieces, index = subdivide_to_size(
-        rows.reshape(-1, rows.shape[2]), np.arange(3 * len(faces)).reshape(-1, 3), np.sqrt(2 * most),
-        max_iter=_MOST_SPLITS, return_index=True,
-    )  # fmt: skip
+        rows, apart, np.sqrt(2 * most), max_iter=_MOST_SPLITS, return_index=True
+    )
     made = dataclasses.replace(
         surface, positions=cut[:, 3:6], faces=pieces.astype(np.int32), uv=cut[pieces, 6:8],
         texture_of=surface.texture_of[faces[index]],
         space_of=None if surface.space_of is None else np.rint(cut[:, 8]).astype(surface.space_of.dtype),
     )  # fmt: skip
-    return made, _areas(cut[pieces, :2])
-
-
-def _areas(places: Float64s) -> Float64s:
-    """Return the areas of triangles in a plane, (F, 3, 2)."""
-    one, two = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
-    return np.asarray(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2)
-
-
-_QUICK = 1  # of zlib
+    return made, triangle_areas(cut[:, :3], made.faces)
 
 
 class Layers:

@@ -149,11 +149,9 @@ def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
         return json.dumps([dataclasses.asdict(trial) for trial in trials], indent=2) + "\n"
     parameters, found = columns_of(trials)
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*parameters, *found])
-    for trial in trials:
-        values = [trial.parameters.get(key) for key in parameters]
-        writer.writerow([*values, *(trial.figures.get(key) for key in found)])
+    writer = csv.DictWriter(text, [*parameters, *found], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({**trial.parameters, **trial.figures} for trial in trials)
     return text.getvalue()
 
 

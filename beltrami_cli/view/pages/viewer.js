@@ -113,17 +113,17 @@ const Viewer = (() => {
       map.needsUpdate = true;
     }
 
-    // The centre of the view: a ray through the box of the model, or a place of a flat texture.
+    // The centre of the view: origin and direction of a ray through the box of the model, or u, v and number of a texture.
     focus() {
       const target = this.controls.target, { flat, middle } = this.layer;
       if (!this.isFlat) {
         const from = this.camera.position, way = target.clone().sub(from).normalize();
-        return { origin: [from.x + middle[0], from.y + middle[1], from.z + middle[2]], direction: [way.x, way.y, way.z] };
+        return [from.x + middle[0], from.y + middle[1], from.z + middle[2], way.x, way.y, way.z];
       }
       const x = target.x / flat.scale.x, y = target.y / flat.scale.y;
       const gaps = flat.children.map((sheet) => Math.max(0, Math.abs(x - sheet.position.x) - sheet.scale.x / 2));
       const number = gaps.indexOf(Math.min(...gaps)), sheet = flat.children[number];
-      return { origin: [(x - sheet.position.x) / sheet.scale.x + 0.5, 0.5 - y, sheet.userData.number], direction: null };
+      return [(x - sheet.position.x) / sheet.scale.x + 0.5, 0.5 - y, sheet.userData.number];
     }
 
     reset() {
