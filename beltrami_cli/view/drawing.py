@@ -162,17 +162,17 @@ def _draw_label(
     """Write a line of text, or its end, into the middle of a strip: left, top, width and height."""
     import OpenImageIO
 
-    left, top, *size = strip
-    height = _letters(size[0])
+    left, top, width, depth = strip
+    height = _letters(width)
     words = text = one_line(text)
     box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
-    while box.width > 0.96 * size[0] and text:
+    while box.width > 0.96 * width and text:
         text = text[1:]
         words = "..." + text
         box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
-    cover = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(*size, 1, "float"))
-    x = (size[0] - box.width) // 2 - box.xbegin
-    y = round(size[1] / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
+    cover = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(width, depth, 1, "float"))
+    x = (width - box.width) // 2 - box.xbegin
+    y = round(depth / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
     if not OpenImageIO.ImageBufAlgo.render_text(cover, x, y, words, height, _FONT, (1.0,)):
         raise ProcessingError(f"labels cannot be drawn ({error_of(cover)}); use --no-labels")
     is_light = background.opacity == 0 or np.dot(background.colour, LUMINANCE) > _LIGHT_GROUND

@@ -332,8 +332,7 @@ def displayed_pixels(picture: Picture, *, is_data: bool = False) -> Uint8s:
     pixels = picture.pixels
     if pixels.dtype != np.uint8 or is_associated(picture):
         sheet = sheet_of(picture, is_data=is_data)
-        sheet[..., :3] = linear_to_srgb(sheet[..., :3])
-        return as_bytes(sheet)
+        return as_bytes(np.concatenate([linear_to_srgb(sheet[..., :3]), sheet[..., 3:]], axis=2))
     shown = np.full((*pixels.shape[:2], 4), 255, np.uint8)
     shown[..., :3] = pixels[..., picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3]
     if picture.alpha is not None:
@@ -370,7 +369,8 @@ def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     joined = np.stack([here[same], there[same]], axis=1) // 3
     cut = np.concatenate([here[~same], there[~same]])
     cut = cut[surface.texture_of[cut // 3] >= 0]
-    return connected_component_labels(joined, node_count=count), np.stack([cut // 3, cut % 3], axis=1)
+    chart_of: Int32s = connected_component_labels(joined, node_count=count)  # type: ignore[no-untyped-call]
+    return chart_of, np.stack([cut // 3, cut % 3], axis=1)
 
 
 def _ends(corners: Float64s, edges: Int64s) -> Float64s:

@@ -236,7 +236,7 @@ def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface,
     `sizes`: width and height of each texture, shape (T, 2).
     """
     faces = np.flatnonzero(surface.texture_of >= 0)
-    corners, apart = surface.faces[faces], np.arange(3 * len(faces)).reshape(-1, 3)
+    corners, apart = surface.faces[faces], np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
     spaces = np.zeros(corners.shape) if surface.space_of is None else surface.space_of[corners]
     # Lengths are measured along the first three columns, in texels; the others are interpolated.
     flat = surface.uv[faces] * sizes[surface.texture_of[faces], None]
@@ -249,15 +249,17 @@ def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface,
     )
     rows = np.concatenate(columns, axis=2).reshape(-1, 9)
     most = max(_PIECE, float(triangle_areas(rows[:, :3], apart).sum()) / _MOST_PIECES)
-    cut, pieces, index = subdivide_to_size(
-        rows, apart, np.sqrt(2 * most), max_iter=_MOST_SPLITS, return_index=True
-    )
+    longest, limit = float(np.sqrt(2 * most)), _MOST_SPLITS
+    cut, pieces, index = subdivide_to_size(rows, apart, longest, max_iter=limit, return_index=True)  # type: ignore[no-untyped-call]
     made = dataclasses.replace(
         surface, positions=cut[:, 3:6], faces=pieces.astype(np.int32), uv=cut[pieces, 6:8],
         texture_of=surface.texture_of[faces[index]],
         space_of=None if surface.space_of is None else np.rint(cut[:, 8]).astype(surface.space_of.dtype),
     )  # fmt: skip
     return made, triangle_areas(cut[:, :3], made.faces)
+
+
+_QUICK = 1  # of zlib
 
 
 class Layers:

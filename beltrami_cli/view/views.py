@@ -238,7 +238,8 @@ def _parts(positions: Float64s, faces: Int32s) -> Int32s:
     place_of, _ = group_equal_rows(*np.nan_to_num(positions).T)
     corners = place_of[faces]
     links = np.concatenate([corners[:, :2], corners[:, 1:]])
-    return np.asarray(connected_component_labels(links, node_count=len(positions))[place_of])
+    part_of: Int32s = connected_component_labels(links, node_count=len(positions))  # type: ignore[no-untyped-call]
+    return part_of[place_of]
 
 
 def disc_radii(positions: Float64s) -> Float64s:
