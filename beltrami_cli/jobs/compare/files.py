@@ -195,21 +195,8 @@ def compare_documents(
         steps.append(partial(compare_textures, documents, slot, settings, weights, job.access, **options))
     parts = [part for step in tracked(steps, "comparing", job.progress) for part in step()]
     moves = None if selection.image else moves_between(documents, selection)
-    return Compared(_measured(parts, job), moves, selection.slots, tuple(notices))
-
-
-def _measured(parts: Sequence[ComparedColours], job: Job) -> list[Measured]:
-    total, done, measured = sum(len(part.index) for part in parts), 0, []
-    progress = job.progress_of("measuring")
-
-    def tick(share: float) -> None:
-        if progress is not None:
-            progress(done + round(share * len(part.index)), total)
-
-    for part in parts:
-        measured.append(measure(part, tick))
-        done += len(part.index)
-    return measured
+    measured = [measure(part) for part in tracked(parts, "measuring", job.progress)]
+    return Compared(measured, moves, selection.slots, tuple(notices))
 
 
 def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tuple[Document, Document]:
@@ -225,54 +212,47 @@ def is_map(head: bytes) -> bool:
 
 
 def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[Written, float]:
-    """Draw images and textures, or else the vertices; return also the Delta E that the brightest colour stands for."""
+    """Draw images and textures side by side, or else the vertices; return also what the brightest colour stands for."""
     images, suffix = [each for each in parts if each.part.size is not None], Path(target).suffix.lower()
     on_vertices = parts[0].part.kind == "vertices" and (not images or suffix == ".ply")
     if on_vertices != (suffix == ".ply"):
         form = "vertices is drawn as .ply" if on_vertices else "images and textures is drawn as .png"
         raise UsageError(f"{target}: the map of {form}; end its name so")
-    return _draw_vertices(parts[0], model) if on_vertices else _draw_images(images, target)
+    shown = parts[:1] if on_vertices else images
+    errors = [each.part.errors() for each in shown]
+    # Delta E, or the error in per cent where Delta E is undefined.
+    pairs = zip(shown, errors, strict=True)
+    amounts = [100 * error if each.delta_e is None else each.delta_e for each, error in pairs]
+    scale = max(_LEAST, *(float(each.max(initial=0)) for each in amounts))
+    if on_vertices:
+        return _draw_vertices(shown[0], errors[0], amounts[0], scale, model), scale
+    panels = [_image_of(each.part, values / scale) for each, values in zip(shown, amounts, strict=True)]
+    width = sum(panel.shape[1] + _GAP for panel in panels) - _GAP
+    pixels, left = np.full((max(map(len, panels)), width, 3), 255, np.uint8), 0
+    for panel in panels:
+        pixels[: len(panel), left : left + panel.shape[1]] = panel
+        left += panel.shape[1] + _GAP
+    return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
 
 
-def _draw_images(parts: Sequence[Measured], target: str) -> tuple[Written, float]:
-    """Draw the differences of images or textures side by side, grey where nothing is compared."""
-    amounts = [_amounts(each) for each in parts]
-    scale = _scale(amounts)
-    drawn = [_image_of(each.part, values / scale) for each, values in zip(parts, amounts, strict=True)]
-    height = max(len(panel) for panel in drawn)
-    columns = []
-    for panel in drawn:
-        padding = ((0, height - len(panel)), (0, 0), (0, 0))
-        columns += [np.pad(panel, padding, constant_values=255), np.full((height, _GAP, 3), 255, np.uint8)]
-    pixels = np.ascontiguousarray(np.hstack(columns[:-1]))
-    drawing = write_image(new_picture(pixels, target), pixels, suffix=Path(target).suffix.lower())
-    return Written([drawing.data]), scale
-
-
-def _draw_vertices(measured: Measured, document: Document) -> tuple[Written, float]:
+def _draw_vertices(
+    measured: Measured, errors: Float64s, amounts: Float64s, scale: float, document: Document
+) -> Written:
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
-    painted, amounts = document.painted(), _amounts(measured)
-    scale = _scale([amounts])
-    values = np.full(len(painted.positions), np.nan, np.float32)
-    errors = values.copy()
-    values[measured.part.index] = amounts
-    errors[measured.part.index] = measured.part.errors()
-    grey = np.ones((len(values), 3), np.float32)
-    shades = as_bytes(colour_by_value(values / np.float32(scale), grey, np.isfinite(values)))
-    scalars = {"error": errors} if measured.delta_e is None else {"delta_e": values, "error": errors}
-    return write_scalars_as_ply(np.nan_to_num(painted.positions), painted.faces, shades, scalars), scale
-
-
-def _amounts(measured: Measured) -> Float64s:
-    """Return the error of each sample on a map: Delta E, or the error in per cent where Delta E is undefined."""
-    return 100 * measured.part.errors() if measured.delta_e is None else measured.delta_e
-
-
-def _scale(amounts: Sequence[Float64s]) -> float:
-    return max(_LEAST, *(float(each.max(initial=0)) for each in amounts))
+    painted, tables = document.painted(), []
+    for values in (amounts, errors):
+        tables.append(np.full(len(painted.positions), np.nan, np.float32))
+        tables[-1][measured.part.index] = values
+    grey = np.ones((len(tables[0]), 3), np.float32)
+    shades = as_bytes(colour_by_value(tables[0] / np.float32(scale), grey, np.isfinite(tables[0])))
+    scalars = dict(zip(("delta_e", "error"), tables, strict=True))
+    if measured.delta_e is None:
+        del scalars["delta_e"]
+    return write_scalars_as_ply(np.nan_to_num(painted.positions), painted.faces, shades, scalars)
 
 
 def _image_of(part: ComparedColours, values: Float64s) -> Uint8s:
+    """Draw values of samples, white where nothing is compared."""
     covered, drawn = part.covered(), np.empty((*part.covered().shape, 3), np.uint8)
     plane = np.zeros(covered.shape, np.float32)
     plane.reshape(-1)[part.index] = values

@@ -268,9 +268,8 @@ def _parts(
 
 def _by_texture(atlas: Atlas, texels: Indices) -> list[tuple[Bools | slice, Indices]]:
     """Return for each texture which of the texels are of it, and these counted from its first."""
-    found: list[tuple[Bools | slice, Indices]] = [(slice(0), np.zeros(0, np.int64))] * (
-        len(atlas.texture_offsets) - 1
-    )
+    textures = len(atlas.texture_offsets) - 1
+    found: list[tuple[Bools | slice, Indices]] = [(slice(0), np.zeros(0, np.int64))] * textures
     for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
         found[index] = inside, own
     return found
