@@ -10,7 +10,7 @@ doi:10.1145/800059.801126.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from beltrami_cli.jobs.job import memory_reserved
 from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.geometry import unit_vectors, vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import TexturedSurface, Wrap
 from beltrami_cli.view.camera import Camera, Window, size_between
 
@@ -93,7 +94,6 @@ class Pyramid:
             sheet[..., :3] *= sheet[..., 3:]
         self._levels = [np.ascontiguousarray(sheet)]
         self._last = int(np.ceil(np.log2(max(sheet.shape[:2]))))
-        self.shape = sheet.shape
 
     def look_up(self, uv: Float64s, wrap: tuple[Wrap, Wrap], texels: Float64s) -> Float32s:
         """Interpolate at places, (K, 2), v down, that stand for areas of `texels`, (K,), of the first level; (K, 4)."""
@@ -198,13 +198,17 @@ class SurfaceView:
 
     def draw(self, camera: Camera, size: tuple[int, int], window: Window, *, lit: bool) -> Float32s:
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
-        pixel = (window[2] - window[0]) / (size[0] * SAMPLES)
-
-        def light(columns: Float64s, rows: Float64s) -> Float32s:
-            starts, directions = camera.rays(columns, rows, np.float32)
-            return self._seen(camera, starts, directions, pixel, lit=lit)
-
-        return sampled(size, window, light)
+        width, height = size
+        image = np.zeros((height, width, 4), np.float32)
+        x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
+        for rows in blocks(height, max(1, _BLOCK // width)):
+            # One ray through each pixel at a time, so that sums go over whole blocks.
+            down, sums = y[rows.start * SAMPLES : rows.stop * SAMPLES, None], image[rows].reshape(-1, 4)
+            for row, column in np.ndindex(SAMPLES, SAMPLES):
+                starts, directions = camera.rays(x[column::SAMPLES], down[row::SAMPLES], np.float32)
+                sums += self._seen(camera, starts, directions, x[1] - x[0], lit=lit)
+            sums /= SAMPLES**2
+        return image
 
     def _seen(
         self, camera: Camera, starts: Float64s, directions: Float64s, pixel: float, *, lit: bool
@@ -261,27 +265,6 @@ class SurfaceView:
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
         return np.asarray(np.where(creased, flat, smooth), np.float32)
-
-
-def sampled(
-    size: tuple[int, int], window: Window, light: Callable[[Float64s, Float64s], Float32s]
-) -> Float32s:
-    """Average the light at places all over each pixel of a window of a view, shape (height, width, 4).
-
-    `light` is called with columns (C,) and rows (R, 1), in fractions of the view, and returns (R * C, 4).
-    """
-    width, height = size
-    image = np.zeros((height, width, 4), np.float32)
-    x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
-    rows_at_once = max(1, _BLOCK // width)
-    for first in range(0, height, rows_at_once):
-        last = min(first + rows_at_once, height)
-        # One place in each pixel at a time, so that sums go over whole blocks.
-        down, sums = y[first * SAMPLES : last * SAMPLES, None], image[first:last].reshape(-1, 4)
-        for row, column in np.ndindex(SAMPLES, SAMPLES):
-            sums += light(x[column::SAMPLES], down[row::SAMPLES])
-        sums /= SAMPLES**2
-    return image
 
 
 def _places(first: float, last: float, pixels: int) -> Float64s:

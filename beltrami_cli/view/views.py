@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
+from PIL import Image
 
 from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
@@ -24,12 +25,10 @@ from beltrami_cli.view.camera import Camera, Window
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.tracing import (
     SAMPLES,
-    Pyramid,
     Sheet,
     SurfaceView,
     TexturePaint,
     VertexPaint,
-    sampled,
 )
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
@@ -74,27 +73,27 @@ class ImageView:
     """An image, which looks the same from everywhere."""
 
     def __init__(self, sheet: Sheet) -> None:
-        self._pyramid = Pyramid(sheet)
+        self._sheet = sheet
+        sheet[..., :3] *= sheet[..., 3:]
 
     def draw(self, size: tuple[int, int], window: Window) -> Float32s:
         """Draw a window of a view that the image fills as far as its proportions allow, see `SurfaceView.draw`."""
-        shape = np.array(self._pyramid.shape[1::-1])
-        view = np.array(size) / [window[2] - window[0], window[3] - window[1]]
+        shape, begin, end = np.array(self._sheet.shape[1::-1]), np.array(window[:2]), np.array(window[2:])
+        view = np.array(size) / (end - begin)
         scale = (view / shape).min()
-        corner = np.round((view - shape * scale) / 2)
-
-        def light(columns: Float64s, rows: Float64s) -> Float32s:
-            x, y = np.broadcast_arrays(columns * view[0] - corner[0], rows * view[1] - corner[1])
-            at = np.column_stack([x.ravel(), y.ravel()]) / scale  # in pixels of the image
-            inside = ((at >= 0) & (at < shape)).all(axis=1)
-            if scale >= 1:  # squares, so that single pixels can be judged
-                at = np.floor(at) + 0.5
-            texels = np.full(np.count_nonzero(inside), 1 / (scale * SAMPLES) ** 2)
-            seen = np.zeros((len(at), 4), np.float32)
-            seen[inside] = self._pyramid.look_up((at / shape)[inside], ("clamp", "clamp"), texels)
-            return seen
-
-        return sampled(size, window, light)
+        shift = begin * view - np.round((view - shape * scale) / 2)  # of the drawing on the enlarged image
+        first = np.clip(np.round(-shift), 0, size).astype(int)
+        last = np.clip(np.round(shape * scale - shift), first, size).astype(int)
+        drawn = np.zeros((size[1], size[0], 4), np.float32)
+        if (first < last).all():
+            box = np.clip(np.concatenate([first + shift, last + shift]) / scale, 0, np.tile(shape, 2))
+            # Means of some places in each pixel, which see squares, so that single pixels can be judged, or areas.
+            places = tuple(SAMPLES * (last - first))
+            for channel in range(4):
+                plane = Image.fromarray(self._sheet[..., channel])
+                part = plane.resize(places, Image.Resampling.BOX, box=tuple(box)).reduce(SAMPLES)
+                drawn[first[1] : last[1], first[0] : last[0], channel] = np.asarray(part)
+        return drawn
 
 
 Drawable = SurfaceView | CloudView | ImageView
