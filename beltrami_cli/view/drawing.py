@@ -238,13 +238,9 @@ def draw_panels(
     return panels
 
 
-def with_fixed_crops(view: Drawable, settings: RenderSettings) -> RenderSettings:
-    """Return settings whose automatic details are fixed to where there is most to see in one view."""
-    if all(crop.centre is not None for crop in settings.crops):
-        return settings
-    drawn = draw_panels([view], [""], dataclasses.replace(settings, crops=()))[0].view
-    windows = _detail_windows(drawn, settings)
-    centres = [((left + right) / 2, (upper + lower) / 2) for left, upper, right, lower in windows]
+def with_fixed_crops(settings: RenderSettings, panel: Panel) -> RenderSettings:
+    """Return settings whose details are where they are in a panel."""
+    centres = [((left + right) / 2, (upper + lower) / 2) for left, upper, right, lower in panel.windows]
     pairs = zip(settings.crops, centres, strict=True)
     crops = tuple(dataclasses.replace(crop, centre=centre) for crop, centre in pairs)
     return dataclasses.replace(settings, crops=crops)

@@ -205,10 +205,8 @@ class _Sheet:
 
     def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
         """Draw a document; details lie where there is most to see in the first."""
-        view = view_of(document, self._looks)
-        if not self._panels:
-            self._looks = with_fixed_crops(view, self._looks)
-        self._panels += draw_panels([view], [label], self._looks, progress)
+        self._panels += draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
+        self._looks = with_fixed_crops(self._looks, self._panels[0])
 
     def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
         self.add(trial.label, result, progress)
