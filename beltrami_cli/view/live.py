@@ -232,17 +232,17 @@ class Live:
     def _whole(self, change: _Change) -> tuple[Document, list[Smoothed]]:
         request = change.request
 
-        def tell(label: str, done: int, total: int) -> None:
+        def announce(label: str, done: int, total: int) -> None:
             request.send(kind="progress", label=label, share=done / total)
 
-        at_times = at_intervals(_PAUSE, tell)
+        at_times = at_intervals(_PAUSE, announce)
 
         def show(label: str, share: float) -> None:
             with self._previewing:  # previews of other pages shall not share the processors
                 request.check()
             at_times(label, round(_STEPS * share), _STEPS)
 
-        tell("choosing parameters", 0, 1)
+        announce("choosing parameters", 0, 1)
         job = dataclasses.replace(self._job, progress=Share(forward=show))
         return recolour_in_memory(self._document, change.settings, Smoothing.of(change.settings), job)
 
