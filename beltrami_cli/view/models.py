@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
-from trimesh.graph import connected_component_labels
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
@@ -366,11 +365,10 @@ def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     here, there = order[:-1][equal], order[1:][equal]
     same = surface.texture_of[here // 3] == surface.texture_of[there // 3]
     same &= (uv[here] == uv[there]).all(axis=(1, 2))
-    joined = np.stack([here[same], there[same]], axis=1) // 3
+    joined = coo_array((np.ones(int(same.sum())), (here[same] // 3, there[same] // 3)), (count, count))
     cut = np.concatenate([here[~same], there[~same]])
     cut = cut[surface.texture_of[cut // 3] >= 0]
-    chart_of: Int32s = connected_component_labels(joined, node_count=count)  # type: ignore[no-untyped-call]
-    return chart_of, np.stack([cut // 3, cut % 3], axis=1)
+    return connected_components(joined, directed=False)[1], np.stack([cut // 3, cut % 3], axis=1)
 
 
 def _ends(corners: Float64s, edges: Int64s) -> Float64s:

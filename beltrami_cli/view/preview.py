@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.remesh import subdivide_to_size
 
 from beltrami_cli.arrays import Float64s, Int64s, Uint8s
 from beltrami_cli.flow.beltrami_flow import smooth
@@ -235,6 +234,8 @@ def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface,
 
     `sizes`: width and height of each texture, shape (T, 2).
     """
+    from trimesh.remesh import subdivide_to_size
+
     faces = np.flatnonzero(surface.texture_of >= 0)
     corners, apart = surface.faces[faces], np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
     spaces = np.zeros(corners.shape) if surface.space_of is None else surface.space_of[corners]

@@ -232,13 +232,14 @@ def framed(positions: Float64s, faces: Int32s) -> Float64s:
 
 def _parts(positions: Float64s, faces: Int32s) -> Int32s:
     """Return the connected part of the surface of each vertex; vertices in one place are connected."""
-    from trimesh.graph import connected_component_labels
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
     place_of, _ = group_equal_rows(*np.nan_to_num(positions).T)
     corners = place_of[faces]
-    links = np.concatenate([corners[:, :2], corners[:, 1:]])
-    part_of: Int32s = connected_component_labels(links, node_count=len(positions))  # type: ignore[no-untyped-call]
-    return part_of[place_of]
+    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
+    graph = coo_array((np.ones(links.shape[1], np.int8), (links[0], links[1])), (len(positions),) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1][place_of])
 
 
 def disc_radii(positions: Float64s) -> Float64s:
