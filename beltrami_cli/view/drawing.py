@@ -165,11 +165,9 @@ def _draw_label(
     left, top, width, depth = strip
     height = _letters(width)
     words = text = one_line(text)
-    box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
-    while box.width > 0.96 * width and text:
+    while (box := OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)).width > 0.96 * width and text:
         text = text[1:]
         words = "..." + text
-        box = OpenImageIO.ImageBufAlgo.text_size(words, height, _FONT)
     cover = OpenImageIO.ImageBuf(OpenImageIO.ImageSpec(width, depth, 1, "float"))
     x = (width - box.width) // 2 - box.xbegin
     y = round(depth / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
