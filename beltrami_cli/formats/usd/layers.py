@@ -9,11 +9,12 @@ References
 
 from __future__ import annotations
 
+import io
 import os
 import posixpath
 import re
 import struct
-import zlib
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -40,10 +41,11 @@ LAYERS = (".usd", ".usda", ".usdc")  # suffixes of files that usd-core reads
 IMAGES = (".png", ".jpg", ".jpeg", ".exr", ".avif")  # suffixes of images that a package may hold [1]_
 _SOUNDS = (".m4a", ".mp3", ".wav")
 _ALIGNMENT, _PADDING = 64, 0x1986  # the number of extra fields that only fill up
-_LOCAL, _CENTRAL, _END = struct.Struct("<4s5H3L2H"), struct.Struct("<4s6H3L5H2L"), struct.Struct("<4s4H2LH")
-_MOST = (1 << 32) - 1
-_UTF_8, _VERSION = 1 << 11, 10
-_DATE = (1980, 1, 1, 0, 0, 0)  # the same in every run
+_LOCAL = struct.Struct("<4s5H3L2H")  # what stands in front of the name of a file
+_FIELD = struct.Struct("<2H")  # number and length of an extra field
+Date = tuple[int, int, int, int, int, int]
+_DATE: Date = (1980, 1, 1, 0, 0, 0)  # the same in every run
+_UNIX = 3
 
 
 class Package(Archive):
@@ -86,31 +88,22 @@ def _is_unfit(name: str) -> bool:
     return plain != name or name.startswith(("/", "../")) or name == ".." or "\\" in name or ":" in name
 
 
-def packed(files: Mapping[str, Bytes], dates: Mapping[str, tuple[int, ...]] | None = None) -> list[Bytes]:
+def packed(files: Mapping[str, Bytes], dates: Mapping[str, Date] | None = None) -> list[Bytes]:
     """Return files as a package, in their order."""
-    pieces: list[Bytes] = []
-    central: list[bytes] = []
-    at = 0
-    for name, content in files.items():
-        encoded = name.encode(errors="surrogateescape")
-        year, month, day, hour, minute, second = (dates or {}).get(name, _DATE)
-        time, date = hour << 11 | minute << 5 | second // 2, (year - 1980) << 9 | month << 5 | day
-        flags = 0 if encoded.isascii() else _UTF_8
-        padding = -(at + _LOCAL.size + len(encoded)) % _ALIGNMENT
-        padding += _ALIGNMENT if 0 < padding < 4 else 0
-        extra = struct.pack("<2H", _PADDING, padding - 4) + bytes(padding - 4) if padding else b""
-        sums = zlib.crc32(content), len(content), len(content)
-        # Method 0: stored.
-        common = flags, 0, time, date, *sums, len(encoded)
-        header = _LOCAL.pack(b"PK\x03\x04", _VERSION, *common, len(extra)) + encoded + extra
-        central.append(_CENTRAL.pack(b"PK\x01\x02", _VERSION, _VERSION, *common, 0, 0, 0, 0, 0, at) + encoded)
-        pieces += [header, content]
-        at += len(header) + len(content)
-        if at > _MOST:
-            raise InputError(name, "the package would have more than 4 GB", "choose smaller textures")
-    size = sum(map(len, central))
-    end = _END.pack(b"PK\x05\x06", 0, 0, len(files), len(files), size, at, 0)
-    return [*pieces, *central, end]
+    stream = io.BytesIO()
+    try:
+        with zipfile.ZipFile(stream, "w", allowZip64=False) as package:
+            for name, content in files.items():
+                entry = zipfile.ZipInfo(name, (dates or {}).get(name, _DATE))
+                entry.create_system = _UNIX  # the same everywhere
+                padding = -(stream.tell() + _LOCAL.size + len(name.encode())) % _ALIGNMENT
+                padding += _ALIGNMENT if 0 < padding < _FIELD.size else 0
+                filling = padding - _FIELD.size
+                entry.extra = _FIELD.pack(_PADDING, filling) + bytes(filling) if padding else b""
+                package.writestr(entry, content)
+    except zipfile.LargeZipFile:
+        raise InputError(name, "the package would have more than 2 GB", "choose smaller textures") from None
+    return [stream.getbuffer()]
 
 
 _EXPORT = "open and save it with a program for USD"
