@@ -1,168 +1,23 @@
-"""What formats with textures share: images of slots and of meshes, and meshes on their way to another format."""
+"""What formats with textures share: names of new files, and meshes on their way to another format."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
 from pathlib import PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float64s, Int32s
-from beltrami_cli.errors import InputError, UnpaintedError
-from beltrami_cli.formats.access import LARGE
+from beltrami_cli.arrays import Int32s
 from beltrami_cli.formats.document import Naming, NewImages
-from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.model_folder import NewFiles, remedy_for, tile_name
-from beltrami_cli.surface.records import (
-    AlphaMode,
-    ImageFile,
-    Material,
-    MaterialMap,
-    MeshImage,
-    Slot,
-    Texture,
-    TexturedMesh,
-    Wrap,
-)
-from beltrami_cli.surface.tiling import Tile, tiles_under
+from beltrami_cli.formats.model_folder import NewFiles, tile_name
+from beltrami_cli.surface.records import AlphaMode, ImageFile, Material, MaterialMap, Slot, TexturedMesh
+from beltrami_cli.surface.tiling import Tile
 
 TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
-POLYGONS_CUT = "quads and polygons, which are cut into triangles"
-_LARGEST = 1e30
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
-
-
-@dataclass
-class _Shown:
-    """An image that is shown in a slot: the number of its texture, and which materials show it how."""
-
-    number: int
-    name: str
-    content: bytes | Callable[[], bytes]  # as in `Texture`
-    materials: dict[str, None] = field(default_factory=dict)
-    wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
-    alpha_hides: bool = False
-
-
-class SlotImages:
-    """The images that are shown in one slot while its materials are read; by keys, as in `Texture`."""
-
-    # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
-
-    def __init__(self, slot: Slot) -> None:
-        self._slot = slot
-        self._shown: dict[str, _Shown] = {}
-        self._missing: dict[str, dict[str, None]] = {}  # materials by the reason why they show no image
-        self.sets: list[dict[Tile, int]] = []
-
-    def __len__(self) -> int:
-        return len(self._shown)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._shown
-
-    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> None:
-        """Take an image that is not known yet."""
-        self._shown[key] = _Shown(len(self._shown), name, content)
-
-    def show_files(
-        self,
-        path: str,
-        sets: TileSets,
-        material: str,
-        wrap: tuple[Wrap, Wrap],
-        read: Callable[[str], bytes],
-        left_out: tuple[type[Exception], ...] = (),
-    ) -> int | None:
-        """Show the file of a path, or a set of tiles; return its texture, None if `left_out` holds for all files."""
-        tiles, number_of = sets.get(path), {}
-        for file in tiles.values() if tiles else [path]:
-            if file not in self:
-                try:
-                    data = read(file)
-                except left_out:
-                    continue
-                content = partial(read, file) if tiles or len(data) >= LARGE else data
-                self.take(file, file.rpartition("/")[2], content)
-            number_of[file] = self.show(file, material, ("clamp", "clamp") if tiles else wrap)
-        if not tiles or not number_of:
-            return number_of.get(path)
-        own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
-        if own not in self.sets:
-            self.sets.append(own)
-        return -2 - self.sets.index(own)
-
-    def show(self, key: str, material: str, wrap: tuple[Wrap, Wrap], *, alpha_hides: bool = True) -> int:
-        """Note that a material shows an image; return the number of its texture."""
-        shown = self._shown[key]
-        shown.wraps.append(wrap)
-        shown.alpha_hides |= alpha_hides
-        shown.materials[material] = None
-        return shown.number
-
-    def miss(self, reason: str, material: str) -> None:
-        """Note why a material shows no image; the reason names that."""
-        self._missing.setdefault(reason, {})[material] = None
-
-    def textures(self) -> tuple[Texture, ...]:
-        return tuple(
-            Texture(key, each.name, each.content, tuple(each.materials), each.wraps[0], each.alpha_hides)
-            for key, each in self._shown.items()
-        )
-
-    def notices(self) -> list[str]:
-        """Return a sentence for each image that cannot be shown, and each that is repeated in several ways."""
-        left = [
-            f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
-            for reason, materials in self._missing.items()
-        ]
-        mixed = [each.name for each in self._shown.values() if len(set(each.wraps)) > 1]
-        several = "is used with several wrap modes; the first is followed."
-        return left + [f"The {self._slot} image {name!r} {several}" for name in mixed]
-
-    def refusal(self, name: str, *, is_bare: bool, why: str = "") -> InputError:
-        """Return the error that nothing shows an image: `is_bare` for lack of texture coordinates, or `why` else."""
-        if self._missing:
-            reason = next(iter(self._missing))
-            cause = f"its {self._slot} texture cannot be read: {reason}"
-            return UnpaintedError(name, cause, remedy_for(reason))
-        if is_bare:
-            cause = f"it has a {self._slot} texture, but no texture coordinates for it"
-            return InputError(name, cause, "export it with them")
-        reason = f", because {why}" if why else ""
-        return UnpaintedError(name, f"it has no {self._slot} texture{reason}", remedy_for(reason))
-
-
-class MeshImages:
-    """The images of a mesh while its materials are read; one that stands for a set of tiles is in `sets`."""
-
-    def __init__(self) -> None:
-        self.images: list[MeshImage] = []
-        self.sets: dict[int, dict[Tile, int]] = {}
-        self._index_of: dict[str, int] = {}
-
-    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> int:
-        """Take an image, or what reads it, once; return its number."""
-        if key not in self._index_of:
-            data = content if isinstance(content, bytes) else content()
-            self._index_of[key] = len(self.images)
-            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
-        return self._index_of[key]
-
-    def take_file(self, path: str, sets: TileSets, read: Callable[[str], bytes]) -> int:
-        """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
-        if path in self._index_of or path not in sets:
-            return self.take(path, path.rpartition("/")[2], lambda: read(path))
-        tiles = {tile: self.take_file(file, sets, read) for tile, file in sets[path].items()}
-        self._index_of[path] = len(self.images)
-        self.sets[len(self.images)] = tiles
-        self.images.append(self.images[next(iter(tiles.values()))])
-        return self._index_of[path]
 
 
 def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
@@ -219,11 +74,6 @@ def plain_name(name: str) -> str:
     except UnicodeEncodeError:
         return line.encode(errors="surrogateescape").decode("latin-1")
     return line
-
-
-def usable_coordinates(uv: Float64s) -> Float64s:
-    """Return texture coordinates, NaN where single precision does not hold them."""
-    return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
 
 
 def with_images(mesh: TexturedMesh, images: NewImages) -> TexturedMesh:
@@ -305,29 +155,3 @@ def shown_materials(
     """Return the materials that triangles have, and which of these each has."""
     used, number_of = np.unique(material_of, return_inverse=True)
     return tuple(materials[index] for index in used), number_of.astype(np.int32)
-
-
-def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> TexturedMesh:
-    """Return a mesh with a material for each tile; `sets` are the images of tiles, by one image that stands for all."""
-    if not sets:
-        return mesh
-    tiled = [any(shown.image in sets for shown in each.maps.values()) for each in mesh.materials]
-    material_of = mesh.material_numbers.copy()
-    faces = np.flatnonzero(np.array(tiled)[material_of] & np.isfinite(mesh.uv).all(axis=(1, 2)))
-    tiles = tiles_under(mesh.uv[faces])
-    uv, materials = mesh.uv.copy(), list(mesh.materials)
-    uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
-    pairs = np.column_stack([material_of[faces], tiles]).astype(np.int64)
-    rows, number_of = np.unique(pairs, axis=0, return_inverse=True)
-    for old, *place in rows.tolist():
-        tile, material = (place[0], place[1]), mesh.materials[old]
-        maps = {
-            slot: dataclasses.replace(shown, image=image)
-            for slot, shown in material.maps.items()
-            if (image := sets.get(shown.image, {tile: shown.image}).get(tile)) is not None
-        }
-        name = tile_name(f"{material.name or 'tile'}_<UDIM>", tile)
-        materials.append(dataclasses.replace(material, name=name, maps=maps))
-    material_of[faces] = len(mesh.materials) + number_of.reshape(-1)
-    shown, material_of = shown_materials(materials, material_of)
-    return dataclasses.replace(mesh, uv=uv, materials=shown, material_of=material_of)

@@ -292,7 +292,7 @@ def test_files_without_images_or_coordinates_have_no_slot(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "cause"),
     [([[[0, 1, 2], [0.0] * 4, 0]], "4 numbers"), ([[[0, 1, 2], [0.0] * 6, 3]], "texture 3"),
-     ([[[0, 1, 2], [0.0] * 5 + [float("inf")], 0]], "not finite")],
+     ([[[0, 1, 2], [0.0] * 5 + [float("inf")], 0]], "no texture coordinates")],
 )  # fmt: skip
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_damaged_coordinates_are_refused(tmp_path, rows, cause, encoding):

@@ -39,7 +39,6 @@ from beltrami_cli.formats.obj.texturing import (
     read_coordinates,
     read_textured_mesh,
 )
-from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
 from beltrami_cli.formats.tokens import (
     PLACEHOLDER,
     Spans,
@@ -148,8 +147,6 @@ class ObjDocument(Document):
         statements, vertices = Statements(self.data, self.name), self._scan.vertices
         source = Path(self.name).stem
         mesh = read_textured_mesh(statements, self._scan, self._coordinates, self._materials, source)
-        if (np.diff(self._scan.offsets) > 3).any():
-            mesh = dataclasses.replace(mesh, left_out=(*mesh.left_out, POLYGONS_CUT))
         if not vertices.coloured.size:
             return mesh
         if len(vertices.coloured) < len(vertices.positions):

@@ -150,9 +150,9 @@ class Materials:
                         self._shown[found.material, slot] = found, file
             known |= library.materials
 
-    def painting(self, material: str, slot: Slot) -> tuple[Map, str | None] | None:
-        """Return the map that a material has in a slot, and its file if that can be used."""
-        return self._shown.get((material, slot))
+    def paintings(self, material: str) -> dict[Slot, tuple[Map, str | None]]:
+        """Return the map that a material has in each slot, and its file if that can be used."""
+        return {slot: self._shown[material, slot] for slot in PAINTED if (material, slot) in self._shown}
 
     def reason(self, name: str) -> str:
         return self._reasons.get(name, "cannot be read").rstrip(".")

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError
-from beltrami_cli.formats import textured_mesh
+from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.obj.materials import ALONG, PAINTED, SLOTS, Map, Materials
+from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Scan, Statements, unit_normals
-from beltrami_cli.surface import records, tiling
-from beltrami_cli.surface.geometry import triangulate_corners
+from beltrami_cli.formats.scene import MeshImages, Scene, ShownMap
+from beltrami_cli.formats.textured_mesh import alpha_mode
+from beltrami_cli.surface import records
+from beltrami_cli.surface.records import Material
 
 
 @dataclass(frozen=True)
@@ -59,177 +60,120 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
     return [os.fsdecode(name) for name in numbers], np.where(last < 0, -1, numbered[np.maximum(last, 0)])
 
 
+_Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
+_AS_THEY_ARE: _Placed = ((1.0, 1.0), (0.0, 0.0))
+_Found = dict[
+    records.Slot, tuple[Map, str | None]
+]  # maps of a material, with their files if these can be used
+
+
 def gather_textured(
     scan: Scan, coordinates: Coordinates, materials: Materials, slot: records.Slot, name: str
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Return all triangles, the images of one slot of their materials, and notices."""
-    positions, corners = scan.vertices.positions, scan.corners
-    palette = _Palette(materials, slot, len(coordinates.names))
-    for material in np.unique(coordinates.material_of).tolist():
-        palette.take(material, coordinates.names[material] if material >= 0 else "")
-    cut, polygon = _triangles(scan)
-    material_of = coordinates.material_of[polygon]
-    bare = (coordinates.corners[cut] < 0).any(axis=1)
-    texture_of = np.where(bare, -1, palette.texture_of[material_of])
-    if (texture_of == -1).all():
-        raise palette.shown.refusal(name, is_bare=len(palette.shown) > 0, why=palette.undefined)
-    uv = np.append(coordinates.values, [[0.0, 0.0]], axis=0)[coordinates.corners[cut]]
-    with np.errstate(over="ignore", invalid="ignore"):
-        uv = uv * palette.scale[material_of][:, None, :] + palette.offset[material_of][:, None, :]
-    uv[:, :, 1] = 1 - uv[:, :, 1]
-    if not np.isfinite(uv[texture_of != -1]).all():
-        raise InputError(name, "the options of a texture map move texture coordinates to infinity")
-    notices = palette.shown.notices()
-    lost = int(np.count_nonzero(bare & (palette.texture_of[material_of] != -1)))
-    if lost:
-        notices.append(f"{lost} triangles of textured materials have no texture coordinates.")
-    texture_of, textures = texture_of.astype(np.int32), palette.shown.textures()
-    surface = records.TexturedSurface(positions, corners[cut], uv, texture_of, textures)
-    if palette.shown.sets:
-        surface = tiling.on_tiles(surface, palette.shown.sets, name)
-    return surface, notices
+    found = [materials.paintings(material) for material in (*coordinates.names, "")]
+    defined = set[str]().union(*(library.materials for library in materials.libraries))
+    unknown = next((material for material in coordinates.names if material not in defined), None)
+    undefined = "" if unknown is None else f"no library has its material '{unknown}'"
+    return _scene(scan, coordinates, materials, found, name).surface(slot, undefined)
 
 
-def _triangles(scan: Scan) -> tuple[Int32s, Int64s]:
-    """Return indices into corners, and polygons, of the triangles whose vertices all have a position."""
-    cut, polygon = triangulate_corners(scan.vertices.positions, scan.corners, scan.offsets)
-    kept = scan.vertices.finite[scan.corners[cut]].all(axis=1)
-    return (cut, polygon) if kept.all() else (cut[kept], polygon[kept])
+def _scene(
+    scan: Scan, coordinates: Coordinates, materials: Materials, found: Sequence[_Found], name: str
+) -> Scene:
+    """Return the polygons of a file with the maps that were found for its materials, polygons without one last."""
+    unnamed, known = len(coordinates.names), coordinates.material_of
+    material_of = np.where(known < 0, unnamed, known)
 
+    def uv(slot: records.Slot | None) -> Float64s:
+        values = np.append(coordinates.values, [[np.nan, np.nan]], axis=0)[coordinates.corners]
+        shown = [maps[slot][0] if slot is not None and slot in maps else None for maps in found]
+        placed = [_AS_THEY_ARE if each is None else (each.scale, each.offset) for each in shown]
+        if {*placed} != {_AS_THEY_ARE}:
+            of_corner = np.repeat(material_of, np.diff(scan.offsets))
+            scale, offset = (np.array(each)[of_corner] for each in zip(*placed, strict=True))
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = values * scale + offset
+        return values
 
-class _Palette:
-    """The images of one slot by material; arrays are indexed by material, -1 being the last row."""
-
-    def __init__(self, materials: Materials, slot: records.Slot, count: int) -> None:
-        self._materials, self._slot = materials, slot
-        self.shown = textured_mesh.SlotImages(slot)
-        self.texture_of = np.full(count + 1, -1, np.int64)
-        self.undefined = ""  # why a material is not known
-        self.scale, self.offset = np.ones((count + 1, 2)), np.zeros((count + 1, 2))
-
-    def take(self, number: int, material: str) -> None:
-        """Take up what a material has in the slot."""
-        painting = self._materials.painting(material, self._slot)
-        if painting is None:
-            if material and not any(material in library.materials for library in self._materials.libraries):
-                self.undefined = f"no library has its material '{material}'"
-            return
-        found, path = painting
-        folder, shown = self._materials.folder, None
-        if path is not None:
-            known = path, folder.tiles, material, _wrap(found), folder.content
-            shown = self.shown.show_files(*known, left_out=(InputError,))
-        if shown is None:
-            self.shown.miss(f"'{found.name}' {self._materials.reason(found.name)}", material)
-            return
-        self.texture_of[number] = shown
-        self.scale[number], self.offset[number] = found.scale, found.offset
+    return Scene(
+        name=name,
+        positions=scan.vertices.positions,
+        corners=scan.corners,
+        offsets=scan.offsets,
+        material_of=material_of,
+        materials=(*coordinates.names, ""),
+        maps=[
+            {
+                slot: ShownMap(shown.name, path, materials.reason(shown.name), _wrap(shown))
+                for slot, (shown, path) in maps.items()
+            }
+            for maps in found
+        ],
+        uv=uv,
+        tiles=materials.folder.tiles,
+        read=materials.folder.content,
+        measured=scan.vertices.finite,
+    )
 
 
 _VALUE = re.compile(
     rb"^(?:\xef\xbb\xbf)?[ \t]*+(newmtl|kd|ke|d|tr|pm|pr)[ \t]++([^\r\n]*[^\s])", re.IGNORECASE | re.MULTILINE
 )
-_Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
 
 
 def read_textured_mesh(
     statements: Statements, scan: Scan, coordinates: Coordinates, materials: Materials, source: str
 ) -> records.TexturedMesh:
     """Return all triangles of a file, with their materials, groups, normals and texture coordinates."""
-    cut, polygon = _triangles(scan)
-    if not len(cut):
-        raise InputError(source, "it has no faces, so there is nothing to show a texture")
-    reading = _Reading(materials)
-    unnamed = len(coordinates.names)
-    for name in [*coordinates.names, ""]:
-        reading.take(name)
-    numbers = np.where(coordinates.material_of < 0, unnamed, coordinates.material_of)[polygon]
-    uv = np.append(coordinates.values, [[np.nan, np.nan]], axis=0)[coordinates.corners[cut]]
-    scale, offset = (np.array(values)[numbers] for values in zip(*reading.placed, strict=True))
-    with np.errstate(over="ignore", invalid="ignore"):
-        uv = textured_mesh.usable_coordinates(uv * scale[:, None] + offset[:, None])
-    uv[..., 1] = 1 - uv[..., 1]
-    shown, material_of = textured_mesh.shown_materials(reading.materials, numbers)
-    groups, group_of, lost = _groups(statements, polygon)
+    names, values = (*coordinates.names, ""), _read_values(materials)
+    groups, group_of, lost = _groups(statements)
     lost += ["lines and points"] if "lines and points" in scan.dropped else []
-    mesh = records.TexturedMesh(
-        positions=scan.vertices.positions,
-        faces=scan.corners[cut],
-        uv=uv,
-        materials=shown,
-        images=tuple(reading.shown.images),
-        source=source,
-        material_of=material_of,
-        groups=groups,
-        group_of=group_of,
-        normals=_normals(statements)[cut] if "normals" in scan.dropped else None,
-        left_out=(*lost, *reading.left_out),
-    )
-    return textured_mesh.on_tiles(mesh, reading.shown.sets)
+    found = [_converted_maps(materials, name, lost) for name in names]
+
+    def material(
+        number: int, maps: Mapping[records.Slot, records.MaterialMap], images: MeshImages
+    ) -> Material:
+        image = images.images[maps["baseColor"].image] if "baseColor" in maps else None
+        alpha = "opaque" if image is None else alpha_mode(image.file.data, image.name)
+        return _material(names[number], values.get(names[number], {}), maps, alpha)
+
+    normals = _normals(statements) if "normals" in scan.dropped else None
+    scene = _scene(scan, coordinates, materials, found, statements.name)
+    return scene.mesh(material, lost, (groups, group_of), normals, source)
 
 
-class _Reading:
-    """Materials and images while they are taken one by one."""
+def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _Found:
+    """Return the maps of a material that other formats can have, and note the others."""
+    found = materials.paintings(name)
+    normal, path = found.get("normal", (None, None))
+    if normal is not None and path is not None and normal.keyword != "norm" and _is_grey(materials, path):
+        left_out.append("bump maps, which are heights and no normals")
+        del found["normal"]
+    known = (each for library in materials.libraries for each in library.maps)
+    maps = {
+        shown.keyword: (shown, path) for shown, path in known if shown.material == name and path is not None
+    }
+    rough, metal = maps.pop("map_pr", None), maps.pop("map_pm", None)
+    base = maps.get("map_kd", (None, None))[1]
+    left_out += [
+        f"{keyword} maps"
+        for keyword, (_, path) in maps.items()
+        if keyword not in SLOTS and not (keyword in ALONG and path == base)
+    ]
+    # One image has both metalness and roughness; other maps are left out.
+    if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):
+        return found | {"metallicRoughness": rough}
+    lost = {"map_pr": rough, "map_pm": metal}
+    left_out += [f"{keyword} maps in images of their own" for keyword, each in lost.items() if each]
+    return found
 
-    def __init__(self, materials: Materials) -> None:
-        self._materials = materials
-        self._values = _read_values(materials)
-        self.materials: list[records.Material] = []
-        self.placed: list[_Placed] = []
-        self.shown = textured_mesh.MeshImages()
-        self.left_out: list[str] = []
 
-    def take(self, name: str) -> None:
-        """Take a material, and the images that it shows."""
-        found = {slot: painting for slot in PAINTED if (painting := self._materials.painting(name, slot))}
-        maps: dict[records.Slot, records.MaterialMap] = {}
-        placed: _Placed | None = None
-        for slot, (shown, path) in found.items():
-            if path is None:
-                self.left_out.append(f"the {slot} map '{shown.name}', which cannot be read")
-            elif placed not in (None, (shown.scale, shown.offset)):
-                self.left_out.append(f"{slot} maps that are placed otherwise than the base colour")
-            elif slot == "normal" and shown.keyword != "norm" and self._is_grey(path):
-                self.left_out.append("bump maps, which are heights and no normals")
-            else:
-                placed = shown.scale, shown.offset
-                maps[slot] = records.MaterialMap(self._image(path), _wrap(shown))
-        maps |= self._metal(name)
-        base = maps.get("baseColor")
-        image = None if base is None else self.shown.images[base.image]
-        alpha = "opaque" if image is None else textured_mesh.alpha_mode(image.file.data, image.name)
-        self.materials.append(_material(name, self._values.get(name, {}), maps, alpha))
-        self.placed.append(placed or ((1.0, 1.0), (0.0, 0.0)))
-
-    def _metal(self, name: str) -> dict[records.Slot, records.MaterialMap]:
-        # One image has both metalness and roughness; other maps are left out.
-        known = ((shown, path) for library in self._materials.libraries for shown, path in library.maps)
-        maps = {
-            shown.keyword: (shown, path)
-            for shown, path in known
-            if shown.material == name and path is not None
-        }
-        rough, metal = maps.pop("map_pr", None), maps.pop("map_pm", None)
-        base = maps.get("map_kd", (None, None))[1]
-        self.left_out += [
-            f"{keyword} maps"
-            for keyword, (_, path) in maps.items()
-            if keyword not in SLOTS and not (keyword in ALONG and path == base)
-        ]
-        if rough and metal and rough[1] == metal[1] and (rough[0].channel, metal[0].channel) == ("g", "b"):
-            return {"metallicRoughness": records.MaterialMap(self._image(rough[1]), _wrap(rough[0]))}
-        lost = {"map_pr": rough, "map_pm": metal}
-        self.left_out += [f"{keyword} maps in images of their own" for keyword, each in lost.items() if each]
-        return {}
-
-    def _image(self, path: str) -> int:
-        return self.shown.take_file(path, self._materials.folder.tiles, self._materials.folder.content)
-
-    def _is_grey(self, path: str) -> bool:
-        file = self._materials.folder.files(path)[0]
-        picture = read_image(self._materials.folder.content(file), file, finite=False)
-        colours = picture.pixels[..., list(picture.colour)]
-        return bool((colours == colours[..., :1]).all())
+def _is_grey(materials: Materials, path: str) -> bool:
+    file = materials.folder.files(path)[0]
+    picture = read_image(materials.folder.content(file), file, finite=False)
+    colours = picture.pixels[..., list(picture.colour)]
+    return bool((colours == colours[..., :1]).all())
 
 
 def _wrap(shown: Map) -> tuple[records.Wrap, records.Wrap]:
@@ -239,7 +183,7 @@ def _wrap(shown: Map) -> tuple[records.Wrap, records.Wrap]:
 def _material(
     name: str,
     values: dict[str, list[float]],
-    maps: dict[records.Slot, records.MaterialMap],
+    maps: Mapping[records.Slot, records.MaterialMap],
     alpha: records.AlphaMode,
 ) -> records.Material:
     """Return a material; with a map its colour counts as white, as in other programs."""
@@ -285,19 +229,18 @@ def _numbers(text: bytes) -> list[float]:
     return values if np.isfinite(values).all() else []
 
 
-def _normals(statements: Statements) -> Float32s:
+def _normals(statements: Statements) -> Float64s:
     rows, _, _ = statements.corners(b"vn")
-    values = np.append(unit_normals(statements), [[np.nan] * 3], axis=0)
-    return values[rows].astype(np.float32)
+    return np.append(unit_normals(statements), [[np.nan] * 3], axis=0)[rows]
 
 
-def _groups(statements: Statements, polygon: Int64s) -> tuple[tuple[str, ...], Int32s, list[str]]:
-    """Return the names of objects, or else of groups, which of them each triangle is in, and notices of losses."""
+def _groups(statements: Statements) -> tuple[tuple[str, ...], Int64s, list[str]]:
+    """Return the names of objects, or else of groups, which of them each polygon is in, and notices of losses."""
     polygons = statements.select(b"f")
     given = {keyword: statements.select(keyword) for keyword in (b"o", b"g")}
     chosen = given[b"o"] if given[b"o"].size else given[b"g"]
     names = ["", *(os.fsdecode(statements.rest(each)[0]) for each in chosen.tolist())]
     known = {name: number for number, name in enumerate(dict.fromkeys(names))}
-    numbers = np.array([known[name] for name in names], np.int32)
+    numbers = np.array([known[name] for name in names])
     lost = ["groups within objects"] if given[b"o"].size and len(given[b"g"]) > len(given[b"o"]) else []
-    return tuple(known), numbers[np.searchsorted(chosen, polygons)][polygon], lost
+    return tuple(known), numbers[np.searchsorted(chosen, polygons)], lost

@@ -24,7 +24,7 @@ from beltrami_cli.formats.document import (
     PlannedImages,
     Written,
 )
-from beltrami_cli.formats.model_folder import ModelFolder, is_outside
+from beltrami_cli.formats.model_folder import LEFT_ALONE, ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, texturing
 from beltrami_cli.formats.ply.tables import (
     Header,
@@ -36,7 +36,7 @@ from beltrami_cli.formats.ply.tables import (
     values_in_bytes,
     with_channels,
 )
-from beltrami_cli.formats.textured_mesh import POLYGONS_CUT
+from beltrami_cli.formats.scene import Scene
 from beltrami_cli.surface.geometry import dual
 from beltrami_cli.surface.records import (
     MeshContents,
@@ -108,12 +108,18 @@ class PlyDocument(Document):
     def _gathered(self, slot: Slot) -> TexturedSurface:
         if slot != "baseColor":
             return super()._gathered(slot)
-        mesh = self._positions, *self._polygons
-        surface, notices = texturing.gather_textured(
-            mesh, self._tables, self._images, self._folder, self.name
-        )
+        lost = [f"'{each.name}' {each.reason}" for each in self._images if each.path is None]
+        undefined = [*lost, "no face shows one"][0].removesuffix(LEFT_ALONE)
+        surface, notices = self._textured_scene.surface(slot, undefined)
         self.notices += notices
         return surface
+
+    @cached_property
+    def _textured_scene(self) -> Scene:
+        mesh = self._positions, *self._polygons
+        scene, notices = texturing.read_scene(mesh, self._tables, self._images, self._folder, self.name)
+        self.notices += notices
+        return scene
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         sidecars, spans = texturing.renamed_images(self._images, new.images, self.name, naming)
@@ -205,9 +211,9 @@ class PlyDocument(Document):
         dropped = _left_out(self._header, used, {texturing.NUMBER, *used})
         others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or others]
-        left_out += [POLYGONS_CUT] if (np.diff(self._polygons[1]) > 3).any() else []
-        surface, source = self.textured("baseColor"), Path(self.name).stem
-        return texturing.mesh_of_surface(surface, self._normals(), shown, source, tuple(left_out))
+        source = Path(self.name).stem
+        mesh = texturing.read_mesh(self._textured_scene, self._normals(), source, left_out)
+        return dataclasses.replace(mesh, colours=shown)
 
     @property
     def _converted(self) -> set[str]:

@@ -11,19 +11,20 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.errors import InputError
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.document import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
-from beltrami_cli.formats.textured_mesh import MeshImages, alpha_mode, usable_coordinates
+from beltrami_cli.formats.scene import Maps, MeshImages, Scene, ShownMap
+from beltrami_cli.formats.textured_mesh import alpha_mode
 from beltrami_cli.formats.tokens import Spans
 from beltrami_cli.surface import records
-from beltrami_cli.surface.geometry import triangulate_corners
 
 _COMMENT = re.compile(rb"(?:\n|\r)comment[ \t]+TextureFile[ \t:]++([^\r\n]*[^\s])", re.IGNORECASE)
 _PREFIXES = ("", "texture_", "texcoord_", "tex_", "t")
@@ -83,39 +84,42 @@ def find_coordinates(tables: Mapping[str, Table]) -> tuple[str, ...]:
     return tuple(known[name] for name in names)
 
 
-def gather_textured(
+def read_scene(
     mesh: tuple[Float64s, Int32s, Int64s],
     tables: Mapping[str, Table],
     comments: Sequence[TextureComment],
     folder: model_folder.ModelFolder,
     name: str,
-) -> tuple[records.TexturedSurface, list[str]]:
-    """Return all triangles with their texture coordinates, the images, and notices."""
+) -> tuple[Scene, list[str]]:
+    """Return the polygons with a material for each image, named after it, and one without; and notices."""
     positions, corners, offsets = mesh
     properties = find_coordinates(tables)
     if not comments or not properties:
         cause = "no texture coordinates" if comments else "no 'comment TextureFile' that names an image"
         raise InputError(name, f"it has no texture: {cause}")
     numbers, notices = _numbers(tables, len(offsets) - 1, len(comments), name)
-    textures, of_number, unreadable = _load(comments, folder)
-    notices += unreadable
     if properties == (_ARTEC_CORNERS,):
-        values, bare = _artec_coordinates(tables, offsets, name)
+        uv = _artec_coordinates(tables, offsets, name)
     elif len(properties) == 1:
-        values, bare = _face_coordinates(tables["face"].lists(properties[0]), offsets, name)
+        uv = _face_coordinates(tables["face"].lists(properties[0]), offsets, name)
     else:
-        values = finite_columns(tables["vertex"], properties, "texture coordinate")[corners]
-        bare = np.zeros(len(offsets) - 1, np.bool_)
-    cut, polygon = triangulate_corners(positions, corners, offsets)
-    texture_of = np.where(bare, -1, of_number[numbers])[polygon]
-    if not (texture_of >= 0).any():
-        missing = [f"'{c.name}' {c.reason}" for c in comments if c.path is None]
-        why = [*missing, *unreadable, "no face shows one"][0].removesuffix(model_folder.LEFT_ALONE)
-        cause = f"it has no texture that can be shown: {why}"
-        raise UnpaintedError(name, cause, model_folder.remedy_for(cause))
-    uv = values[cut] * [1, -1] + [0, 1]
-    surface = records.TexturedSurface(positions, corners[cut], uv, texture_of.astype(np.int32), textures)
-    return surface, notices
+        uv = finite_columns(tables["vertex"], properties, "texture coordinate")[corners]
+    images: list[Maps] = [
+        {"baseColor": ShownMap(each.name, each.path)} if each.path else {} for each in comments
+    ]
+    scene = Scene(
+        name=name,
+        positions=positions,
+        corners=corners,
+        offsets=offsets,
+        material_of=np.where(numbers < 0, len(comments), numbers),
+        materials=[*(PurePosixPath(each.path or "").stem for each in comments), "untextured"],
+        maps=[*images, {}],
+        uv=lambda _: uv,
+        tiles={},
+        read=folder.content,
+    )
+    return scene, notices
 
 
 def _numbers(
@@ -139,27 +143,6 @@ def _numbers(
     return numbers, []
 
 
-def _load(
-    comments: Sequence[TextureComment], folder: model_folder.ModelFolder
-) -> tuple[tuple[records.Texture, ...], Int64s, list[str]]:
-    """Return each image once, which of them every number means (the last row: -1), and the unreadable ones."""
-    textures: dict[str, records.Texture] = {}
-    unreadable = []
-    of_number = np.full(len(comments) + 1, -1, np.int64)
-    for number, comment in enumerate(comments):
-        path = comment.path
-        if path is None:
-            continue
-        try:
-            if path not in textures:
-                textures[path] = records.Texture(path, path.rpartition("/")[2], folder.read(path))
-            of_number[number] = list(textures).index(path)
-        except OSError as error:
-            reason = f"cannot be read ({error.strerror})"
-            unreadable.append(f"'{comment.name}' {reason}{model_folder.LEFT_ALONE}")
-    return tuple(textures.values()), of_number, unreadable
-
-
 def _artec_faces(rows: Table, polygons: int, name: str) -> Int64s:
     """Return which polygon each row of Artec's texture faces is."""
     if _ARTEC_FACE not in rows.element.scalars:
@@ -170,7 +153,7 @@ def _artec_faces(rows: Table, polygons: int, name: str) -> Int64s:
     return faces
 
 
-def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
+def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) -> Float64s:
     """Look up coordinates of every corner as `_face_coordinates` does, by Artec's elements."""
     vertices, rows = (tables[element] for element in _ARTEC)
     if not (
@@ -191,14 +174,13 @@ def _artec_coordinates(tables: Mapping[str, Table], offsets: Int64s, name: str) 
         raise InputError(
             name, f"element {_ARTEC[1]} has other numbers of corners than its faces", "export it again"
         )
-    values, bare = np.zeros((int(offsets[-1]), 2)), np.ones(len(offsets) - 1, np.bool_)
+    values = np.full((int(offsets[-1]), 2), np.nan)
     values[np.repeat(offsets[faces] - bounds[:-1], lengths) + np.arange(len(chosen))] = uv[chosen]
-    bare[faces] = False
-    return values, bare
+    return values
 
 
-def _face_coordinates(lists: tuple[Array, Int64s], offsets: Int64s, name: str) -> tuple[Float64s, Bools]:
-    """Return coordinates of every corner, shape (K, 2), and which polygons have none."""
+def _face_coordinates(lists: tuple[Array, Int64s], offsets: Int64s, name: str) -> Float64s:
+    """Return coordinates of every corner, shape (K, 2), NaN for polygons that have none."""
     items, bounds = lists
     sizes, lengths = np.diff(offsets), np.zeros(len(offsets) - 1, np.int64)
     lengths[: len(bounds) - 1] = np.diff(bounds)
@@ -207,15 +189,10 @@ def _face_coordinates(lists: tuple[Array, Int64s], offsets: Int64s, name: str) -
         row = int(np.argmax(wrong))
         cause = f"face {row} has {sizes[row]} corners, but {lengths[row]} numbers of texture coordinates"
         raise InputError(name, cause)
-    bare = lengths == 0
-    values = np.zeros((int(offsets[-1]), 2))
+    values = np.full((int(offsets[-1]), 2), np.nan)
     with np.errstate(invalid="ignore"):  # Signalling NaNs warn when they are made wider.
-        values[~np.repeat(bare, sizes)] = items.reshape(-1, 2)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        row = int(np.searchsorted(offsets, int(np.argmin(finite)), side="right")) - 1
-        raise InputError(name, f"a texture coordinate of face {row} is not finite", "repair the file")
-    return values, bare
+        values[np.repeat(lengths > 0, sizes)] = items.reshape(-1, 2)
+    return values
 
 
 def renamed_images(
@@ -245,32 +222,17 @@ def renamed_images(
     return names.written(), spans
 
 
-def mesh_of_surface(
-    surface: records.TexturedSurface,
-    normals: Float32s | None,
-    colours: records.VertexColours | None,
-    source: str,
-    left_out: tuple[str, ...],
+def read_mesh(
+    scene: Scene, normals: Float32s | None, source: str, left_out: Sequence[str]
 ) -> records.TexturedMesh:
-    """Return a surface as a mesh with a material for each image, named after it; normals and colours by vertex."""
-    shown, materials = MeshImages(), []
-    for each in surface.textures:
-        painting = records.MaterialMap(shown.take(each.key, each.name, each.data), each.wrap)
-        name, alpha = each.name.rpartition(".")[0], alpha_mode(each.data, each.name)
-        materials.append(records.Material(name, {"baseColor": painting}, alpha=alpha))
-    bare = surface.texture_of < 0
-    uv = np.where(bare[:, None, None], np.nan, usable_coordinates(surface.uv))
-    if bare.any():
-        materials.append(records.Material("untextured"))
-    return records.TexturedMesh(
-        positions=surface.positions,
-        faces=surface.faces,
-        uv=uv,
-        materials=tuple(materials),
-        images=tuple(shown.images),
-        source=source,
-        material_of=np.where(bare, len(surface.textures), surface.texture_of).astype(np.int32),
-        normals=None if normals is None else normals[surface.faces],
-        colours=colours,
-        left_out=left_out,
-    )
+    """Return all polygons as triangles with materials; normals by vertex."""
+
+    def material(
+        number: int, maps: Mapping[records.Slot, records.MaterialMap], images: MeshImages
+    ) -> records.Material:
+        shown = [images.images[each.image] for each in maps.values()]
+        alpha = alpha_mode(shown[0].file.data, shown[0].name) if shown else "opaque"
+        return records.Material(scene.materials[number], maps, alpha=alpha)
+
+    of_corners = None if normals is None else normals[scene.corners]
+    return scene.mesh(material, left_out, normals=of_corners, source=source)

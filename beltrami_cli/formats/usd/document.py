@@ -113,7 +113,7 @@ class UsdDocument(Document):
         return self._textures.slots()
 
     def _gathered(self, slot: Slot) -> TexturedSurface:
-        surface, notices = self._textures.surface(slot)
+        surface, notices = self._textures.scene.surface(slot)
         self.notices += notices
         return surface
 

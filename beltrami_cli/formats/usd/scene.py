@@ -141,7 +141,6 @@ class Scene:
         self.add(material_of=of_polygon)
         for slot in INPUTS:
             uv = np.full((len(polygons.vertex), 2), np.nan)
-            use_of = np.full(len(polygons.sizes), -1)
             for number in np.unique(of_polygon[of_polygon >= 0]).tolist():
                 use = self.materials[number]["uses"].get(slot)
                 if use is None:
@@ -151,11 +150,9 @@ class Scene:
                 if own is None:
                     self.counts["bare"] += 1
                     continue
-                chosen = of_polygon == number
-                use_of[chosen] = use
-                in_chosen = np.repeat(chosen, polygons.sizes)
+                in_chosen = np.repeat(of_polygon == number, polygons.sizes)
                 uv[in_chosen] = own[in_chosen]
-            self.add(**{f"uv {slot}": uv, f"use {slot}": use_of})
+            self.add(**{f"uv {slot}": uv})
 
     def _material(self, material: Any) -> int:
         if not material:

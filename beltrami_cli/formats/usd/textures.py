@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any, get_args
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Array, Float32s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import textured_mesh
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.document import NewImages
-from beltrami_cli.formats.model_folder import LEFT_ALONE, UnfitReferenceError
+from beltrami_cli.formats.model_folder import UnfitReferenceError
+from beltrami_cli.formats.scene import SLOTS, MeshImages, Scene, ShownMap
 from beltrami_cli.formats.usd.layers import Layers
-from beltrami_cli.surface import records, tiling
-from beltrami_cli.surface.geometry import triangulate_corners
-
-_ALL: tuple[records.Slot, ...] = get_args(records.Slot)
+from beltrami_cli.surface import records
 
 
 class Textures:
@@ -33,10 +32,10 @@ class Textures:
                 self._path_of.append(layers.locate(use["file"]))
             except UnfitReferenceError as error:
                 self._path_of.append(None)
-                self._reasons[number] = f"'{use['file']}' {error}"
+                self._reasons[number] = str(error)
 
     def slots(self) -> tuple[records.Slot, ...]:
-        return tuple(slot for slot in _ALL if slot in self._words["slots"])
+        return tuple(slot for slot in SLOTS if slot in self._words["slots"])
 
     def _uses(self, slot: records.Slot) -> list[int]:
         materials = self._words["materials"]
@@ -92,96 +91,45 @@ class Textures:
         replaced = {file for path in gone for file in self._layers.folder.files(path)}
         return [file for file in self.files() if file not in replaced]
 
-    def surface(self, slot: records.Slot) -> tuple[records.TexturedSurface, list[str]]:
-        """Return all triangles and the images of a slot, and notices."""
-        positions, cut, polygon = self._triangles
-        shown = textured_mesh.SlotImages(slot)
-        texture_of_use = np.full(len(self._path_of) + 1, -1)
-        for number in dict.fromkeys(self._uses(slot)):
-            use, path = self._words["uses"][number], self._path_of[number]
-            if path is not None:
-                known = path, self._layers.folder.tiles, use["material"], tuple(use["wrap"])
-                texture_of_use[number] = shown.show_files(*known, self._layers.image)
-            else:
-                shown.miss(self._reasons[number], use["material"])
-        texture_of = texture_of_use[self._arrays[f"use {slot}"][polygon]]
-        uv = self._arrays[f"uv {slot}"][cut]
-        texture_of[~np.isfinite(uv).all(axis=(1, 2))] = -1
-        if (texture_of == -1).all():
-            raise shown.refusal(self._name, is_bare=len(shown) > 0)
-        uv = np.where((texture_of == -1)[:, None, None], 0.0, uv)
-        uv[..., 1] = 1 - uv[..., 1]
-        faces = self._arrays["corners"][cut].astype(np.int32)
-        surface = records.TexturedSurface(positions, faces, uv, texture_of.astype(np.int32), shown.textures())
-        if shown.sets:
-            surface = tiling.on_tiles(surface, shown.sets, self._name)
-        return surface, shown.notices()
-
     @property
-    def _triangles(self) -> tuple[Float64s, Int64s, Int64s]:
-        """Positions, and for each triangle its corners among the polygons' corners, and its polygon."""
-        if not len(self._arrays.get("sizes", ())):
+    def scene(self) -> Scene:
+        words, arrays = self._words, self._arrays
+        if not len(arrays.get("sizes", ())):
             raise InputError(self._name, "it has no polygons, so there is nothing to show a texture")
-        positions = self._arrays["positions"]
-        if not np.isfinite(positions).all():
+        if not np.isfinite(arrays["positions"]).all():
             raise InputError(self._name, "some places of its vertices are no finite numbers")
-        corners = self._arrays["corners"].astype(np.int32)
-        offsets = np.concatenate([[0], np.cumsum(self._arrays["sizes"])])
-        cut, polygon = triangulate_corners(positions, corners, offsets)
-        return positions, cut.astype(np.int64), polygon
+        known, corners = words["materials"], arrays["corners"].astype(np.int32)
+        bare = np.full((len(corners), 2), np.nan)
+        return Scene(
+            name=self._name,
+            positions=arrays["positions"],
+            corners=corners,
+            offsets=np.concatenate([[0], np.cumsum(arrays["sizes"])]),
+            material_of=np.where(arrays["material_of"] < 0, len(known), arrays["material_of"]),
+            materials=[*(material["name"] for material in known), ""],
+            maps=[*({slot: self._map(use) for slot, use in each["uses"].items()} for each in known), {}],
+            uv=lambda slot: arrays.get(f"uv {slot}", bare),
+            tiles=self._layers.folder.tiles,
+            read=self._layers.image,
+        )
+
+    def _map(self, number: int) -> ShownMap:
+        use = self._words["uses"][number]
+        return ShownMap(use["file"], self._path_of[number], self._reasons.get(number, ""), tuple(use["wrap"]))
 
     def mesh(self, source: str, colours: Float32s | None, left_out: Sequence[str]) -> records.TexturedMesh:
         """Return all triangles with their materials, groups, normals and texture coordinates."""
-        positions, cut, polygon = self._triangles
-        lost = [*left_out, *([textured_mesh.POLYGONS_CUT] if (self._arrays["sizes"] > 3).any() else [])]
-        numbers, known = self._arrays["material_of"][polygon], self._words["materials"]
-        numbers = np.where(numbers < 0, len(known), numbers)
-        uv, elsewhere = np.full((len(cut), 3, 2), np.nan), set[tuple[int, records.Slot]]()
-        for slot in self.slots():
-            own = self._arrays[f"uv {slot}"][cut]
-            fresh = np.isnan(uv).any(axis=(1, 2))
-            differs = ~fresh & ~np.isnan(own).any(axis=(1, 2)) & (own != uv).any(axis=(1, 2))
-            elsewhere |= {(number, slot) for number in numbers[differs].tolist()}
-            uv[fresh] = own[fresh]
-        uv = textured_mesh.usable_coordinates(uv)
-        uv[..., 1] = 1 - uv[..., 1]
-        lost += [f"{slot} maps that are placed otherwise than the base colour" for _, slot in elsewhere]
-        images = textured_mesh.MeshImages()
-        materials = []
-        for number, each in enumerate(known):
-            uses = {slot: use for slot, use in each["uses"].items() if (number, slot) not in elsewhere}
-            materials.append(self._material({**each, "uses": uses}, images, lost))
-        materials.append(records.Material())
-        shown, material_of = textured_mesh.shown_materials(materials, numbers)
-        normals = self._arrays["normals"][cut].astype(np.float32)
-        mesh = records.TexturedMesh(
-            positions=positions,
-            faces=self._arrays["corners"][cut].astype(np.int32),
-            uv=uv,
-            materials=shown,
-            images=tuple(images.images),
-            source=source,
-            material_of=material_of,
-            groups=tuple(self._words["meshes"]),
-            group_of=self._arrays["mesh_of"][polygon].astype(np.int32),
-            normals=None if np.isnan(normals).all() else normals,
-            colours=None if colours is None else self._by_vertex(colours),
-            left_out=tuple(lost),
-        )
-        return textured_mesh.on_tiles(mesh, images.sets)
+        groups = tuple(self._words["meshes"]), self._arrays["mesh_of"]
+        mesh = self.scene.mesh(self._material, left_out, groups, self._arrays["normals"], source)
+        return dataclasses.replace(mesh, colours=None if colours is None else self._by_vertex(colours))
 
     def _material(
-        self, known: dict[str, Any], images: textured_mesh.MeshImages, lost: list[str]
+        self, number: int, maps: Mapping[records.Slot, records.MaterialMap], images: MeshImages
     ) -> records.Material:
-        """Return a material, whose colours are linear light in USD; its images, or their lack, are noted."""
-        maps: dict[records.Slot, records.MaterialMap] = {}
-        for slot, use in known["uses"].items():
-            path = self._path_of[use]
-            if path is None:
-                lost.append(f"the {slot} map '{self._words['uses'][use]['file']}'{LEFT_ALONE[:-1]}")
-            else:
-                image = images.take_file(path, self._layers.folder.tiles, self._layers.image)
-                maps[slot] = records.MaterialMap(image, tuple(self._words["uses"][use]["wrap"]))
+        """Return a material, whose colours are linear light in USD."""
+        if number == len(self._words["materials"]):
+            return records.Material()
+        known = self._words["materials"][number]
         values = known["values"]
         opacity = values.get("opacity", 1.0)
         mask = values.get("opacityThreshold", 0.0) > 0
