@@ -280,14 +280,16 @@ class Scene:
         material_of = self.material_of[self.triangles[1]]
         uv, elsewhere = np.full((len(material_of), 3, 2), np.nan), set[tuple[int, Slot]]()
         for slot in (*(slot for slot in SLOTS if any(slot in maps for maps in self.maps)), None):
-            has_map = np.array([slot is None or slot in maps for maps in self.maps])[material_of]
-            own = usable_coordinates(self._coordinates(slot))
-            given = has_map & ~np.isnan(own).any(axis=(1, 2))
             fresh = np.isnan(uv).any(axis=(1, 2))
+            if slot is None and not fresh.any():
+                break
+            own = usable_coordinates(self._coordinates(slot))
+            has_map = np.array([slot is None or slot in maps for maps in self.maps])[material_of]
+            given = has_map & ~np.isnan(own).any(axis=(1, 2))
             if slot is not None:
                 differs = given & ~fresh & (own != uv).any(axis=(1, 2))
                 elsewhere |= {(number, slot) for number in np.unique(material_of[differs]).tolist()}
-            uv[given & fresh] = own[given & fresh]
+            np.copyto(uv, own, where=(given & fresh)[:, None, None])
         return uv, elsewhere
 
 
