@@ -1,4 +1,4 @@
-"""Metadata that OpenImageIO leaves out: of PNG, JPEG and WebP files, EXIF data, palettes, and how JPEG was quantised.
+"""Metadata that OpenImageIO leaves out: of PNG, JPEG and WebP files, EXIF data, and how JPEG was quantised.
 
 EXIF data have a place of their own in PNG, JPEG and WebP files, and are among the tags of TIFF files.
 
@@ -22,11 +22,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Float64s, Uint8s
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.formats.image import headers, tiff_tags
-from beltrami_cli.surface.large_arrays import blocks
 
 DAMAGED = (ValueError, LookupError, struct.error)
 """Errors that damaged metadata raise."""
@@ -34,34 +32,21 @@ DAMAGED = (ValueError, LookupError, struct.error)
 PNG_START, _JPEG_START = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _ANIMATION = (b"acTL", b"fcTL", b"fdAT")
 _OF_SAMPLES = (b"tRNS", b"sBIT", b"hIST", b"bKGD")  # PNG chunks that depend on the type of the samples
-_OF_OLD_ENTRIES = (b"tRNS", b"hIST")  # which come with a new palette, or fit the old one alone
-_OF_THE_ENCODER = (
-    b"sRGB",
-    b"gAMA",
-    b"cHRM",
-    b"oFFs",
-)  # which OpenImageIO adds, even to images with a profile
+# Which OpenImageIO adds, even to images with a profile.
+_OF_THE_ENCODER = (b"sRGB", b"gAMA", b"cHRM", b"oFFs")
 _RIFF_START = 12
 _WEBP_FLAGS = {b"ICCP": 0x20, b"EXIF": 0x08, b"XMP ": 0x04}
 _WEBP_ALPHA, _WEBP_ANIMATION = 0x10, 0x02
 _WEBP_PIXELS = (b"ALPH", b"VP8 ", b"VP8L")
 _WEBP_STRUCTURE = (b"VP8X", b"ANIM", b"ANMF", *_WEBP_PIXELS)
 _START_OF_SCAN, _END_OF_IMAGE = 0xDA, 0xD9
-_METADATA = (
-    0xFE,
-    *range(0xE0, 0xEE),
-    0xEF,
-)  # but Adobe's segment, which says how these very samples are coded
+# But Adobe's segment, which says how these very samples are coded.
+_METADATA = (0xFE, *range(0xE0, 0xEE), 0xEF)
 _MOST_BITS_OF_A_PALETTE = 8
 _MPF = b"MPF\0"  # the mark of an index of pictures
 _MP_ENTRIES = 0xB002  # tag of its entries
 _MP_ENTRY = 16  # bytes of one
 _PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
-_MOST = 256  # entries
-_ROWS = 64  # looked at together
-_OPAQUE = 255
-_INDICES = 3  # as type of colour
-_LEVEL, _LEVEL_OF_SMALL = 6, 9  # of compression
 
 
 def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> bytes:
@@ -176,28 +161,17 @@ def further_pictures(data: bytes) -> bytes:
 
 
 def _carry_png(source: bytes, encoded: bytes) -> bytes:
-    has_entries = has_palette(encoded, "png")
     same_samples = source[24:26] == encoded[24:26]  # bit depth and type of colour
-    unwanted: tuple[bytes, ...] = _ANIMATION
-    if has_entries:
-        unwanted += _OF_OLD_ENTRIES
-    elif not same_samples:
-        unwanted += _OF_SAMPLES
-    before, of_entries, behind = list[memoryview](), list[memoryview](), list[memoryview]()
-    chunks = before  # chunks of palette entries follow the palette
+    unwanted = _ANIMATION if same_samples else (*_ANIMATION, *_OF_SAMPLES)
+    before, behind = list[memoryview](), list[memoryview]()
+    chunks = before
     for kind, chunk in png_chunks(source):
         if kind == b"IDAT":
             chunks = behind
-        elif kind == b"bKGD" and has_entries:
-            of_entries.append(chunk)
         elif kind[:1].islower() and kind not in unwanted:
             chunks.append(chunk)
-    made = [(kind, chunk) for kind, chunk in png_chunks(encoded) if kind[:1].isupper() or kind == b"tRNS"]
-    header = [chunk for kind, chunk in made if kind == b"IHDR"]
-    palette = [chunk for kind, chunk in made if kind in (b"PLTE", b"tRNS")]
-    body = [chunk for kind, chunk in made if kind not in (b"IHDR", b"PLTE", b"tRNS", b"IEND")]
-    end = [chunk for kind, chunk in made if kind == b"IEND"]
-    return b"".join([PNG_START, *header, *before, *palette, *of_entries, *body, *behind, *end])
+    header, *pixels, end = (chunk for kind, chunk in png_chunks(encoded) if kind[:1].isupper())
+    return b"".join([PNG_START, header, *before, *pixels, *behind, end])
 
 
 def _carry_jpeg(source: bytes, encoded: bytes) -> bytes:
@@ -272,66 +246,6 @@ def _webp_size(kind: bytes, payload: bytes) -> tuple[int, int, bool]:
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1, bool(bits >> 28 & 1)
     size = payload[6:10]
     return int.from_bytes(size[:2], "little") & 0x3FFF, int.from_bytes(size[2:], "little") & 0x3FFF, False
-
-
-def encode_with_palette(pixels: Array, source: bytes, *, small: bool) -> bytes | None:
-    """Encode pixels, (H, W, C) of 8 bits, with the palette of a PNG file; None if not all colours find room in it.
-
-    Entries keep their numbers; colours that are not among them are added behind.
-    """
-    palette = _palette_of(source)
-    indices = np.empty(pixels.shape[:2], np.uint8)
-    for rows in blocks(len(pixels), _ROWS):
-        colours, which = np.unique(_as_numbers(pixels[rows]), return_inverse=True)
-        palette = np.concatenate([palette, colours[~np.isin(colours, palette)]])
-        if len(palette) > _MOST:
-            return None
-        first_of = np.argsort(palette, kind="stable")
-        places = first_of[np.searchsorted(palette, colours, sorter=first_of)]
-        indices[rows] = places[which].reshape(indices[rows].shape)
-    depth = source[24] if len(palette) <= 1 << source[24] else 8
-    return _encoded(indices, palette, depth, _LEVEL_OF_SMALL if small else _LEVEL)
-
-
-def _palette_of(source: bytes) -> NDArray[np.uint32]:
-    chunks = {kind: bytes(chunk[8:-4]) for kind, chunk in png_chunks(source) if kind in (b"PLTE", b"tRNS")}
-    colours = np.frombuffer(chunks.get(b"PLTE", b""), np.uint8)
-    colours = colours[: len(colours) // 3 * 3].reshape(-1, 3)[:_MOST]
-    alpha = np.full((len(colours), 1), _OPAQUE, np.uint8)
-    stored = np.frombuffer(chunks.get(b"tRNS", b""), np.uint8)[: len(colours)]
-    alpha[: len(stored), 0] = stored
-    return _as_numbers(np.concatenate([colours, alpha], axis=1))
-
-
-def _as_numbers(pixels: Array) -> NDArray[np.uint32]:
-    """Return each pixel, of grey or colours, with or without opacity, as one number."""
-    channels = pixels.shape[-1]
-    entries = np.full((*pixels.shape[:-1], 4), _OPAQUE, np.uint8)
-    entries[..., :3] = pixels[..., :3] if channels >= 3 else pixels[..., :1]
-    if channels in (2, 4):
-        entries[..., 3] = pixels[..., -1]
-    return entries.view(np.uint32)[..., 0]
-
-
-def _encoded(indices: Uint8s, palette: NDArray[np.uint32], depth: int, level: int) -> bytes:
-    height, width = indices.shape
-    entries = palette.view(np.uint8).reshape(-1, 4)
-    alpha = entries[:, 3]
-    last = int(np.flatnonzero(alpha != _OPAQUE).max(initial=-1))
-    per_byte = 8 // depth
-    padded = np.pad(indices, ((0, 0), (0, -width % per_byte))).reshape(height, -1, per_byte)
-    shifts = np.arange(per_byte - 1, -1, -1, dtype=np.uint8) * depth
-    packed = np.bitwise_or.reduce(padded << shifts, axis=2, dtype=np.uint8)
-    lines = np.pad(packed, ((0, 0), (1, 0)))  # in front of each line, that it has no filter
-    header = struct.pack(">IIBBBBB", width, height, depth, _INDICES, 0, 0, 0)
-    chunks = {
-        b"IHDR": header,
-        b"PLTE": entries[:, :3].tobytes(),
-        **({b"tRNS": alpha[: last + 1].tobytes()} if last >= 0 else {}),
-        b"IDAT": zlib.compress(lines.tobytes(), level),
-        b"IEND": b"",
-    }
-    return PNG_START + b"".join(png_chunk(kind, data) for kind, data in chunks.items())
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:

@@ -87,10 +87,7 @@ def write_image(
         return ImageFile(data, FORMATS[known].suffixes[0], lost_metadata(picture, data, known))
     notices = list[str]()
     if known == "png" and metadata.has_palette(picture.source, known):
-        kept = metadata.encode_with_palette(pixels, picture.source, small=small)
-        if kept is not None:
-            return _with_metadata(picture, kept, [])
-        notices = [f"{picture.name} has a palette, which cannot hold all new colours and becomes full ones."]
+        notices.append(f"{picture.name} has a palette, which becomes full colours.")
     spec = _bare_spec(picture) if known in _SPLICED else _kept_spec(picture)
     exact = is_exact(picture)
     data = _encode(spec, pixels, known, picture.name, jpeg_quality, small=small, lossless=exact)
