@@ -26,12 +26,12 @@ from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 _ROWS = 64  # that are looked at together
 _BITS = {"uint8": 8, "uint16": 16, "float16": 16, "float32": 32}
 _INEXACT = ("jpeg", "webp", "hdr")  # and KTX2 and AVIF, whose encoder says how much
-_TECHNICAL = (
+# Beginnings of the names of OpenImageIO's attributes that describe samples, compression or how it reads.
+TECHNICAL = (
     "oiio:", "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "ICCProfile:", "jpegxl:", "pnm:", "dpx:",
-    "rla:", "gif:", "psd:",
+    "rla:", "gif:", "psd:", "compression", "planarconfig", "textureformat",
     "hdrgm:", "Container:", "Item:", "rdf:",  # of a gain map, which stays behind
 )  # fmt: skip
-_ALSO_TECHNICAL = ("compression", "planarconfig", "ICCProfile", "chromaticities", "textureformat")
 _TURNED_BY_TAGS = FORMATS_WITH_EXIF  # which programs that show pictures obey
 
 
@@ -162,7 +162,7 @@ def _spec(picture: Picture, shape: tuple[int, ...], names: list[str], stored: st
     # Copied one by one from Python, integers of 16 bits are lost, and texts that are no UTF-8 cannot be.
     spec.extra_attribs = picture.spec.extra_attribs
     # By patterns: names that are no UTF-8 cannot be given from Python.
-    for pattern in (*(f"{prefix}.*" for prefix in _TECHNICAL), *_ALSO_TECHNICAL):
+    for pattern in (*(f"{prefix}.*" for prefix in TECHNICAL), "ICCProfile", "chromaticities"):
         spec.erase_attribute(pattern)
     if known not in _TURNED_BY_TAGS:
         spec.erase_attribute("Orientation")

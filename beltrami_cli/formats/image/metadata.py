@@ -46,7 +46,7 @@ _MOST_BITS_OF_A_PALETTE = 8
 _MPF = b"MPF\0"  # the mark of an index of pictures
 _MP_ENTRIES = 0xB002  # tag of its entries
 _MP_ENTRY = 16  # bytes of one
-_PLAIN_MARKERS = (0x01, *range(0xD0, 0xD9))  # markers without a segment
+_PLAIN_MARKERS = (0x01, *range(0xD0, 0xDA))  # markers without a segment
 
 
 def carry_over(source: bytes, encoded: bytes, known: str, part: int = 0) -> bytes:
@@ -111,42 +111,41 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
         at = end
 
 
-def jpeg_segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview]]:
-    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
-    at, view = 2, memoryview(data)
-    while at + 4 <= len(view) and view[at] == 0xFF:
-        marker = view[at + 1]
+_END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker except a restart within a scan
+
+
+def _jpeg_markers(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
+    """Give every marker of the first picture in a JPEG file, and where its segment and scan start and end."""
+    at = 2
+    while at + 2 <= len(data) and data[at] == 0xFF:
+        marker, end = data[at + 1], at + 2
         if marker == 0xFF:  # a fill byte
             at += 1
             continue
+        if marker not in _PLAIN_MARKERS:
+            end += int.from_bytes(data[end : end + 2])
         if marker == _START_OF_SCAN:
-            yield marker, view[at:]
+            found = _END_OF_SCAN.search(data, end)
+            end = found.start() if found else len(data)
+        yield marker, at, end
+        if marker == _END_OF_IMAGE:
             return
-        end = at + 2 if marker in _PLAIN_MARKERS else at + 2 + int.from_bytes(view[at + 2 : at + 4])
-        yield marker, bytes(view[at:end])
         at = end
 
 
-_END_OF_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # any marker except a restart within a scan
+def jpeg_segments(data: bytes | memoryview) -> Iterator[tuple[int, bytes | memoryview]]:
+    """Give the marker and the whole bytes of every segment before the scan, then the scan and all behind it."""
+    view = memoryview(data)
+    for marker, start, end in _jpeg_markers(view):
+        if marker == _START_OF_SCAN:
+            yield marker, view[start:]
+            return
+        yield marker, bytes(view[start:end])
 
 
 def _jpeg_end(data: bytes) -> int:
     """Return where the first picture of a JPEG file ends."""
-    at = 2
-    while data[at : at + 1] == b"\xff" and at + 2 <= len(data):
-        marker = data[at + 1]
-        if marker == _END_OF_IMAGE:
-            return at + 2
-        if marker == 0xFF:  # a fill byte
-            at += 1
-        elif marker in _PLAIN_MARKERS:
-            at += 2
-        else:
-            at += 2 + int.from_bytes(data[at + 2 : at + 4])
-        if marker == _START_OF_SCAN:
-            found = _END_OF_SCAN.search(data, at)
-            at = found.start() if found else len(data)
-    return len(data)
+    return next((end for marker, _, end in _jpeg_markers(data) if marker == _END_OF_IMAGE), len(data))
 
 
 def first_jpeg(data: bytes) -> bytes:

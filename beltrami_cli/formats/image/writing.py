@@ -10,7 +10,7 @@ import numpy as np
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.formats.image import extra_codecs, headers, metadata, tiff_tags
-from beltrami_cli.formats.image.conversion import converted
+from beltrami_cli.formats.image.conversion import TECHNICAL, converted
 from beltrami_cli.formats.image.metadata import FORMATS_WITH_EXIF, carry_exif, exif_of
 from beltrami_cli.formats.image.picture import (
     FORMATS,
@@ -252,12 +252,11 @@ def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> b
         return path.read_bytes()
 
 
-# Attributes of OpenImageIO that describe samples, compression or how it reads: of any format, and of its own.
-_TECHNICAL = ("oiio:", "compression", "ICCProfile:")
-_OF_OTHER_FORMATS = (
-    *_TECHNICAL, "jpeg:", "png:", "webp:", "tiff:", "openexr:", "targa:", "bmp:", "jpegxl:", "pnm:", "dpx:", "rla:",
-    "gif:", "psd:", "thumbnail_", "planarconfig", "textureformat", "hdrgm:", "Container:", "Item:", "rdf:",
-)  # fmt: skip
+_STORAGE = (
+    "oiio:",
+    "compression",
+    "ICCProfile:",
+)  # attributes of OpenImageIO about samples in a file's own format
 _OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
 _MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
 # Values that mean the same as no attribute; the chromaticities are from Rec. 709.
@@ -301,7 +300,7 @@ def _lost_attributes(picture: Picture, data: bytes, known: str) -> set[str]:
     exif, new_exif = (
         tiff_tags.exif_tags(exif_of(*each)) for each in ((picture.source, picture.format), (data, known))
     )
-    technical = _TECHNICAL if known == picture.format else _OF_OTHER_FORMATS
+    technical = _STORAGE if known == picture.format else (*TECHNICAL, "thumbnail_")
     # In another format OpenImageIO calls some of EXIF otherwise, or does not read them.
     seen = (*technical, *_OF_EXIF) if exif and new_exif else technical
     lost = {
