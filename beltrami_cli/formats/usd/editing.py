@@ -156,8 +156,12 @@ def _without_colours(stage: Any, words: dict[str, Any]) -> str:
         paths += [block["attribute"], *indices]
     for path in dict.fromkeys(paths):
         for spec in stage.GetAttributeAtPath(path).GetPropertyStack():
-            if spec.layer == stage.GetRootLayer():
-                _empty(bare, spec.path)
+            # Several instances have the same one.
+            if spec.layer == stage.GetRootLayer() and (own := bare.GetPropertyAtPath(spec.path)):
+                own.ClearInfo("default")
+                if own.owner.specifier == Sdf.SpecifierOver:
+                    own.owner.RemoveProperty(own)
+    bare.RemoveInertSceneDescription()  # overrides that hold nothing else
     return _text_of(bare)
 
 
@@ -167,26 +171,6 @@ def _text_of(layer: Any) -> str:
         file = Path(folder, "layer.usda")
         layer.Export(str(file))
         return file.read_text("utf-8", errors="backslashreplace")
-
-
-def _empty(layer: Any, path: Any) -> None:
-    """Take the value out of a property; one in an override goes, with overrides that hold nothing else."""
-    spec = layer.GetPropertyAtPath(path)
-    if spec is None:  # an instance has it as well
-        return
-    owner = spec.owner
-    spec.ClearInfo("default")
-    while owner and owner.path.IsPrimPath() and owner.specifier == Sdf.SpecifierOver:
-        if isinstance(spec, Sdf.PropertySpec):
-            owner.RemoveProperty(spec)
-        if not owner.isInert or owner.nameChildren:
-            return
-        above = owner.nameParent
-        if not above:
-            del layer.rootPrims[owner.name]
-            return
-        del above.nameChildren[owner.name]
-        spec, owner = None, above
 
 
 def convert(order: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
