@@ -1,23 +1,331 @@
-"""What formats with textures share: names of new files, and meshes on their way to another format."""
+"""What formats with textures share: their triangles, materials and images, and meshes on their way to other formats.
+
+A format describes its polygons as a `Scene`, of which one slot is painted, or all is converted.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import PurePosixPath
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Int32s
+from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
+from beltrami_cli.errors import InputError, UnpaintedError
+from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.document import Naming, NewImages
-from beltrami_cli.formats.model_folder import NewFiles, tile_name
-from beltrami_cli.surface.records import AlphaMode, ImageFile, Material, MaterialMap, Slot, TexturedMesh
+from beltrami_cli.formats.image.picture import suffix_for
+from beltrami_cli.formats.model_folder import NewFiles, remedy_for, tile_name
+from beltrami_cli.surface import tiling
+from beltrami_cli.surface.geometry import triangulate_corners
+from beltrami_cli.surface.records import (
+    AlphaMode,
+    ImageFile,
+    Material,
+    MaterialMap,
+    MeshImage,
+    Slot,
+    Texture,
+    TexturedMesh,
+    TexturedSurface,
+    Wrap,
+)
 from beltrami_cli.surface.tiling import Tile
 
+SLOTS: tuple[Slot, ...] = get_args(Slot)
 TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
 SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
+_LARGEST = 1e30  # texture coordinate that single precision holds with room for computing
+_POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
+
+
+@dataclass
+class _Shown:
+    """An image that is shown in a slot: the number of its texture, and which materials show it how."""
+
+    number: int
+    name: str
+    content: bytes | Callable[[], bytes]  # as in `Texture`
+    materials: dict[str, None] = field(default_factory=dict)
+    wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
+    alpha_hides: bool = False
+
+
+class SlotImages:
+    """The images that are shown in one slot while its materials are read; by keys, as in `Texture`."""
+
+    # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
+
+    def __init__(self, slot: Slot) -> None:
+        self._slot = slot
+        self._shown: dict[str, _Shown] = {}
+        self._missing: dict[str, dict[str, None]] = {}  # materials by the reason why they show no image
+        self.sets: list[dict[Tile, int]] = []
+
+    def __len__(self) -> int:
+        return len(self._shown)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._shown
+
+    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> None:
+        """Take an image that is not known yet."""
+        self._shown[key] = _Shown(len(self._shown), name, content)
+
+    def set_of(self, tiles: dict[Tile, int]) -> int:
+        """Return the number that stands for the textures of a set of tiles."""
+        if tiles not in self.sets:
+            self.sets.append(tiles)
+        return -2 - self.sets.index(tiles)
+
+    def show(self, key: str, material: str, wrap: tuple[Wrap, Wrap], *, alpha_hides: bool = True) -> int:
+        """Note that a material shows an image; return the number of its texture."""
+        shown = self._shown[key]
+        shown.wraps.append(wrap)
+        shown.alpha_hides |= alpha_hides
+        shown.materials[material] = None
+        return shown.number
+
+    def miss(self, reason: str, material: str) -> None:
+        """Note why a material shows no image; the reason names that."""
+        self._missing.setdefault(reason, {})[material] = None
+
+    def textures(self) -> tuple[Texture, ...]:
+        return tuple(
+            Texture(key, each.name, each.content, tuple(each.materials), each.wraps[0], each.alpha_hides)
+            for key, each in self._shown.items()
+        )
+
+    def notices(self) -> list[str]:
+        """Return a sentence for each image that cannot be shown, and each that is repeated in several ways."""
+        left = [
+            f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
+            for reason, materials in self._missing.items()
+        ]
+        mixed = [each.name for each in self._shown.values() if len(set(each.wraps)) > 1]
+        several = "is used with several wrap modes; the first is followed."
+        return left + [f"The {self._slot} image {name!r} {several}" for name in mixed]
+
+    def refusal(self, name: str, *, is_bare: bool, why: str = "") -> InputError:
+        """Return the error that nothing shows an image: `is_bare` for lack of texture coordinates, or `why` else."""
+        if self._missing:
+            reason = next(iter(self._missing))
+            cause = f"its {self._slot} texture cannot be read: {reason}"
+            return UnpaintedError(name, cause, remedy_for(reason))
+        if is_bare:
+            cause = f"it has a {self._slot} texture, but no texture coordinates for it"
+            return InputError(name, cause, "export it with them")
+        reason = f", because {why}" if why else ""
+        return UnpaintedError(name, f"it has no {self._slot} texture{reason}", remedy_for(reason))
+
+
+class MeshImages:
+    """The images of a mesh while its materials are read; one that stands for a set of tiles is in `sets`."""
+
+    def __init__(self) -> None:
+        self.images: list[MeshImage] = []
+        self.sets: dict[int, dict[Tile, int]] = {}
+        self._index_of: dict[str, int] = {}
+
+    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> int:
+        """Take an image, or what reads it, once; return its number."""
+        if key not in self._index_of:
+            data = content if isinstance(content, bytes) else content()
+            self._index_of[key] = len(self.images)
+            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
+        return self._index_of[key]
+
+    def take_file(self, path: str, sets: TileSets, read: Callable[[str], bytes]) -> int:
+        """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
+        if path in self._index_of or path not in sets:
+            return self.take(path, path.rpartition("/")[2], lambda: read(path))
+        tiles = {tile: self.take_file(file, sets, read) for tile, file in sets[path].items()}
+        self._index_of[path] = len(self.images)
+        self.sets[len(self.images)] = tiles
+        self.images.append(self.images[next(iter(tiles.values()))])
+        return self._index_of[path]
+
+
+def usable_coordinates(uv: Float64s) -> Float64s:
+    """Return texture coordinates, NaN where single precision does not hold them."""
+    return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
+
+
+@dataclass(frozen=True)
+class ShownMap:
+    """The image that a material shows in a slot."""
+
+    name: str  # as the file spells it
+    path: str | None  # of an image, or of a set of tiles; None: it is not read
+    reason: str = ""  # then: why, to be put behind the name
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+
+
+Maps = Mapping[Slot, ShownMap]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The polygons of a file and their materials."""
+
+    name: str  # of the file, for messages
+    positions: Float64s  # (V, 3)
+    corners: Int32s  # (K,): vertices of the corners of all polygons
+    offsets: Int64s  # (P + 1,): where each polygon starts
+    material_of: Int64s  # (P,): index into `materials`
+    materials: Sequence[str]  # their names
+    maps: Sequence[Maps]  # of each material
+    # Texture coordinates of all corners, (K, 2), for a slot (None: of polygons without an image); v up, NaN: none.
+    uv: Callable[[Slot | None], Float64s]
+    tiles: TileSets
+    read: Callable[[str], bytes]
+    measured: Bools | None = None  # (V,): which vertices have a position; None: all
+
+    @cached_property
+    def triangles(self) -> tuple[Int32s, Int64s]:
+        """Corners (F, 3) of the triangles whose vertices all have a position, and the polygon of each."""
+        cut, polygon = triangulate_corners(self.positions, self.corners, self.offsets)
+        if self.measured is None or self.measured.all():
+            return cut, polygon
+        kept = self.measured[self.corners[cut]].all(axis=1)
+        return cut[kept], polygon[kept]
+
+    def _coordinates(self, slot: Slot | None) -> Float64s:
+        uv = self.uv(slot)[self.triangles[0]]
+        uv[..., 1] = 1 - uv[..., 1]
+        return uv
+
+    def surface(self, slot: Slot, undefined: str = "") -> tuple[TexturedSurface, list[str]]:
+        """Return all triangles, the images of one slot, and notices; `undefined`: why a material is not known."""
+        (cut, polygon), shown = self.triangles, SlotImages(slot)
+        texture_of_material = np.full(len(self.maps), -1, np.int32)
+        for number in np.unique(self.material_of).tolist():
+            texture_of_material[number] = self._shown(number, slot, shown)
+        texture_of, uv = texture_of_material[self.material_of[polygon]], self._coordinates(slot)
+        bare = ~np.isfinite(uv).all(axis=(1, 2))
+        lost = int(np.count_nonzero(bare & (texture_of != -1)))
+        texture_of[bare] = -1
+        if (texture_of == -1).all():
+            raise shown.refusal(self.name, is_bare=len(shown) > 0, why=undefined)
+        uv[texture_of == -1] = 0
+        surface = TexturedSurface(self.positions, self.corners[cut], uv, texture_of, shown.textures())
+        if shown.sets:
+            surface = tiling.on_tiles(surface, shown.sets, self.name)
+        bare_notice = f"{lost} triangles of textured materials have no texture coordinates."
+        return surface, shown.notices() + ([bare_notice] if lost else [])
+
+    def _shown(self, number: int, slot: Slot, shown: SlotImages) -> int:
+        """Return the texture that a material shows in a slot; -1 if there is none."""
+        found, material = self.maps[number].get(slot), self.materials[number]
+        if found is None:
+            return -1
+        tiles, number_of, cause = self.tiles.get(found.path or "", {}), {}, found.reason
+        for file in [*tiles.values()] or ([] if found.path is None else [found.path]):
+            try:
+                if file not in shown:
+                    data = self.read(file)
+                    content = partial(self.read, file) if tiles or len(data) >= LARGE else data
+                    shown.take(file, file.rpartition("/")[2], content)
+                number_of[file] = shown.show(file, material, ("clamp", "clamp") if tiles else found.wrap)
+            except InputError as error:
+                cause = error.cause
+        if not number_of:
+            shown.miss(f"'{found.name}' {cause}", material)
+            return -1
+        own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
+        return shown.set_of(own) if tiles else number_of[file]
+
+    def mesh(
+        self,
+        material: Callable[[int, Mapping[Slot, MaterialMap], MeshImages], Material],
+        left_out: Sequence[str],
+        groups: tuple[tuple[str, ...], Int64s] = (("",), np.zeros(1, np.int64)),
+        normals: Array | None = None,
+        source: str = "",
+    ) -> TexturedMesh:
+        """Return all triangles with materials, which `material` makes of their maps, groups and normals of corners."""
+        cut, polygon = self.triangles
+        if not len(cut):
+            raise InputError(self.name, "it has no faces, so there is nothing to show a texture")
+        used, material_of = np.unique(self.material_of[polygon], return_inverse=True)
+        uv, elsewhere = self._common_coordinates()
+        images, materials, lost = MeshImages(), [], [*left_out]
+        for number in used.tolist():
+            maps: dict[Slot, MaterialMap] = {}
+            for slot, found in self.maps[number].items():
+                if found.path is None:
+                    lost.append(f"the {slot} map '{found.name}', which cannot be read")
+                elif (number, slot) in elsewhere:
+                    lost.append(f"{slot} maps that are placed otherwise than the base colour")
+                else:
+                    image = images.take_file(found.path, self.tiles, self.read)
+                    maps[slot] = MaterialMap(image, found.wrap)
+            materials.append(material(number, maps, images))
+        lost += [_POLYGONS_CUT] if (np.diff(self.offsets) > 3).any() else []
+        corner_normals = None if normals is None else normals[cut].astype(np.float32)
+        mesh = TexturedMesh(
+            positions=self.positions,
+            faces=self.corners[cut],
+            uv=uv,
+            materials=tuple(materials),
+            images=tuple(images.images),
+            source=source,
+            material_of=material_of.astype(np.int32),
+            groups=groups[0],
+            group_of=np.broadcast_to(groups[1], len(self.offsets) - 1)[polygon].astype(np.int32),
+            normals=None if corner_normals is None or np.isnan(corner_normals).all() else corner_normals,
+            left_out=tuple(lost),
+        )
+        return on_tiles(mesh, images.sets)
+
+    def _common_coordinates(self) -> tuple[Float64s, set[tuple[int, Slot]]]:
+        """Return one set of texture coordinates, (F, 3, 2), and materials and slots that need another one."""
+        material_of = self.material_of[self.triangles[1]]
+        uv, elsewhere = np.full((len(material_of), 3, 2), np.nan), set[tuple[int, Slot]]()
+        for slot in (*(slot for slot in SLOTS if any(slot in maps for maps in self.maps)), None):
+            fresh = np.isnan(uv).any(axis=(1, 2))
+            if slot is None and not fresh.any():
+                break
+            own = usable_coordinates(self._coordinates(slot))
+            has_map = np.array([slot is None or slot in maps for maps in self.maps])[material_of]
+            given = has_map & ~np.isnan(own).any(axis=(1, 2))
+            if slot is not None:
+                differs = given & ~fresh & (own != uv).any(axis=(1, 2))
+                elsewhere |= {(number, slot) for number in np.unique(material_of[differs]).tolist()}
+            np.copyto(uv, own, where=(given & fresh)[:, None, None])
+        return uv, elsewhere
+
+
+def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> TexturedMesh:
+    """Return a mesh with a material for each tile; `sets` are the images of tiles, by one image that stands for all."""
+    if not sets:
+        return mesh
+    tiled = [any(shown.image in sets for shown in each.maps.values()) for each in mesh.materials]
+    material_of = mesh.material_numbers.copy()
+    faces = np.flatnonzero(np.array(tiled)[material_of] & np.isfinite(mesh.uv).all(axis=(1, 2)))
+    tiles = tiling.tiles_under(mesh.uv[faces])
+    uv, materials = mesh.uv.copy(), list(mesh.materials)
+    uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
+    pairs = np.column_stack([material_of[faces], tiles]).astype(np.int64)
+    rows, number_of = np.unique(pairs, axis=0, return_inverse=True)
+    for old, *place in rows.tolist():
+        tile, material = (place[0], place[1]), mesh.materials[old]
+        maps = {
+            slot: dataclasses.replace(shown, image=image)
+            for slot, shown in material.maps.items()
+            if (image := sets.get(shown.image, {tile: shown.image}).get(tile)) is not None
+        }
+        name = tile_name(f"{material.name or 'tile'}_<UDIM>", tile)
+        materials.append(dataclasses.replace(material, name=name, maps=maps))
+    material_of[faces] = len(mesh.materials) + number_of.reshape(-1)
+    shown, material_of = shown_materials(materials, material_of)
+    return dataclasses.replace(mesh, uv=uv, materials=shown, material_of=material_of)
 
 
 def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:

@@ -27,8 +27,7 @@ from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.scene import MeshImages, SlotImages, usable_coordinates
-from beltrami_cli.formats.textured_mesh import shown_materials
+from beltrami_cli.formats.textured_mesh import MeshImages, SlotImages, shown_materials, usable_coordinates
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 

@@ -13,8 +13,7 @@ from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Scan, Statements, unit_normals
-from beltrami_cli.formats.scene import MeshImages, Scene, ShownMap
-from beltrami_cli.formats.textured_mesh import alpha_mode
+from beltrami_cli.formats.textured_mesh import MeshImages, Scene, ShownMap, alpha_mode
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Material
 

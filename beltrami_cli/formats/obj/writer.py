@@ -14,11 +14,7 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Int32s, Int64s
 from beltrami_cli.formats.colours import display_colours
 from beltrami_cli.formats.document import Written, not_converted
-from beltrami_cli.formats.textured_mesh import (
-    image_names,
-    material_names,
-    plain_name,
-)
+from beltrami_cli.formats.textured_mesh import image_names, material_names, plain_name
 from beltrami_cli.formats.tokens import number_lines
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows

@@ -21,8 +21,7 @@ from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.document import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
-from beltrami_cli.formats.scene import Maps, MeshImages, Scene, ShownMap
-from beltrami_cli.formats.textured_mesh import alpha_mode
+from beltrami_cli.formats.textured_mesh import Maps, MeshImages, Scene, ShownMap, alpha_mode
 from beltrami_cli.formats.tokens import Spans
 from beltrami_cli.surface import records
 
