@@ -34,8 +34,15 @@ _STRUCTURE = {
 }  # fmt: skip
 _TEXTURE_FORMAT = 33302  # of Pixar: says that there are mip levels, which are left out
 _PHOTOSHOP_LAYERS = 37724  # which programs show instead of the image
-_OF_SAMPLES = {280, 281, 290, 291, 301, 340, 341}  # ranges and curves of the levels that samples have
-_SAMPLES = (258, 262, 277, 339)  # that these depend on: bits, meaning, count and type
+_OF_SAMPLES = {
+    280,
+    281,
+    290,
+    291,
+    301,
+    340,
+    341,
+}  # ranges and curves of the levels, which new samples need not fit
 # Tags that stand in EXIF data, too [3]_: texts, resolution, dates, people and directories.
 _OF_EXIF = {270, 271, 272, 274, 282, 283, 296, 305, 306, 315, 33432, _EXIF, _GPS}
 # Tags that OpenImageIO reads: further texts, XMP, IPTC, the colour profile; and kinds and numbers of pages.
@@ -81,7 +88,7 @@ def is_big(data: bytes) -> bool:
 def with_tags(source: bytes, encoded: bytes) -> bytes:
     """Return a TIFF image with the tags of another file, except those about the storage of pixels."""
     old, new = _Directories(source).first, _Directories(encoded).first
-    dropped = {*_STRUCTURE, _TEXTURE_FORMAT, _PHOTOSHOP_LAYERS, *(() if _alike(old, new) else _OF_SAMPLES)}
+    dropped = {*_STRUCTURE, _TEXTURE_FORMAT, _PHOTOSHOP_LAYERS, *_OF_SAMPLES}
     kept = {tag: entry for tag, entry in old.items() if tag not in dropped}
     return _with_directory(encoded, kept | {tag: entry for tag, entry in new.items() if tag in _STRUCTURE})
 
@@ -120,19 +127,6 @@ def tags(data: bytes) -> dict[str, bytes | None]:
         **_flat({tag: each for tag, each in read.first.items() if tag not in left_out})
     }
     return found | dict.fromkeys(map(_called, read.unreadable - left_out))
-
-
-def _alike(old: dict[int, _Entry], new: dict[int, _Entry]) -> bool:
-    """Whether samples of two images have the same meaning, bits and type."""
-    both = [old, new]
-    meanings = [
-        [_shorts(each[tag].values) if tag in each else {b"\1\0"} for tag in _SAMPLES] for each in both
-    ]
-    return meanings[0] == meanings[1]
-
-
-def _shorts(values: bytes) -> set[bytes]:
-    return {values[at : at + 2] for at in range(0, len(values), 2)}
 
 
 def _flat(entries: dict[int, _Entry], prefix: str = "") -> dict[str, bytes]:
