@@ -155,9 +155,7 @@ def _three_channels(colours: Float32s, notices: list[str], grey: str) -> Float32
 
 
 _LEAST_WEIGHT = 1e-6  # of a polygon without area, against the mean one
-_MEANS = (
-    "Where polygons of different colours meet, vertices have the mean of their colours; {} of {} are such."
-)
+_MEANS = "Where polygons of different colours meet, vertices have the mean of their colours: {} of {}."
 _BARE = "{} of {} vertices have no colour, and are white."
 
 

@@ -48,9 +48,8 @@ class Naming:
     stem: str  # of the output, without folder and extension
     keeps: bool = False  # the output and its sidecar files replace the source's files
     copies: bool = False  # the output lies in another folder, where it needs copies of unchanged files
-    is_taken: Callable[[str], bool] = lambda _: (
-        False
-    )  # whether a path in the output's folder belongs to another model
+    # Whether a path in the output's folder belongs to another model.
+    is_taken: Callable[[str], bool] = lambda _: False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stem", _UNFIT.sub("_", self.stem))

@@ -73,9 +73,8 @@ class Format:
     """A line of the registry. Classes and functions are found in `module`, relative to this package."""
 
     name: str  # `Document.format`, and for formats with a writer what --format and the suffix of OUTPUT say
-    mark: (
-        Recogniser | None
-    )  # whether a file's bytes (and, if need be, its name) are of it; None: its suffix decides
+    # Whether a file's bytes (and, if need be, its name) are of it; None: its suffix decides.
+    mark: Recogniser | None
     module: str
     reader: str  # a `Document`; of volumes a function that returns a `Volume`
     writer: str = ""  # (MeshContents, stem) -> Written; empty: there is none

@@ -199,9 +199,7 @@ OWN_COLOURS = "_COLOR_0"
 
 _LINEAR, _MIPMAPS = 9729, 9987
 _MODES = {"mask": "MASK", "blend": "BLEND"}
-_BESIDE = (
-    f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
-)
+_KEPT = f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
 
 
 def _textured(mesh: TexturedMesh, stem: str) -> Model:
@@ -269,7 +267,7 @@ class _Parts:
             is_textured = "baseColor" in mesh.materials[material].maps
             attributes[OWN_COLOURS if is_textured else "COLOR_0"] = arrays.add(self._colours[corners[first]])
             if is_textured:
-                self._note(_BESIDE)
+                self._note(_KEPT)
         indices = arrays.add_faces(vertex_of.reshape(-1, 3), len(first))
         return {"attributes": attributes, "indices": indices, "material": material}
 

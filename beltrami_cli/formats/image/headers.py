@@ -53,9 +53,8 @@ def with_attributes(source: bytes, encoded: bytes, part: int) -> bytes:
         flags = kept_flags
     flags |= kept_flags & _LONG_NAMES
     start = encoded[:4] + flags.to_bytes(4, "little")
-    head = (
-        start + b"".join(map(_packed, old)) + (b"\0" if len(old) > 1 else b"")
-    )  # an empty header ends the list
+    end_of_list = b"\0" if len(old) > 1 else b""  # an empty header
+    head = start + b"".join(map(_packed, old)) + end_of_list
     return _with_table(head, [chunk for each in chunks for chunk in each])
 
 

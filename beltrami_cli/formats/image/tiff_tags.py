@@ -34,15 +34,8 @@ _STRUCTURE = {
 }  # fmt: skip
 _TEXTURE_FORMAT = 33302  # of Pixar: says that there are mip levels, which are left out
 _PHOTOSHOP_LAYERS = 37724  # which programs show instead of the image
-_OF_SAMPLES = {
-    280,
-    281,
-    290,
-    291,
-    301,
-    340,
-    341,
-}  # ranges and curves of the levels, which new samples need not fit
+# Ranges and curves of levels, which new samples need not fit.
+_OF_SAMPLES = {280, 281, 290, 291, 301, 340, 341}
 # Tags that stand in EXIF data, too [3]_: texts, resolution, dates, people and directories.
 _OF_EXIF = {270, 271, 272, 274, 282, 283, 296, 305, 306, 315, 33432, _EXIF, _GPS}
 # Tags that OpenImageIO reads: further texts, XMP, IPTC, the colour profile; and kinds and numbers of pages.

@@ -252,11 +252,8 @@ def _encode_by_openimageio(spec: Any, pixels: Array, known: str, name: str) -> b
         return path.read_bytes()
 
 
-_STORAGE = (
-    "oiio:",
-    "compression",
-    "ICCProfile:",
-)  # attributes of OpenImageIO about samples in a file's own format
+# Attributes of OpenImageIO about samples in a file's own format.
+_STORAGE = ("oiio:", "compression", "ICCProfile:")
 _OF_EXIF = ("Exif:", "GPS:", "ExposureTime", "FNumber")  # attributes that it makes of EXIF and GPS data
 _MAKER_NOTE = " 37500"  # the end of the name of a tag of EXIF that it does not read
 # Values that mean the same as no attribute; the chromaticities are from Rec. 709.

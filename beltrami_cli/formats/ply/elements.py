@@ -40,10 +40,8 @@ _COLOURS = (
 )
 _INTENSITY = "intensity"  # a colour in scans, any scalar elsewhere
 _INTENSITIES_OF_POINTS = (_INTENSITY, "reflectance")
-_SPLATS = (
-    {"f_dc_0", "rot_0"},
-    {"packed_rotation", "packed_scale"},
-)  # as trained, and as PlayCanvas packs them
+# Gaussian splats as trained, and as PlayCanvas packs them.
+_SPLATS = ({"f_dc_0", "rot_0"}, {"packed_rotation", "packed_scale"})
 
 
 @dataclass(frozen=True)

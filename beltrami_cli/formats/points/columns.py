@@ -22,12 +22,7 @@ from beltrami_cli.errors import InputError, UnpaintedError
 
 RGB, NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
 _POSITION = ("x", "y", "z")
-_COLOURS = (
-    ("r", "g", "b"),
-    RGB,
-    ("rf", "gf", "bf"),
-    ("diffuse_red", "diffuse_green", "diffuse_blue"),
-)
+_COLOURS = (("r", "g", "b"), RGB, ("rf", "gf", "bf"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _NORMALS = (NORMAL, ("normal_x", "normal_y", "normal_z"))
 _INTENSITIES = ("intensity", "i", "scalar_intensity", "reflectance", "grey", "gray")
 _UNIT = 0.01  # how far the length of a normal may be from 1, for as few decimals as two
