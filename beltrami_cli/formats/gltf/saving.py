@@ -7,8 +7,8 @@ takes the name of a file that the source uses, unless the output replaces the so
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from urllib.parse import quote
 
 from beltrami_cli.formats.document import Bytes, Naming, Written
@@ -35,7 +35,6 @@ MEDIA = {suffix: f"image/{known}" for known in _HELD for suffix in FORMATS[known
 """Media types of the images that glTF can hold, by suffix."""
 
 _ALIGNMENT = 8  # of merged buffers: more than any component needs, and what KHR extensions ask for
-_PADDING = 8  # bytes that may lie between views only to align them
 
 
 def media_type(data: bytes) -> str | None:
@@ -278,31 +277,47 @@ class ImageStorage:
 
 
 def _store(edit: Edit, buffer: int, blobs: Sequence[_Blob]) -> None:
-    """Put images into one buffer: first where the old ones were as far as they fit, the others at the end."""
+    """Put images into one buffer: each where old ones leave room, or at the end."""
     views, data = edit.tree["bufferViews"], edit.open(buffer)
     # A view that only an image uses may be overwritten, if no other view shares its bytes.
     own = {
-        blob.view: blob
+        blob.view
         for blob in blobs
         if blob.view is not None and is_unshared(edit, (blob.view, None), buffer, *_span(views[blob.view]))
     }
-    others = [span for view, span in _spans(edit, buffer) if view not in own]
-    end = _end(data, edit.tree["buffers"][buffer]["byteLength"], [_span(views[v]) for v in own], others)
-    moving = [replace(blob, view=None) for blob in blobs if blob.view not in own]
-    for view, blob in sorted(own.items(), key=lambda item: _span(views[item[0]])[0]):
-        if _span(views[view])[0] >= end or not _fitted(edit, buffer, view, blob.data, end):
-            moving.append(blob)
-    del data[end:]
+    taken = [span for view, span in _spans(edit, buffer) if view not in own]
+    for start, end in (_span(views[view]) for view in own):
+        data[start:end] = bytes(end - start)
+    last = max((end for _, end in taken), default=0)
+    if data.count(0, last) == len(data) - last:
+        del data[last:]
     edit.tree["buffers"][buffer]["byteLength"] = len(data)
-    for blob in moving:
-        start = edit.append(buffer, blob.data)
-        place = {"buffer": buffer, "byteOffset": start, "byteLength": len(blob.data)}
-        if blob.view is None:
-            index = edit.add_view(place)
-            for image in blob.images:
-                edit.tree["images"][image]["bufferView"] = index
+    vacant = [(start, end) for start, end in _gaps(taken) if data.count(0, start, end) == end - start]
+    for blob in blobs:
+        size = len(blob.data)
+        chosen = next((n for n, (start, end) in enumerate(vacant) if size <= end - start), None)
+        if chosen is None:
+            start = edit.append(buffer, blob.data)
         else:
+            start, end = vacant[chosen]
+            data[start : start + size] = blob.data
+            vacant[chosen] = start + size + -size % 4, end
+        place = {"buffer": buffer, "byteOffset": start, "byteLength": size}
+        if blob.view in own:
             views[blob.view] |= place
+            continue
+        index = edit.add_view(place)
+        for image in blob.images:
+            edit.tree["images"][image]["bufferView"] = index
+
+
+def _gaps(spans: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Give the bytes between spans, from multiples of four on."""
+    at = 0
+    for start, end in sorted(spans):
+        if start > at:
+            yield at, start
+        at = max(at, end + -end % 4)
 
 
 def _span(view: Tree) -> tuple[int, int]:
@@ -322,32 +337,3 @@ def _spans(edit: Edit, buffer: int) -> list[tuple[int | None, tuple[int, int]]]:
             spans.append((None if extension else index, (part.offset, part.end)))
     # Another buffer over the same file keeps its length, and so all of its bytes.
     return spans + [(None, (0, lengths[index])) for index in same - {buffer}]
-
-
-def _end(
-    data: bytearray, length: int, own: Sequence[tuple[int, int]], others: Sequence[tuple[int, int]]
-) -> int:
-    """Return where the bytes that must stay end: before the images to be replaced that are last in the buffer."""
-    kept = max((end for _, end in others), default=0)
-    if len(data) - length >= 4:  # more than the padding of a chunk: it may mean something
-        return len(data)
-    found, edge = len(data), length
-    for start, end in sorted(own, reverse=True):
-        if start < kept or not edge - _PADDING < end <= edge:
-            break
-        found = edge = start
-    return found
-
-
-def _fitted(edit: Edit, buffer: int, number: int, new: bytes, limit: int) -> bool:
-    """Overwrite the old image if the new one fits before what comes next; leave zeros where it is not."""
-    view, data = edit.tree["bufferViews"][number], edit.open(buffer)
-    start, end = _span(view)
-    after = min([limit, *(a for _, (a, _) in _spans(edit, buffer) if a >= end)])
-    vacant = data.count(0, end, after) == after - end  # left by an earlier image, or padding
-    fits = start + len(new) <= (after if vacant else end)
-    data[start:end] = bytes(end - start)
-    if fits:
-        data[start : start + len(new)] = new
-        view["byteLength"] = len(new)
-    return fits
