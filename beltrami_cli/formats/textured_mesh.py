@@ -1,6 +1,6 @@
 """What formats with textures share: their triangles, materials and images, and meshes on their way to other formats.
 
-A format describes its polygons as a `Scene`, of which one slot is painted, or all is converted.
+A format describes its polygons as a `Scene`: one slot is painted, or the whole is converted.
 """
 
 from __future__ import annotations

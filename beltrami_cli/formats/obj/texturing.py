@@ -61,9 +61,8 @@ def _materials_of(statements: Statements, materials: Materials) -> tuple[list[st
 
 _Placed = tuple[tuple[float, float], tuple[float, float]]  # scale and offset of texture coordinates
 _AS_THEY_ARE: _Placed = ((1.0, 1.0), (0.0, 0.0))
-_Found = dict[
-    records.Slot, tuple[Map, str | None]
-]  # maps of a material, with their files if these can be used
+# The maps of a material, with their files if these can be used.
+_Found = dict[records.Slot, tuple[Map, str | None]]
 
 
 def gather_textured(
