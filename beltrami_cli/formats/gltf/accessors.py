@@ -328,23 +328,22 @@ def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int
     return accessors.decoded_attribute(packed, name, index)
 
 
-def fitting_accessor(primitive: Entry, name: str, accessors: Accessors, shape: str, count: int) -> int:
-    """Return the accessor of an attribute, which must have so many elements of a shape, and no large integers."""
+def fitting_accessor(
+    primitive: Entry, name: str, accessors: Accessors, shape: str, count: int | None = None
+) -> int:
+    """Return the accessor of an attribute: of a shape, of so many elements if it is said, and no large integers."""
     index = attribute_accessor(primitive, name, accessors)
     accessor = accessors[index]
-    if (accessor.shape, accessor.count) != (shape, count) or accessor.component.name == "uint32":
-        cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {count} {shape}"
+    wanted = accessor.count if count is None else count
+    if (accessor.shape, accessor.count) != (shape, wanted) or accessor.component.name == "uint32":
+        cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {wanted} {shape}"
         raise primitive.entry("attributes").fault(name, cause)
     return index
 
 
 def position_accessor(primitive: Entry, accessors: Accessors) -> int:
     """Return the accessor of positions, whose bytes are there."""
-    index = attribute_accessor(primitive, "POSITION", accessors)
-    accessor = accessors[index]
-    if accessor.shape != "VEC3" or accessor.component.name == "uint32":
-        cause = f"is {accessor.shape} of {accessor.component.name}, not a position"
-        raise primitive.entry("attributes").fault("POSITION", cause)
+    index = fitting_accessor(primitive, "POSITION", accessors, "VEC3")
     accessors.require_bytes(index)
     return index
 
