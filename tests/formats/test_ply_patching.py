@@ -302,6 +302,15 @@ def test_damaged_coordinates_are_refused(tmp_path, rows, cause, encoding):
         opened(tmp_path, tables, encoding).textured("baseColor")
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_faces_whose_coordinates_are_not_finite_are_left_out_with_a_notice(tmp_path, encoding):
+    tables = wedges([[0, 1, 2], [0, 1, 2]], [0, 0])
+    tables[1].rows[1][1][2] = float("inf")
+    document = opened(tmp_path, tables, encoding)
+    assert document.textured("baseColor").texture_of.tolist() == [0, -1]
+    assert any(notice.startswith("1 triangles of textured materials") for notice in document.notices)
+
+
 @given(st.sampled_from(ENCODINGS), st.sampled_from(["\n", "\r\n"]), st.booleans(), st.booleans(), st.data())
 @settings(max_examples=40, deadline=None)
 def test_only_the_name_changes_and_colours_beside_it(tmp_path_factory, encoding, newline, moved, paint, data):

@@ -226,6 +226,25 @@ def test_an_image_that_is_shown_as_something_else_too_stays_in_the_package(tmp_p
 
 
 @pytest.mark.usefixtures("usd_core_here")
+def test_an_image_that_is_damaged_is_left_alone_next_to_sound_ones(tmp_path):
+    lost = BOUND.replace("skin", "lost")
+    text = scene(
+        mesh_text(BOUND),
+        mesh_text(lost, "other"),
+        material_text("a.png"),
+        material_text("b.png", "/scan/lost"),
+    )
+    other = encode(np.zeros((8, 8, 3), np.uint8), "png")
+    source = package(tmp_path / "a.usdz", [("a.usda", text.encode()), ("a.png", PICTURE), ("b.png", other)])
+    data = source.read_bytes()
+    source.write_bytes(data.replace(other, other[:-1] + b"?"))
+    document = open_document(str(source))
+    (texture,) = document.textured("baseColor").textures
+    assert texture.data == PICTURE
+    assert any("'b.png' b.png in the archive is damaged" in notice for notice in document.notices)
+
+
+@pytest.mark.usefixtures("usd_core_here")
 def test_packages_that_readers_cannot_map_are_found_by_check_and_written_right(scan, tmp_path):
     files = [*members(scan).items()]
     bad = package(tmp_path / "bad.usdz", files, zipfile.ZIP_DEFLATED)
