@@ -45,6 +45,7 @@ _C1, _C2 = 0.01**2, 0.03**2
 # the processor's cache, and below 256 KB, from which on NumPy searches the call stack before each sum.
 _BLOCK = 1 << 13
 _SQUARE = 88
+_SAMPLES_SHARE = 0.7  # of the time of a picture: 4.6 s of 16.7 million samples, and 2.1 s of their windows
 
 _FIGURES = {"min_psnr": "psnr", "min_ssim": "ssim", "max_delta_e": "delta_e", "max_seam_jump": "seam_jump"}
 _WITHIN = {"max_delta_e": "mean", "max_seam_jump": "change"}
@@ -148,10 +149,12 @@ class Measured:
         return {"name": part.name, "kind": part.kind, "identical": part.is_identical, **figures([self])}
 
 
-def measure(part: ComparedColours) -> Measured:
-    """Go through the samples of a part, and the windows of a picture."""
+def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share: None) -> Measured:
+    """Go through the samples of a part, and the windows of a picture; `tick` is called with the share that is done."""
+    first = 1.0 if part.size is None else _SAMPLES_SHARE
     found, largest = Measured(part), -1.0
     for block, reference, test in part.blocks():
+        tick(first * block.start / len(part.index))
         errors = np.abs(test - reference).max(axis=1)
         squares = np.asarray(np.square(test.astype(np.float64) - reference).mean(axis=1), np.float64)
         delta_e = colour_differences(reference, test, part.space)
@@ -173,7 +176,9 @@ def measure(part: ComparedColours) -> Measured:
                 "reference": reference[at].tolist(), "test": test[at].tolist(),
             }  # fmt: skip
     if part.size is not None:
-        found.ssim = structural_similarity(part.read_rows, part.covered())
+        found.ssim = structural_similarity(
+            part.read_rows, part.covered(), lambda share: tick(first + (1 - first) * share)
+        )
     return found
 
 
@@ -356,7 +361,9 @@ def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Flo
     return delta_e_2000(*(cie_lab(np.broadcast_to(each, (len(each), 3))) for each in light))
 
 
-def structural_similarity(read: Callable[[slice], Pair], counts: Bools) -> float | None:
+def structural_similarity(
+    read: Callable[[slice], Pair], counts: Bools, tick: Callable[[float], None] = lambda share: None
+) -> float | None:
     """Compute the mean SSIM, eqs. (13) and (17) of [4], over all windows that hold only pixels that count.
 
     `read` gives rows of both images, shape (R, W, N).
@@ -365,6 +372,7 @@ def structural_similarity(read: Callable[[slice], Pair], counts: Bools) -> float
     whole = ~within(~counts, _RADIUS)[inside, inside]
     total, windows = 0.0, 0
     for rows in large_arrays.blocks(len(whole), _SQUARE):
+        tick(rows.start / len(whole))
         columns = [
             block for block in large_arrays.blocks(whole.shape[1], _SQUARE) if whole[rows, block].any()
         ]

@@ -195,8 +195,21 @@ def compare_documents(
         steps.append(partial(compare_textures, documents, slot, settings, weights, job.access, **options))
     parts = [part for step in tracked(steps, "comparing", job.progress) for part in step()]
     moves = None if selection.image else moves_between(documents, selection)
-    measured = [measure(part) for part in tracked(parts, "measuring", job.progress)]
-    return Compared(measured, moves, selection.slots, tuple(notices))
+    return Compared(_measured(parts, job), moves, selection.slots, tuple(notices))
+
+
+def _measured(parts: Sequence[ComparedColours], job: Job) -> list[Measured]:
+    total, done, measured = sum(len(part.index) for part in parts), 0, []
+    progress = job.progress_of("measuring")
+
+    def tick(share: float) -> None:
+        if progress is not None:
+            progress(done + round(share * len(part.index)), total)
+
+    for part in parts:
+        measured.append(measure(part, tick))
+        done += len(part.index)
+    return measured
 
 
 def open_both(names: tuple[str, str], settings: SmoothSettings, job: Job) -> tuple[Document, Document]:
