@@ -181,7 +181,7 @@ def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
         ("100%.png", ".png", True, "100%.png"),
         ("100%.png", ".png", False, "out_100%.png"),
         ("skin", ".png", True, "skin.png"),
-        ("taken.png", ".jpg", True, "taken-2.jpg"),
+        ("TAKEN.png", ".jpg", True, "TAKEN-2.jpg"),
         ("out_skin.png", ".png", False, "out_out_skin.png"),
     ],
 )

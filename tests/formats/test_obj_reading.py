@@ -73,6 +73,10 @@ def test_weights_and_alpha_are_distinguished_from_colours(lines, alpha):
     assert (None if contents.alpha is None else contents.alpha.tolist()) == alpha
 
 
+def test_seven_numbers_with_red_and_opacity_full_are_colours():
+    assert opened(b"v 0 0 0 1 .2 .3 1\n").painted().colours.tolist() == np.float32([[1, 0.2, 0.3]]).tolist()
+
+
 def test_uncoloured_vertices_and_their_faces_take_no_part():
     document = opened(b"v 9 9 9\n" + THREE + b"f 1 2 3\nf 2 3 4\nf 4 1\n")
     assert document.painted().faces.tolist() == [[0, 1, 2]]
