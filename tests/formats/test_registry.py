@@ -22,12 +22,13 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_comparison import with_better_image
-from formats.gltf_files import Textured
+from formats.gltf_files import coloured
 from formats.gltf_showcase import showcase
 from formats.image_files import encode, noise
 from formats.tile_files import painting as painted_tiles
 from formats.tile_files import part, tiled_model
-from formats.usd_files import BOUND, COLOURS, PICTURE, coloured, material_text, mesh_text, scene
+from formats.usd_files import BOUND, COLOURS, PICTURE, material_text, mesh_text, scene
+from formats.usd_files import coloured as painted
 from formats.usd_files import write as write_files
 from formats.volume_files import npz
 from hostile.textured_models import write_model
@@ -130,15 +131,7 @@ def several_maps(folder):
 
 
 def vertices(form):
-    def write(folder):
-        model = Textured()
-        colours = np.random.default_rng(1).integers(0, 256, (3, 4), np.uint8)
-        colours[:, 3] = 255
-        places = np.eye(3, dtype="<f4")
-        model.triangles(places, {"COLOR_0": model.packed(colours, normalized=True)}, corners=[[0], [1], [2]])
-        return model.written_to(folder, form)
-
-    return write
+    return lambda folder: coloured("dense", np.random.default_rng(1), width=3).model.written_to(folder, form)
 
 
 def compressed(kind):
@@ -146,8 +139,7 @@ def compressed(kind):
 
     def write(folder):
         files = pytest.importorskip("formats.gltf_compressed")
-        levels = np.random.default_rng(1).integers(0, 256, (len(files.GRID), 4), np.uint8)
-        levels[:, 3] = 255
+        levels = np.random.default_rng(1).integers(0, 256, (len(files.GRID), 3), np.uint8)
         return getattr(files, f"{kind}_model")(levels).written_to(folder, "gltf")
 
     return write
@@ -163,27 +155,21 @@ def in_two_buffers(folder):
 
 
 def with_fallback(folder):
-    photo, other = (encode(painted_tiles()[:16, :16], kind) for kind in ("webp", "png"))
-    model = with_better_image("webp", photo, other)
-    for image, (name, data) in zip(
-        model.tree["images"], {"b.webp": photo, "a.png": other}.items(), strict=True
-    ):
+    files = {f"b.{kind}": encode(painted_tiles()[:16, :16], kind) for kind in ("png", "webp")}
+    model = with_better_image("webp", files["b.webp"], files["b.png"])
+    for image, name in zip(model.tree["images"], files, strict=True):
         image.pop("bufferView")
         image["uri"] = name
-        model.files[name] = data
+    model.files = files
     return model.written_to(folder, "gltf")
 
 
-def usd(folder):
-    write_files(
-        folder, {"scan.usda": scene(mesh_text(BOUND), material_text("skin.png")), "skin.png": PICTURE}
-    )
-    return folder / "scan.usda"
+def usd(*prims):
+    def write(folder):
+        write_files(folder, {"scan.usda": scene(*prims), "skin.png": PICTURE})
+        return folder / "scan.usda"
 
-
-def usd_colours(folder):
-    write_files(folder, {"scan.usda": scene(mesh_text(coloured(COLOURS)))})
-    return folder / "scan.usda"
+    return write
 
 
 MODELS = {
@@ -199,8 +185,8 @@ MODELS = {
     "gltf draco": compressed("draco"),
     "gltf meshopt": compressed("meshopt"),
     "gltf fallback": with_fallback,
-    "usda": usd,
-    "usda vertices": usd_colours,
+    "usda": usd(mesh_text(BOUND), material_text("skin.png")),
+    "usda vertices": usd(mesh_text(painted(COLOURS))),
 }
 TARGETS = sorted({*OUTPUT_FORMATS.values()} - {"usd", "usdc"})
 
@@ -221,10 +207,8 @@ def announced(monkeypatch):
 
 def add_noise(source, target, image_suffix=None):
     """Change the image of each slot in another way."""
-    textures = TextureSettings(slots=SLOTS, image_suffix=image_suffix)
-    noise_file(
-        source, target, NoiseSettings(sigma=0.1), SmoothSettings(textures=textures), Job(overwrite=True)
-    )
+    settings = SmoothSettings(textures=TextureSettings(slots=SLOTS, image_suffix=image_suffix))
+    noise_file(source, target, NoiseSettings(sigma=0.1), settings, Job(overwrite=True))
 
 
 @pytest.mark.parametrize(("target", "suffix"), [("here", ".jpg"), ("there", None), ("in place", ".jpg")])

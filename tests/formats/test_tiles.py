@@ -125,12 +125,8 @@ def test_tiles_may_differ_in_size_and_depth(tmp_path):
     small = encode(part(painting("uint16"), (1, 0))[::2, ::2], "png")
     (tmp_path / "skin.1002.png").write_bytes(small)
     (entry,) = inspect_file(model, GIVEN)["textures"]
-    assert [(image["name"], image["width"], image["stored"]) for image in entry["images"]] == [
-        ("skin.1001.png", SIDE, "uint8"),
-        ("skin.1002.png", SIDE // 2, "uint16"),
-        ("skin.1011.png", SIDE, "uint8"),
-        ("skin.1012.png", SIDE, "uint8"),
-    ]
+    found = [(image["width"], image["stored"]) for image in entry["images"]]
+    assert found == [(SIDE, "uint8"), (SIDE // 2, "uint16"), (SIDE, "uint8"), (SIDE, "uint8")]
     assert entry["seams_between_textures"] == 4
     smooth_file(model, tmp_path / "new.obj", GIVEN)
     picture = read_image((tmp_path / "new_skin.1002.png").read_bytes(), "new")
