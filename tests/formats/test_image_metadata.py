@@ -141,6 +141,7 @@ def test_every_attribute_of_an_exr_is_kept_and_none_is_added(extra):
     source = exr_file(planes("R", "G", "B"), extra)
     file = rewritten(source, "x.exr")
     assert exr_attributes(file.data) == exr_attributes(source)
+    assert file.data[:8] == source[:8]  # version, and whether names are long
     assert not file.notices
 
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import re
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,19 +18,6 @@ THREE = b"v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n"
 
 def opened(data):
     return ObjDocument(data.encode() if isinstance(data, str) else data, "some.obj", None)
-
-
-def test_reading_agrees_with_trimesh():
-    random = np.random.default_rng(7)
-    lines = ["v {} {} {} {} {} {}".format(*row) for row in random.random((50, 6)).round(6)]
-    lines += ["f {} {} {}".format(*row) for row in random.integers(1, 51, (80, 3))]
-    data = "\n".join(lines).encode()
-    painted = opened(data).painted()
-    other = trimesh.load(io.BytesIO(data), file_type="obj", process=False, maintain_order=True)
-    np.testing.assert_array_equal(painted.positions, other.vertices)
-    np.testing.assert_array_equal(painted.faces, other.faces)
-    np.testing.assert_array_equal(np.rint(painted.colours * 255), other.visual.vertex_colors[:, :3])
-    assert (painted.stored, painted.encoding) == ("text", "srgb")
 
 
 @pytest.mark.parametrize(
