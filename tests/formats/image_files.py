@@ -149,6 +149,10 @@ def riff_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     return chunks
 
 
+def jpeg_segment(marker: int, payload: bytes) -> bytes:
+    return bytes([0xFF, marker]) + (len(payload) + 2).to_bytes(2) + payload
+
+
 def icc_profile() -> bytes:
     """The least that passes for an RGB profile: a header and an empty table of tags."""
     header = bytearray(128)

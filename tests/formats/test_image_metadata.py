@@ -12,7 +12,17 @@ import pytest
 from PIL import Image
 
 from beltrami_cli.formats.image import read_image, write_image
-from formats.image_files import SUFFIXES, encode, icc_profile, noise, png_chunks, png_file, riff, riff_chunks
+from formats.image_files import (
+    SUFFIXES,
+    encode,
+    icc_profile,
+    jpeg_segment,
+    noise,
+    png_chunks,
+    png_file,
+    riff,
+    riff_chunks,
+)
 from formats.tiff_files import described, exr_attributes, exr_file, tiff_file, tiff_tags
 
 _TEXT = [*b"some words\0"]
@@ -188,10 +198,6 @@ def test_every_chunk_of_a_webp_is_kept(channels, compression):
     assert reported == ([] if compression == "lossless" else [True])
 
 
-def segment(marker, payload):
-    return bytes([0xFF, marker]) + (2 + len(payload)).to_bytes(2) + payload
-
-
 def test_every_segment_of_a_jpeg_is_kept_in_its_place():
     plain = encode(np.full((16, 16, 3), 99, np.uint8), "jpeg", compression="jpeg:95")
     payloads = {
@@ -201,7 +207,7 @@ def test_every_segment_of_a_jpeg_is_kept_in_its_place():
     }  # fmt: skip
     jfif = plain.index(b"\xff\xe0")
     behind = jfif + 2 + int.from_bytes(plain[jfif + 2 : jfif + 4])
-    kept = [segment(marker, payload) for marker, payload in payloads.items()]
+    kept = [jpeg_segment(marker, payload) for marker, payload in payloads.items()]
     head = plain[:behind] + b"".join(kept)
     picture = read_image(head + plain[behind:], "x.jpeg")
     file = write_image(picture, picture.pixels // 2)

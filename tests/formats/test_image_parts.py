@@ -23,7 +23,7 @@ from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.records import srgb_to_linear
 from cli.commands import beltrami
-from formats.image_files import encode
+from formats.image_files import encode, jpeg_segment
 from formats.tiff_files import exr_file
 
 SIDE = 24
@@ -244,11 +244,7 @@ def xmp(description, content=""):
         f'xmlns:Container="{_GOOGLE}" xmlns:Item="{_GOOGLE}item/" hdrgm:Version="1.0" {description}>'
         f"{content}</rdf:Description></rdf:RDF></x:xmpmeta>"
     )
-    return segment(0xE1, f"{_ADOBE}{tree}".encode())
-
-
-def segment(marker, payload):
-    return bytes([0xFF, marker]) + (len(payload) + 2).to_bytes(2) + payload
+    return jpeg_segment(0xE1, f"{_ADOBE}{tree}".encode())
 
 
 def with_segments(jpeg, *segments):
@@ -263,7 +259,9 @@ def index_of(order, length, others):
     entries = [(0x030000, length, 0), *((0, *other) for other in others)]
     payload = b"MPF\0" + (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(f"{order}IH", 8, 3)
     payload += b"".join(struct.pack(f"{order}HHII", *field) for field in fields) + bytes(4)
-    return segment(0xE2, payload + b"".join(struct.pack(f"{order}IIIHH", *entry, 0, 0) for entry in entries))
+    return jpeg_segment(
+        0xE2, payload + b"".join(struct.pack(f"{order}IIIHH", *entry, 0, 0) for entry in entries)
+    )
 
 
 def in_one_file(first, others, order="<"):
@@ -304,7 +302,7 @@ def ultra_hdr(order="<"):
     )
     container = xmp("", f"<Container:Directory><rdf:Seq>{items}</rdf:Seq></Container:Directory>")
     plain = encode(photograph(), "jpeg", compression="jpeg:95")
-    return in_one_file(with_segments(plain, container, segment(0xE2, _ISO + bytes(4))), [gain], order)
+    return in_one_file(with_segments(plain, container, jpeg_segment(0xE2, _ISO + bytes(4))), [gain], order)
 
 
 def as_openimageio_reads(data):
@@ -372,10 +370,10 @@ def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
 
 @pytest.mark.parametrize("damage", [b"MPF\0II*\0\xff\xff\xff\xff", b"MPF\0", b"MPF\0II*\0\x08\0\0\0\0\0"])
 def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
-    source = with_segments(encode(photograph(), "jpeg"), segment(0xE2, damage)) + b"video"
+    source = with_segments(encode(photograph(), "jpeg"), jpeg_segment(0xE2, damage)) + b"video"
     picture = read_image(source, "x.jpg")
     new = write_image(picture, picture.pixels // 2).data
-    assert segment(0xE2, damage) in new
+    assert jpeg_segment(0xE2, damage) in new
     assert new.endswith(b"\xff\xd9video")
 
 

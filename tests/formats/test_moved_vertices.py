@@ -17,7 +17,6 @@ from formats.gltf_comparison import json_differences
 from formats.gltf_files import Model, joined, numbers, unpacked
 from formats.ply_files import ENCODINGS, Table, build
 
-RANDOM = np.random.default_rng(7)
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 MOVES = np.array([[0, 0, 0], [0.25, 0, 0], [0, 0, -0.5], [0, 0.125, 0.0625]])
 
