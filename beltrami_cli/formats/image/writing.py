@@ -261,7 +261,7 @@ _DEFAULTS: dict[str, Any] = {
     "Orientation": 1, "PixelAspectRatio": 1.0, "ResolutionUnit": "in", "screenWindowWidth": 1.0,
     "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
 }  # fmt: skip
-_CARRIED = ("png", "jpeg", "webp", "tiff", "openexr")  # formats whose metadata are carried over as bytes
+_CARRIED = ("png", "jpeg", "webp", "tiff", "openexr", "avif")  # whose metadata are carried over as bytes
 _PNG_STRUCTURE = (b"tRNS", b"acTL", b"fcTL", b"fdAT")  # other notices tell what becomes of these
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
