@@ -104,19 +104,13 @@ def new_image(number, suffix=".png", size=70):
     return ImageFile(picture(1000 + number, HEADS[suffix], size), suffix)
 
 
-def save(written, name, folder):
-    """Write what a patch returned; return the path of the main file."""
-    for sidecar, data in written.sidecars.items():
+def save(written, name, folder, source=None):
+    """Write what a patch returned, and copies of files of the source; return the path of the main file."""
+    copies = {new: (source.parent / old).read_bytes() for new, old in written.copies.items() if source}
+    for sidecar, data in {**written.sidecars, **copies, name: joined(written)}.items():
         (folder / sidecar).parent.mkdir(parents=True, exist_ok=True)
         (folder / sidecar).write_bytes(bytes(data))
-    (folder / name).write_bytes(joined(written))
     return folder / name
-
-
-def copied(written, source, folder):
-    for new, old in written.copies.items():
-        (folder / new).parent.mkdir(parents=True, exist_ok=True)
-        (folder / new).write_bytes((source.parent / old).read_bytes())
 
 
 def shown(path):

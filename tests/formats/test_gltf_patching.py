@@ -1,4 +1,4 @@
-"""Patching glTF files changes colours, and nothing else."""
+"""Patching glTF files changes the asked colours and images; nothing else does or moves, and no bytes are wasted."""
 
 from __future__ import annotations
 
@@ -10,11 +10,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.errors import InputError
+from beltrami_cli.errors import InputError, OutputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
-from formats.gltf_comparison import byte_differences, json_differences
-from formats.gltf_files import ARRANGEMENTS, Model, coloured, data_uri, joined, numbers, unpacked
+from beltrami_cli.formats.registry import open_document
+from beltrami_cli.surface.records import ImageFile
+from formats.gltf_comparison import (
+    HEADS,
+    SQUARE,
+    byte_differences,
+    check_rest,
+    image_bytes,
+    image_of,
+    json_differences,
+    new_image,
+    save,
+    shown,
+    with_better_image,
+    with_images,
+)
+from formats.gltf_files import (
+    ARRANGEMENTS,
+    SLOT_PATHS,
+    WEBP,
+    Model,
+    Textured,
+    coloured,
+    data_uri,
+    joined,
+    numbers,
+    opened,
+    picture,
+    unpacked,
+)
 
 FORMS = ("glb", "gltf", "data")
 
@@ -33,7 +61,7 @@ def cases(draw, arrangement):
     return case
 
 
-def opened(model, form, folder, **style):
+def written_as(model, form, folder, **style):
     """Return the document and its bytes."""
     if form == "glb":
         data = model.glb((b"XTRA", b"kept"), **style)
@@ -64,7 +92,7 @@ def test_only_changed_colours_change_and_each_is_rounded_once(
     folder, arrangement, data, form, indent, moved, seed
 ):
     case = data.draw(cases(arrangement))
-    document, data = opened(case.model, form, folder, indent=indent)
+    document, data = written_as(case.model, form, folder, indent=indent)
     painted = document.painted()
     for unchanged in (
         document.patch(painted.colours.copy(), Naming("out")),
@@ -87,14 +115,14 @@ def test_only_changed_colours_change_and_each_is_rounded_once(
     expected = case.stored.copy()
     exact = colours.astype(np.float64) * scale
     expected[:, :3][changed] = (exact if scale == 1 else np.rint(exact))[changed]
-    check_rest(before, unpacked(joined(written), files), expected)
+    check_colours(before, unpacked(joined(written), files), expected)
     if form == "gltf" and written.sidecars:
         assert set(written.sidecars) == ({"a b.bin"} if moved else {"out.bin"})
     if form == "glb" and written.main != [data]:
         assert joined(written).endswith(b"XTRAkept")
 
 
-def check_rest(before, after, expected):
+def check_colours(before, after, expected):
     """Nothing but colours and their accessors differs, and new accessors have views of their own."""
     (old, _), (new, new_buffers) = before, after
     assert byte_differences(before, after) <= {"COLOR_0"}
@@ -144,3 +172,267 @@ def test_no_view_is_added_where_something_names_one_that_is_not_there():
     tree["extras"]["bufferView"] = 1
     with pytest.raises(InputError, match=r"names bufferViews\[1\]"):
         GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, Naming("x", keeps=True))
+
+
+@st.composite
+def models(draw):
+    model = Textured(draw(st.sampled_from(("view", "data", "file"))))
+    images = []
+    for number in range(draw(st.integers(1, 3))):
+        images.append(model.image(picture(number, size=40 + 17 * number), f"map {number}.png"))
+        if draw(st.booleans()):
+            model.view(b"something else")
+    textures = [
+        model.texture(draw(st.sampled_from(images)), wrap=(33071, 33648), name=f"texture {number}")
+        for number in range(draw(st.integers(1, 4)))
+    ]
+    slots = draw(st.lists(st.sampled_from(sorted(SLOT_PATHS)), min_size=2, max_size=6, unique=True))
+    for number in range(draw(st.integers(1, 3))):
+        chosen = {slot: draw(st.sampled_from(textures)) for slot in slots if draw(st.booleans())}
+        material = model.material(**chosen)
+        model.triangles(SQUARE + number, SQUARE[:, :2], material)
+    return model
+
+
+def shown_textures(document):
+    """Return the textures of a document by slot and key."""
+    textures = ((slot, document.textured(slot).textures) for slot in document.slots())
+    return {(slot, texture.key): texture for slot, found in textures for texture in found}
+
+
+@pytest.mark.slow
+@settings(max_examples=80, deadline=None)
+@given(
+    model=models(),
+    form=st.sampled_from(("glb", "gltf", "data")),
+    moved=st.booleans(),
+    data=st.data(),
+)
+def test_only_the_asked_images_of_the_asked_slots_change(tmp_path_factory, model, form, moved, data):
+    source = model.written_to(tmp_path_factory.mktemp("source"), form)
+    before = {file: file.read_bytes() for file in source.parent.rglob("*.*")}
+    document = open_document(str(source))
+    wanted, expected, old = {}, shown(source), shown(source)
+    for (slot, key), texture in shown_textures(document).items():
+        if data.draw(st.booleans()):
+            file = new_image(data.draw(st.integers(0, 3)), data.draw(st.sampled_from(sorted(HEADS))))
+            wanted[slot, key] = file
+            for (number, name), (octets, others) in old.items():
+                same = name == slot or (name, slot) == ("diffuse", "baseColor")
+                if same and octets == texture.data:
+                    expected[number, name] = file.data, others
+    present = {key: ImageFile(texture.data, ".png") for key, texture in shown_textures(document).items()}
+    for images in ({}, present):
+        unchanged = document.patch(None, Naming("out"), images=images)
+        assert (joined(unchanged), unchanged.sidecars) == (source.read_bytes(), {})
+    written = document.patch(None, Naming("out", copies=moved), images=wanted)
+    folder = tmp_path_factory.mktemp("target") if moved else source.parent
+    path = save(written, "out" + source.suffix, folder, source)
+    assert {file: file.read_bytes() for file in before} == before
+    assert shown(path) == expected
+    check_rest(source, path)
+    for slot in document.slots():
+        ours, now = document.textured(slot), open_document(str(path)).textured(slot)
+        np.testing.assert_array_equal(now.positions[now.faces], ours.positions[ours.faces])
+        np.testing.assert_array_equal(now.uv, ours.uv)
+        for face, (then, later) in enumerate(zip(ours.texture_of, now.texture_of, strict=True)):
+            assert (then < 0) == (later < 0)
+            if then >= 0:
+                key = slot, ours.textures[then].key
+                then_data = wanted[key].data if key in wanted else ours.textures[then].data
+                assert now.textures[later].data == then_data, face
+
+
+# Where an object with an `index` stands, besides the texture of the base colour, and whether it is that of a texture.
+INDICES = {
+    ("extensions", "VRM", "blendShapeMaster", "blendShapeGroups", 0, "binds", 0): False,
+    ("extensions", "VRMC_vrm", "expressions", "preset", "aa", "morphTargetBinds", 0): False,
+    ("materials", 0, "extras", "order"): False,
+    ("meshes", 0, "extras"): False,
+    ("materials", 0, "extensions", "UNKNOWN_lightmap"): True,
+    ("materials", 0, "extensions", "UNKNOWN_sheen", "map"): True,
+    ("materials", 0, "extras", "lightTexture"): True,
+    ("extensions", "EXT_structural_metadata", "propertyTextures", 0, "properties", "height"): True,
+}
+
+
+def put(value, path, last):
+    """Return a value with another one at a path below it."""
+    if not path:
+        return last
+    key, *rest = path
+    if key == 0:
+        return [put(value[0] if value else {}, rest, last)]
+    return (value or {}) | {key: put((value or {}).get(key), rest, last)}
+
+
+def with_image(place="view", **more):
+    """Return a square that shows one image."""
+    model = Textured(place)
+    texture = model.texture(model.image(picture(1, **more)))
+    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
+    return model
+
+
+def repainted(source, new, key="image 0", **naming):
+    """Replace an image of a file."""
+    return open_document(str(source)).patch(None, Naming("out", **naming), images={("baseColor", key): new})
+
+
+@pytest.mark.parametrize("path", INDICES)
+def test_only_what_shows_a_texture_keeps_it_as_it_was(tmp_path, path):
+    model = with_image()
+    model.tree = put(model.tree, path, {"index": 0, "weight": 1})
+    source = model.written_to(tmp_path)
+    target = save(repainted(source, new_image(1)), "o.glb", tmp_path)
+    tree, *_ = opened(target)
+    assert len(tree["textures"]) == (2 if INDICES[path] else 1)
+    assert tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"] == INDICES[path]
+    if not INDICES[path]:
+        assert tree["materials"] == model.tree["materials"]
+    before, after = (open_document(str(path)).fingerprint().parts for path in (source, target))
+    assert after == before
+
+
+@pytest.mark.parametrize("fallback", [True, False])
+@pytest.mark.parametrize("suffix", [".webp", ".png"])
+def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
+    model = with_better_image("webp", picture(2, WEBP), picture(1) if fallback else None)
+    model.tree["extensionsUsed"].insert(0, "KHR_other")
+    (better,) = model.tree["textures"][0]["extensions"]["EXT_texture_webp"].values()
+    written = repainted(model.written_to(tmp_path), new_image(1, suffix), f"image {better}", keeps=True)
+    tree, buffers = unpacked(joined(written))
+    assert image_of(tree, buffers, {}, tree["textures"][0]) == new_image(1, suffix).data
+    if suffix == ".webp":
+        assert tree["textures"] == model.tree["textures"]
+        assert tree["extensionsUsed"] == ["KHR_other", "EXT_texture_webp"]
+        assert bool(written.notices) == fallback
+    else:
+        assert tree["textures"] == [{"source": better}]
+        assert tree["extensionsUsed"] == ["KHR_other"]
+        assert "extensionsRequired" not in tree
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "moved", "expected"),
+    [
+        ("model.png", ".png", False, "out.png"),
+        ("maps/model_base color.png", ".png", False, "maps/out_base color.png"),
+        ("remodelled.png", ".png", False, "out_remodelled.png"),
+        ("maps/skin.png", ".jpg", False, "maps/out_skin.jpg"),
+        ("maps/skin.JPEG", ".jpg", True, "maps/skin.JPEG"),
+        ("maps/skin.png", ".webp", True, "maps/skin.webp"),
+        ("100%.png", ".png", True, "100%.png"),
+        ("100%.png", ".png", False, "out_100%.png"),
+        ("skin", ".png", True, "skin.png"),
+        ("TAKEN.png", ".jpg", True, "TAKEN-2.jpg"),
+        ("out_skin.png", ".png", False, "out_out_skin.png"),
+    ],
+)
+def test_image_files_are_named_after_the_output_and_spare_the_sources(
+    tmp_path, name, suffix, moved, expected
+):
+    model = with_image("file")
+    model.tree["images"][0]["uri"] = name.replace("%", "%25").replace(" ", "%20")
+    model.tree["images"].append({"uri": "Taken.jpg"})
+    model.files = {name: picture(1), "Taken.jpg": picture(3)}
+    written = repainted(model.written_to(tmp_path, "gltf"), new_image(1, suffix), keeps=moved)
+    assert list(written.sidecars) == [expected]
+    uri = json.loads(joined(written))["images"][0]["uri"]
+    assert uri == expected.replace("%", "%25").replace(" ", "%20")
+
+
+def test_a_name_that_stays_keeps_its_spelling(tmp_path):
+    model = with_image("file")
+    model.tree["images"][0]["uri"] = "sk%69n,(1).png"
+    model.files = {"skin,(1).png": picture(1)}
+    source = model.written_to(tmp_path, "gltf")
+    written = repainted(source, new_image(1), keeps=True)
+    assert joined(written) == source.read_bytes()
+    assert written.sidecars == {"skin,(1).png": new_image(1).data}
+
+
+@pytest.mark.parametrize(
+    ("form", "place"),
+    [("glb", "view"), ("glb", "file"), ("gltf", "view"), ("gltf", "data"), ("gltf", "file")],
+)
+def test_images_are_replaced_on_the_way_to_the_other_form(tmp_path, place, form):
+    document = open_document(str(with_images(tmp_path, 2, form, place)))
+    other = "gltf" if form == "glb" else "glb"
+    images = {("baseColor", "image 1"): new_image(1, ".jpg")}
+    written = document.patch(None, Naming("out"), form=other, images=images)
+    found = shown(save(written, f"out.{other}", tmp_path))
+    assert [data for data, _ in found.values()] == [picture(0, size=300), new_image(1, ".jpg").data]
+
+
+def test_types_that_gltf_cannot_hold_are_refused(tmp_path):
+    with pytest.raises(OutputError, match=r"cannot hold \.exr textures.*--texture-format"):
+        repainted(with_image().written_to(tmp_path), ImageFile(b"v/1", ".exr"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("form", "every"), [("glb", True), ("glb", False), ("gltf", True), ("data", False)])
+def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, every):
+    path, rng, largest = with_images(tmp_path, 3, form), np.random.default_rng(5), 400
+    first = opened(path)[0]
+    start = first["buffers"][0]["byteLength"]
+    for run in range(40):
+        document = open_document(str(path))
+        textures = document.textured("baseColor").textures
+        images = {
+            ("baseColor", texture.key): new_image(rng.integers(1 << 30), size=int(rng.integers(50, largest)))
+            for texture in (textures if every else [textures[run % 3]])
+        }
+        folder = tmp_path / str(run)
+        folder.mkdir()
+        written = document.patch(None, Naming("m", copies=True), images=images)
+        path = save(written, "m" + path.suffix, folder, path)
+        after = opened(path)[0]
+        assert {file.data for file in images.values()} <= {data for data, _ in shown(path).values()}
+        if every:
+            sizes = sum(-(-len(file.data) // 4) * 4 for file in images.values())
+            assert after["buffers"][0]["byteLength"] <= start + sizes + 8
+    assert after["buffers"][0]["byteLength"] < start + 3 * 5 * largest
+    assert len(after["images"]) == 3
+    assert len(after["bufferViews"]) == len(first["bufferViews"])
+
+
+@pytest.mark.parametrize("reader", ["part of it", "all of it", "right behind it", "lights of the scene"])
+def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
+    model = with_image(size=80)
+    index = model.tree["images"][0]["bufferView"]
+    view = model.tree["bufferViews"][index]
+    if reader == "part of it":
+        model.tree["bufferViews"].append(view | {"byteOffset": view["byteOffset"] + 8, "byteLength": 40})
+    elif reader == "all of it":
+        model.accessor(np.zeros((10, 1), "<u1"), index)
+    elif reader == "lights of the scene":
+        model.tree["extensions"] = {"EXT_lights_image_based": {"lights": [{"specularImages": [[0, 0]]}]}}
+    else:
+        model.tree["images"][0]["bufferView"] = model.view(picture(1, size=80))
+        model.view(b"tiny")
+    path, new = model.written_to(tmp_path), new_image(2, size=60)
+    patched = save(repainted(path, new), "o.glb", tmp_path)
+    check_rest(path, patched)
+    assert shown(patched) == {(0, "baseColor"): (new.data, {})}
+    (_, (old,), _), (tree, buffers, _) = opened(path), opened(patched)
+    if reader == "all of it":
+        at = slice(view["byteOffset"], view["byteOffset"] + 88)
+        assert buffers[0][at] == old[at]
+        assert tree["images"][0]["bufferView"] != index
+    if reader == "lights of the scene":
+        assert image_bytes(tree, buffers, {}, 0) == picture(1, size=80)
+
+
+def test_images_that_share_bytes_are_one_and_all_stay_in_use(tmp_path):
+    """Some exporters describe the same image once for every texture."""
+    model = Textured()
+    view = model.view(picture(1))
+    model.tree["images"] += [{"bufferView": view, "mimeType": "image/png"} for _ in range(3)]
+    for number in range(3):
+        model.triangles(SQUARE + number, SQUARE[:, :2], model.material(baseColor=model.texture(number)))
+    source = model.written_to(tmp_path)
+    (texture,) = open_document(str(source)).textured("baseColor").textures
+    target = save(repainted(source, new_image(1), texture.key), "out.glb", tmp_path)
+    assert all(opened(target)[0][key] == model.tree[key] for key in ("images", "textures", "materials"))
+    assert {data for data, _ in shown(target).values()} == {new_image(1).data}
