@@ -35,7 +35,7 @@ def folder_with(folder, files):
     return folder
 
 
-def model(folder, mtl, obj=None, **files):
+def model(folder, mtl="newmtl one\nmap_Kd a.png\n", obj=None, **files):
     folder_with(folder, {"m.mtl": mtl, "a.png": b"image a", "b.png": b"image b", **files})
     text = obj if obj is not None else f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}"
     (folder / "model.obj").write_bytes(text.encode())
@@ -51,10 +51,7 @@ def test_reading_agrees_with_trimesh(tmp_path):
     lines += ["vt {} {}".format(*row) for row in random.random((60, 2)).round(4)]
     corners = random.integers(0, (40, 60), (50, 3, 2)) + 1
     lines += ["usemtl one", *(" ".join(["f", *(f"{v}/{t}" for v, t in face)]) for face in corners.tolist())]
-    document = model(
-        tmp_path, "newmtl one\nmap_Kd skin.png\n", "mtllib m.mtl\n" + "\n".join(lines), **{"skin.png": png}
-    )
-    surface = document.textured("baseColor")
+    surface = model(tmp_path, obj="\n".join(["mtllib m.mtl", *lines]), **{"a.png": png}).textured("baseColor")
     resolver = trimesh.resolvers.FilePathResolver(str(tmp_path))
     text = io.BytesIO((tmp_path / "model.obj").read_bytes())
     other = trimesh.load(text, file_type="obj", process=False, maintain_order=False, resolver=resolver)
@@ -66,7 +63,7 @@ def test_reading_agrees_with_trimesh(tmp_path):
 def test_negative_indices_count_back_from_the_coordinates_before_the_face(tmp_path):
     obj = f"mtllib m.mtl\n{SQUARE}usemtl one\nvt 0 0\nvt 0.5 0\nvt 0 0.5\nf 1/-3 2/-2 3/-1\n"
     obj += f"{CORNERS}f 1/-4 2/-3/1 3/-2/\n"
-    surface = model(tmp_path, "newmtl one\nmap_Kd a.png\n", obj).textured("baseColor")
+    surface = model(tmp_path, obj=obj).textured("baseColor")
     assert surface.uv[0].tolist() == [[0, 1], [0.5, 1], [0, 0.5]]
     assert surface.uv[1].tolist() == [[0, 1], [1, 1], [1, 0.25]]
 
@@ -74,9 +71,7 @@ def test_negative_indices_count_back_from_the_coordinates_before_the_face(tmp_pa
 def test_concave_polygons_keep_each_corner_with_its_coordinates(tmp_path):
     points = [(0, 0), (2, 0), (2, 2), (1, 0.5), (0, 2)]
     obj = "mtllib m.mtl\nusemtl one\n" + "".join(f"v {x} {y} 0\nvt {x / 2} {y / 2}\n" for x, y in points)
-    surface = model(tmp_path, "newmtl one\nmap_Kd a.png\n", obj + "f 1/1 2/2 3/3 4/4 5/5\n").textured(
-        "baseColor"
-    )
+    surface = model(tmp_path, obj=obj + "f 1/1 2/2 3/3 4/4 5/5\n").textured("baseColor")
     plane = surface.positions[surface.faces][..., :2] / 2
     np.testing.assert_allclose(surface.uv, np.stack([plane[..., 0], 1 - plane[..., 1]], axis=2))
     assert len(surface.faces) == 3
@@ -103,7 +98,7 @@ def test_options_scale_shift_and_clamp(tmp_path):
     mtl += "-s 2 3 1 -o .25 -1e-1 -clamp on -bm 1.5 -imfchan r sub dir\\4 a.png\r\n"
     document = model(tmp_path, mtl, **{"sub dir/4 a.png": b"image"})
     surface = document.textured("baseColor")
-    plain = model(tmp_path, "newmtl one\nmap_Kd a.png\n").textured("baseColor")
+    plain = model(tmp_path).textured("baseColor")
     np.testing.assert_allclose(surface.uv[..., 0], 2 * plain.uv[..., 0] + 0.25)
     np.testing.assert_allclose(1 - surface.uv[..., 1], 3 * (1 - plain.uv[..., 1]) - 0.1)
     assert surface.textures[0].wrap == ("clamp", "clamp")
@@ -139,7 +134,7 @@ def test_materials_that_share_a_file_share_a_texture(tmp_path):
 def test_damaged_coordinates_are_refused_with_their_line(tmp_path, line, cause):
     obj = f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{line}\n"
     with pytest.raises(InputError, match=cause) as raised:
-        model(tmp_path, "newmtl one\nmap_Kd a.png\n", obj).textured("baseColor")
+        model(tmp_path, obj=obj).textured("baseColor")
     assert "line 11" in str(raised.value)
 
 
@@ -174,7 +169,7 @@ COLOURED = "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 1 1 0 0 0 1\nv 0 1 0 0.5 0.5 0.5\n"
 def test_colours_and_names_change_together_and_nothing_else(tmp_path):
     lines = ["mtllib m.mtl", "v 0 0 9 0.250000 0 1", "# mtllib m.mtl", "v 0 0 9 0.250000 0 1"]
     lines = [*lines, "mtllib  m.mtl  m.mtl # x", "", f"{COLOURED}{CORNERS}mtllib m.mtl", "usemtl one", FACE]
-    document = model(tmp_path, "newmtl one\nmap_Kd a.png\n", "\n".join(lines))
+    document = model(tmp_path, obj="\n".join(lines))
     colours = document.painted().colours.copy()
     colours[1, 0] = 0.75
     written = document.patch(colours, Naming("a longer"), images={("baseColor", "a.png"): NEW})
