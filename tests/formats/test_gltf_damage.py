@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from beltrami_cli.errors import BeltramiError, InputError
@@ -91,6 +91,7 @@ FILES = rare_uses().glb(), rare_uses().data_text(indent=1)
 
 @settings(max_examples=100, deadline=None)
 @given(form=st.sampled_from([0, 1]), share=st.floats(0, 1, exclude_max=True))
+@example(form=0, share=0.005)  # within the header
 def test_truncated_files_raise_input_errors(form, share):
     cut = max(1, int(share * len(FILES[form])))
     with pytest.raises(InputError):

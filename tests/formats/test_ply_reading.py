@@ -311,6 +311,7 @@ def test_texture_coordinates_of_all_dialects_are_the_same(tmp_path, encoding):
         np.testing.assert_allclose(surface.uv[..., 0], shown[..., 0], atol=1e-6)
         np.testing.assert_allclose(1 - surface.uv[..., 1], shown[..., 1], atol=1e-6)
         assert [texture.data for texture in surface.textures] == [b"an image"]
+        assert [texture.data for texture in document.fingerprint().images.values()] == [b"an image"]
         images = {("baseColor", "t.png"): ImageFile(b"new", ".png")}
         written = document.patch(None, Naming("in", keeps=True), images=images)
         assert (joined(written), dict(written.sidecars)) == (document.data, {"t.png": b"new"})

@@ -165,6 +165,7 @@ def test_opacity_and_faces_stay_and_count_in_comparisons():
     document = opened(npz(positions=POSITIONS, rgba=rgba, faces=faces))
     assert document.painted().faces.tolist() == faces
     assert np.allclose(document.contents().alpha, rgba[:, 3] / 255)
+    assert (document.facts()["points"], document.facts()["organised"]) == (4, [4])
     new = patched(document, np.ones((4, 3)))
     assert unnpz(new)["rgba"].tolist() == [[255, 255, 255, alpha] for alpha in (9, 8, 7, 6)]
     assert opened(new).fingerprint().parts == document.fingerprint().parts

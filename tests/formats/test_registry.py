@@ -131,7 +131,7 @@ def several_maps(folder):
 
 
 def vertices(form):
-    return lambda folder: coloured("dense", np.random.default_rng(1), width=3).model.written_to(folder, form)
+    return lambda folder: coloured("dense", np.random.default_rng(1)).model.written_to(folder, form)
 
 
 def compressed(kind):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -111,11 +112,11 @@ def test_glb_and_usd_are_converted_into_each_other(scan, suffix, tmp_path):
 
 @pytest.mark.usefixtures("usd_core_here")
 def test_vertex_colours_become_linear_light_and_come_back(tmp_path):
-    lines = "".join(
-        f"v {x} {y} 0 {r} {g} {b}\n"
-        for x, y, r, g, b in [(0, 0, 1, 0, 0.2), (1, 0, 0, 1, 0), (0, 1, 0.5, 0.5, 1)]
-    )
-    (tmp_path / "a.obj").write_text(lines + "f 1 2 3\n")
+    lines = ["v 0 0 0 1 0 0.2 0.5", "v 1 0 0 0 1 0 1", "v 0 1 0 0.5 0.5 1 0.25", "f 1 2 3", ""]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    smooth_file(tmp_path / "a.obj", tmp_path / "opacity.usda", GIVEN, iterations=0)
+    (opacity,) = re.findall(r"displayOpacity = \[(.*?)\]", (tmp_path / "opacity.usda").read_text())
+    np.testing.assert_allclose([*map(float, opacity.split(","))], [0.5, 1, 0.25])
     smooth_file(tmp_path / "a.obj", tmp_path / "b.usdz", GIVEN, iterations=0)
     smooth_file(tmp_path / "b.usdz", tmp_path / "c.obj", GIVEN, iterations=0)
     one, other = (open_document(str(tmp_path / name)).painted() for name in ("a.obj", "c.obj"))
