@@ -27,16 +27,25 @@ from formats.usd_files import (
     PICTURE,
     POINTS,
     QUADS,
+    block,
     coloured,
     material_text,
     mesh_text,
     rows,
     scene,
+    shader,
     write,
 )
 
 # Its own process, and what it makes of damaged files, is tested in test_usd_packages.py.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("usd_core_here")]
+
+
+def smoothed(folder, **settings):
+    """Smooth a scene, of which nothing but colours may change; return what it is then."""
+    report = smooth_file(folder / "a.usda", folder / "b.usda", GIVEN, **settings)
+    assert check_files(folder / "a.usda", report.output).faithful
+    return open_document(report.output)
 
 
 @pytest.mark.parametrize(("on", "kind"), [("vertex", "color3h"), ("faceVarying", "color3f")])
@@ -89,10 +98,7 @@ def test_colours_of_a_palette_get_one_of_their_own_at_each_place(tmp_path):
     (tmp_path / "a.usda").write_text(scene(mesh_text(coloured(COLOURS[:7], indices=palette))))
     before = open_document(str(tmp_path / "a.usda")).painted().colours
     np.testing.assert_array_equal(before, COLOURS[np.arange(len(POINTS)) % 7])
-    smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN)
-    after = open_document(str(tmp_path / "b.usda")).painted().colours
-    assert len(np.unique(after, axis=0)) > 7
-    assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
+    assert len(np.unique(smoothed(tmp_path).painted().colours, axis=0)) > 7
 
 
 def test_the_surface_is_that_which_is_shown(tmp_path):
@@ -120,16 +126,15 @@ def test_the_surface_is_that_which_is_shown(tmp_path):
     assert "1 mesh(es) have one colour" in said
 
 
-MOVED = """        def Shader "move"
-        {
-            uniform token info:id = "UsdTransform2d"
-            float2 inputs:in.connect = <%s/st.outputs:result>
-            float inputs:rotation = 90
-            float2 inputs:scale = (2, 3)
-            float2 inputs:translation = (0.5, 0.25)
-            float2 outputs:result
-        }
-"""
+MOVED = shader(
+    "move",
+    "UsdTransform2d",
+    "float2 inputs:in.connect = </scan/skin/st.outputs:result>",
+    "float inputs:rotation = 90",
+    "float2 inputs:scale = (2, 3)",
+    "float2 inputs:translation = (0.5, 0.25)",
+    "float2 outputs:result",
+)
 
 
 def test_coordinates_are_moved_and_images_wrapped_as_the_material_says(tmp_path):
@@ -138,7 +143,7 @@ def test_coordinates_are_moved_and_images_wrapped_as_the_material_says(tmp_path)
     other += "            int[] indices = [0, 1]\n            rel material:binding = </scan/two>\n        }\n"
     text = scene(
         mesh_text(BOUND + other),
-        material_text("a.png", reader="move", extra=MOVED % "/scan/skin"),
+        material_text("a.png", reader="move", extra=MOVED),
         material_text("b.png", "/scan/two"),
     )
     write(tmp_path, {"a.usda": text, "a.png": PICTURE, "b.png": PICTURE})
@@ -212,10 +217,8 @@ def test_instances_are_smoothed_once(tmp_path):
     )
     proto = '    class Xform "proto"\n    {\n' + mesh_text(coloured(COLOURS[: len(POINTS)])) + "    }\n"
     (tmp_path / "a.usda").write_text(scene(twice, proto))
-    smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN)
-    document = open_document(str(tmp_path / "b.usda"))
+    document = smoothed(tmp_path)
     assert len(document.painted().colours) == len(POINTS)
-    assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
     assert any("instances of others" in notice for notice in document.notices)
 
 
@@ -234,30 +237,31 @@ def test_layers_outside_are_not_read(tmp_path):
         assert cause in said
 
 
-MTLX = """    def Material "skin"
-    {
-        token outputs:mtlx:surface.connect = </scan/skin/surface.outputs:surface>
-        def Shader "surface"
-        {
-            uniform token info:id = "ND_standard_surface_surfaceshader"
-            color3f inputs:base_color.connect = </scan/skin/images.outputs:colour>
-            token outputs:surface
-        }
-        def NodeGraph "images"
-        {
-            color3f outputs:colour.connect = </scan/skin/images/image.outputs:out>
-            def Shader "image"
-            {
-                uniform token info:id = "ND_tiledimage_color3"
-                asset inputs:file = @a.png@
-                float2 inputs:uvtiling = (2, 1)
-                float2 inputs:uvoffset = (0.25, 0)
-                string inputs:vaddressmode = "mirror"
-                color3f outputs:out
-            }
-        }
-    }
-"""
+MTLX = block(
+    "Material",
+    "skin",
+    "token outputs:mtlx:surface.connect = </scan/skin/surface.outputs:surface>",
+    shader(
+        "surface",
+        "ND_standard_surface_surfaceshader",
+        "color3f inputs:base_color.connect = </scan/skin/images.outputs:colour>",
+        "token outputs:surface",
+    ),
+    block(
+        "NodeGraph",
+        "images",
+        "color3f outputs:colour.connect = </scan/skin/images/image.outputs:out>",
+        shader(
+            "image",
+            "ND_tiledimage_color3",
+            "asset inputs:file = @a.png@",
+            "float2 inputs:uvtiling = (2, 1)",
+            "float2 inputs:uvoffset = (0.25, 0)",
+            'string inputs:vaddressmode = "mirror"',
+            "color3f outputs:out",
+        ),
+    ),
+)
 
 
 def test_materialx_networks_in_layers_show_their_image(tmp_path):
@@ -269,10 +273,8 @@ def test_materialx_networks_in_layers_show_their_image(tmp_path):
     assert {*map(tuple, surface.uv.reshape(-1, 2).round(4))} == {
         *map(tuple, (plain * [1, -1] + [0, 1]).round(4))
     }
-    smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN)
-    text = (tmp_path / "a.usda").read_text()
-    assert (tmp_path / "b.usda").read_text() == text.replace("@a.png@", "@./b.png@")
-    assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
+    text = (tmp_path / "a.usda").read_bytes()
+    assert smoothed(tmp_path).data == text.replace(b"@a.png@", b"@./b.png@")
 
 
 @pytest.mark.parametrize(
@@ -294,13 +296,7 @@ def test_what_is_not_read_of_materials_is_said_with_the_way_out(change, words, t
 
 def test_files_that_nothing_shows_are_copied_beside_the_output(tmp_path):
     """Such as an image of roughness alone, or the surroundings that light a scene."""
-    rough = """        def Shader "rough"
-        {
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @tex/rough.png@
-            float outputs:r
-        }
-"""
+    rough = shader("rough", "UsdUVTexture", "asset inputs:file = @tex/rough.png@", "float outputs:r")
     light = '    def DomeLight "light"\n    {\n        asset inputs:texture:file = @sky.png@\n    }\n'
     text = scene(mesh_text(BOUND), material_text("a.png", extra=rough), light)
     others = {"tex/rough.png": PICTURE, "sky.png": PICTURE + b" "}
@@ -321,15 +317,9 @@ def glowing(shader, extra=""):
 
 
 def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_path):
-    lamp = """        def Shader "lamp"
-        {
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @b.png@
-            float2 inputs:st.connect = </scan/skin/move.outputs:result>
-            float3 outputs:rgb
-        }
-"""
-    text = scene(mesh_text(BOUND), glowing("lamp", MOVED % "/scan/skin" + lamp))
+    moved = "float2 inputs:st.connect = </scan/skin/move.outputs:result>"
+    lamp = shader("lamp", "UsdUVTexture", "asset inputs:file = @b.png@", moved, "float3 outputs:rgb")
+    text = scene(mesh_text(BOUND), glowing("lamp", MOVED + lamp))
     write(tmp_path, {"a.usda": text, "a.png": PICTURE, "b.png": PICTURE})
     mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
     assert [sorted(material.maps) for material in mesh.materials] == [["baseColor"]]
@@ -338,13 +328,9 @@ def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_pat
 
 def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
     base = scene(mesh_text(BOUND), glowing("diffuse"))
-    write(
-        tmp_path,
-        {"a.usda": "#usda 1.0\n( subLayers = [@./base.usda@] )\n", "base.usda": base, "a.png": PICTURE},
-    )
-    smooth_file(tmp_path / "a.usda", tmp_path / "b.usda", GIVEN, slots=("baseColor", "emissive"))
-    assert (tmp_path / "b.usda").read_text().count("@./b.png@") == 1
-    assert check_files(tmp_path / "a.usda", tmp_path / "b.usda").faithful
+    root = "#usda 1.0\n( subLayers = [@./base.usda@] )\n"
+    write(tmp_path, {"a.usda": root, "base.usda": base, "a.png": PICTURE})
+    assert smoothed(tmp_path, slots=("baseColor", "emissive")).data.count(b"@./b.png@") == 1
 
 
 @pytest.mark.parametrize("form", ["usda", "usdc"])

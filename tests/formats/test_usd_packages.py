@@ -38,6 +38,7 @@ from formats.usd_files import (
     package,
     phone_scan,
     scene,
+    shader,
 )
 
 pytestmark = pytest.mark.slow
@@ -203,14 +204,8 @@ def test_without_usd_core_the_way_to_install_it_is_said(scan, tmp_path):
 
 @pytest.mark.usefixtures("usd_core_here")
 def test_an_image_that_is_shown_as_something_else_too_stays_in_the_package(tmp_path):
-    other = """        def Shader "other"
-        {
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @a.png@
-            float2 inputs:st.connect = </scan/skin/st.outputs:result>
-            float outputs:r
-        }
-"""
+    placed = "float2 inputs:st.connect = </scan/skin/st.outputs:result>"
+    other = shader("other", "UsdUVTexture", "asset inputs:file = @a.png@", placed, "float outputs:r")
     text = scene(mesh_text(BOUND), material_text("a.png", extra=other)).replace(
         "float inputs:roughness = 1", "float inputs:roughness.connect = </scan/skin/other.outputs:r>"
     )

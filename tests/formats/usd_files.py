@@ -47,35 +47,36 @@ def mesh_text(extra: str = "", name: str = "mesh", metadata: str = "") -> str:
     )
 
 
+def block(kind: str, name: str, *lines: str) -> str:
+    """Return a prim below another one, of a material, with these lines, which may be prims."""
+    body = "".join(line if line.endswith("\n") else f"            {line}\n" for line in lines)
+    return f'        def {kind} "{name}"\n        {{\n{body}        }}\n'
+
+
+def shader(name: str, kind: str, *lines: str) -> str:
+    return block("Shader", name, f'uniform token info:id = "{kind}"', *lines)
+
+
 def material_text(image: str, path: str = "/scan/skin", reader: str = "st", extra: str = "") -> str:
-    name = path.rpartition("/")[2]
-    return f"""    def Material "{name}"
-    {{
-        token outputs:surface.connect = <{path}/surface.outputs:surface>
-        def Shader "surface"
-        {{
-            uniform token info:id = "UsdPreviewSurface"
-            color3f inputs:diffuseColor.connect = <{path}/diffuse.outputs:rgb>
-            float inputs:roughness = 1
-            token outputs:surface
-        }}
-        def Shader "diffuse"
-        {{
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @{image}@
-            float2 inputs:st.connect = <{path}/{reader}.outputs:result>
-            token inputs:wrapS = "repeat"
-            token inputs:wrapT = "mirror"
-            float3 outputs:rgb
-        }}
-        def Shader "st"
-        {{
-            uniform token info:id = "UsdPrimvarReader_float2"
-            token inputs:varname = "st"
-            float2 outputs:result
-        }}
-{extra}    }}
-"""
+    surface = shader(
+        "surface",
+        "UsdPreviewSurface",
+        f"color3f inputs:diffuseColor.connect = <{path}/diffuse.outputs:rgb>",
+        "float inputs:roughness = 1",
+        "token outputs:surface",
+    )
+    diffuse = shader(
+        "diffuse",
+        "UsdUVTexture",
+        f"asset inputs:file = @{image}@",
+        f"float2 inputs:st.connect = <{path}/{reader}.outputs:result>",
+        'token inputs:wrapS = "repeat"',
+        'token inputs:wrapT = "mirror"',
+        "float3 outputs:rgb",
+    )
+    st = shader("st", "UsdPrimvarReader_float2", 'token inputs:varname = "st"', "float2 outputs:result")
+    shown = f"token outputs:surface.connect = <{path}/surface.outputs:surface>"
+    return block("Material", path.rpartition("/")[2], shown, surface, diffuse, st, extra)
 
 
 BOUND = "        rel material:binding = </scan/skin>\n"
