@@ -64,8 +64,10 @@ def uses(tree):
     for index, view in enumerate(tree.get("bufferViews", [])):
         if index not in known:
             use = "image" if index in images else f"bufferViews[{index}]"
-            start = view.get("byteOffset", 0)
-            found[view["buffer"]].append((use, np.arange(start, start + view["byteLength"])))
+            start, size = view.get("byteOffset", 0), view["byteLength"]
+            size += -size % 4 if index in images else 0  # an image at the end is cut off with its padding
+            size = min(size, tree["buffers"][view["buffer"]]["byteLength"] - start)
+            found[view["buffer"]].append((use, np.arange(start, start + size)))
     return found
 
 
