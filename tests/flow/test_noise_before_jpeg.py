@@ -178,3 +178,14 @@ def test_the_number_of_threads_changes_nothing(tmp_path):
     for out in outs:
         beltrami("smooth", tmp_path / "in.jpg", out, "--threads", out.stem)
     assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+@pytest.mark.slow
+def test_noise_that_is_given_is_that_before(tmp_path):
+    decoded(jpeg_file(stored(SMALL, 10), 80, "4:4:4"), tmp_path / "in.jpg")
+    results = {}
+    for noise in ("1", "10"):
+        out = tmp_path / f"{noise}.png"
+        beltrami("smooth", tmp_path / "in.jpg", out, "--noise", noise)
+        results[noise] = psnr(decoded(out.read_bytes(), out) / 255, SMALL)
+    assert results["10"] > results["1"] + 3

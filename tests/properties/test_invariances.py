@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -221,3 +222,14 @@ def test_without_beta_the_kernel_is_linear(kind):
     total, of_a, of_b = (own.smooth(own.positions, own.faces, each, **linear) for each in (2 * a - b, a, b))
     # Float32 sums of some 50 terms up to 7, over three iterations.
     np.testing.assert_allclose(total, 2 * of_a - of_b, atol=2e-5)
+
+
+def test_every_setting_counts():
+    """Or that nothing depends on threads, frame or order would show little."""
+    for kinds in (
+        ON_TRIANGLES,
+        [kind for kind in SCENES if "image" in kind],
+        ["texture", "texture with patches"],
+    ):
+        for one, other in combinations(kinds, 2):
+            assert not np.array_equal(smoothed(one), smoothed(other)), (one, other)
