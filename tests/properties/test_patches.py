@@ -59,16 +59,6 @@ def result_on(positions, faces, noisy, **parameters):
     return smooth(positions, faces, noisy, **parameters).colours
 
 
-def test_patches_gain_on_vertices_up_to_open_borders():
-    positions, faces, clean, noisy = plane()
-    positions = positions + np.column_stack([np.zeros((len(positions), 2)), 3 * np.sin(positions[:, 0] / 7)])
-    both = result_on(positions, faces, noisy)
-    kernel = result_on(positions, faces, noisy, patches="off")
-    border = np.any((positions[:, :2] < 2) | (positions[:, :2] > SIDE - 3), axis=1)
-    for part in (border, ~border):
-        assert psnr(both[part], clean[part]) > psnr(kernel[part], clean[part]) + 0.3
-
-
 def test_the_other_side_of_a_thin_sheet_is_no_neighbour():
     positions, faces, clean, _ = plane()
     clean = clean - 0.2
