@@ -49,7 +49,7 @@ def refused_manifest(scan, tmp_path, folder, entry):
     report = ("--report", tmp_path / "report.jsonl")
     said = batch(manifest, "--out-dir", folder, "--overwrite", *report, *QUICK, code=3)
     assert snapshot(tmp_path) == before
-    assert "jobs.jsonl, line 1: it" in said
+    assert "line 1: it" in said
     return said
 
 
