@@ -139,3 +139,9 @@ def test_the_search_ends_at_home_and_at_the_root_of_a_repository(tmp_path):
     assert "beta" not in run(deep, "config", **home).stdout
     (deep.parent / "beltrami.toml").write_text("[smooth]\nbeta = 5\n")
     assert "beta = 5" in run(deep, "config", **home).stdout
+
+
+def test_a_project_of_others_that_does_not_mention_this_program_needs_no_word(tmp_path):
+    (tmp_path / "pyproject.toml").write_text("[project]\nname = 'other'\n")
+    (tmp_path / "pyproject.toml").chmod(0o666)
+    assert run(tmp_path, "config").stderr == ""
