@@ -102,11 +102,7 @@ def add_enlarged(
     threads: int,
 ) -> None: ...
 
-HAAR_TILE_SIDE: int
 
-def measure_haar_tiles(
-    planes: NDArray[np.float32], filled: NDArray[np.bool_], first_rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]: ...
 def nearest_marked(
     marked: NDArray[np.bool_], wanted: NDArray[np.bool_], reach: int, threads: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]: ...

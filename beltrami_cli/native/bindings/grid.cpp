@@ -7,7 +7,6 @@
 #include <cmath>
 
 #include "bindings/bindings.hpp"
-#include "grid/haar_tiles.hpp"
 #include "grid/local_means.hpp"
 #include "grid/repeats.hpp"
 #include "grid/squares.hpp"
@@ -20,7 +19,6 @@ namespace {
 using namespace beltrami::grid;
 using Cells = nb::ndarray<const std::uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Plane = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Filled = nb::ndarray<const bool, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 // The planes of a grid, each by itself: an array of them, or a list.
 class PlanesOfGrid {
@@ -146,25 +144,6 @@ auto convolve_planes(const Bands& planes, const Vector<float>& taps, unsigned th
   return give<float, nb::ndim<3>>(std::move(result), {count, rows, columns});
 }
 
-// See measure_tiles; returns counts, shape (bands, tiles), and measures, shape (measures, planes, bands, tiles).
-auto measure_haar_tiles(const Stack& planes, const Filled& filled, const Vector<std::int64_t>& first_rows) {
-  const FilledPlanes all{planes.data(), planes.shape(0), planes.shape(1), planes.shape(2), filled.data()};
-  if (filled.shape(0) != all.rows || filled.shape(1) != all.columns)
-    throw nb::value_error("planes must have the grid's shape");
-  for (std::size_t i = 0; i < first_rows.size(); ++i)
-    if (first_rows.data()[i] < 0 || static_cast<std::size_t>(first_rows.data()[i]) >= all.rows)
-      throw nb::index_error("a band starts outside the grid");
-  const std::size_t bands = first_rows.size(), tiles = tiles_across(all.columns);
-  std::unique_ptr<std::int32_t[]> counts(new std::int32_t[bands * tiles]);
-  std::unique_ptr<double[]> measures(new double[tile_measures * all.count * bands * tiles]);
-  {
-    const nb::gil_scoped_release unlock;
-    measure_tiles(all, {first_rows.data(), bands}, counts.get(), measures.get());
-  }
-  return std::make_tuple(give<std::int32_t, nb::ndim<2>>(std::move(counts), {bands, tiles}),
-                         give<double, nb::ndim<4>>(std::move(measures), {tile_measures, all.count, bands, tiles}));
-}
-
 // What makes local units of squared lengths to the right and below, see local_scale.
 auto local_scale_of(const Plane& right, const Plane& below, int window_radius) {
   const std::size_t rows = right.shape(0), columns = right.shape(1);
@@ -259,8 +238,6 @@ void bind_grid(nb::module_& module) {
   module.def("convolve", &convolve_planes, "planes"_a, "taps"_a, "threads"_a);
   module.def("convolve_to", &convolve_to, "planes"_a, "taps"_a, "first"_a, "kind"_a.none(), "result"_a.noconvert(), "threads"_a);
   module.def("copy_planes", &copy_bands, "planes"_a, "copies"_a.noconvert(), "threads"_a);
-  module.attr("HAAR_TILE_SIDE") = tile_side;
-  module.def("measure_haar_tiles", &measure_haar_tiles, "planes"_a, "filled"_a, "first_rows"_a);
   module.def("sort_squares", &sort_squares_of, "kind"_a, "side"_a);
   module.def("means_of_squares", &means_of_squares_of, "kind"_a, "kinds"_a, "planes"_a, "side"_a, "threads"_a);
   module.def("add_enlarged", &add_enlarged_to, "kind"_a, "kinds"_a, "changes"_a, "planes"_a.noconvert(), "side"_a,
