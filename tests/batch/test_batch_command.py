@@ -330,6 +330,12 @@ def test_names_of_outputs(options, name, scans, tmp_path):
     assert open_document(str(tmp_path / name)).format == name.rsplit(".", 1)[1]
 
 
+def test_file_urls_are_paths(scans, tmp_path):
+    batch(f"file://{scans}/*.ply", "--out-dir", f"file://{tmp_path}/out", *QUICK)
+    (line,) = lines_of(tmp_path / "out" / "batch.jsonl")
+    assert (line["input"], line["output"]) == (f"{scans}/a.ply", f"{tmp_path}/out/a.ply")
+
+
 def test_two_files_never_become_one(scans, tmp_path):
     shutil.copy(scans / "a.ply", scans / "deep" / "a.ply")
     inputs = (scans / "a.ply", scans / "deep" / "a.ply")

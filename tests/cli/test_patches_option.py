@@ -44,6 +44,7 @@ def smoothed(source, *options):
 def test_the_share_of_patches_is_said_and_reported(kind, request):
     source = request.getfixturevalue(kind)
     said, part, result = smoothed(source)
+    assert said.startswith("work: parameters are tried on ")  # which comes before it starts
     (share,) = re.findall(
         r"^patches: (\d+) % of the result, the rest from the kernel alone$", said, re.MULTILINE
     )

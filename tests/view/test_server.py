@@ -58,16 +58,18 @@ def sent(page_server, name, body, **headers):
 
 def test_only_those_with_the_token_and_from_its_own_origin_get_anything(page_server):
     token, body = page_server.token, '{"values": {}}'
+    (name,) = (name for name in page_server.files if name)
+    assert answered(page_server, "GET", f"/{token}/{name}")[0].status == 200
     assert answered(page_server, "GET", f"/{token}/", Origin=None)[0].status == 200
     for method, path, headers in (
         ("GET", "/", {}),
-        ("GET", "/model.json", {}),
+        ("GET", f"/{name}", {}),
         ("GET", f"/{token}", {}),
-        ("GET", f"/{token[:-1]}x/model.json", {}),
+        ("GET", f"/{token[:-1]}x/{name}", {}),
         ("GET", f"/{token}/../../etc/passwd", {}),
-        ("GET", f"/{token}/model.json", {"Host": "evil.example"}),
-        ("GET", f"/{token}/model.json", {"Origin": "http://evil.example"}),
-        ("GET", f"/{token}/model.json", {"Sec-Fetch-Site": "cross-site"}),
+        ("GET", f"/{token}/{name}", {"Host": "evil.example"}),
+        ("GET", f"/{token}/{name}", {"Origin": "http://evil.example"}),
+        ("GET", f"/{token}/{name}", {"Sec-Fetch-Site": "cross-site"}),
         ("POST", f"/{token}/save", {"Origin": None}),
         ("POST", f"/{token}/save", {"Origin": "null"}),
     ):
