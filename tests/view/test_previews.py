@@ -28,8 +28,6 @@ from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
 
-NOISY = SAMPLES / "nonmanifold-noisy.ply"
-
 
 def parsed(words):
     """Return the settings that `smooth` makes of options."""
