@@ -91,7 +91,7 @@ def test_smooth_levels_first(exposed, tmp_path):
     assert step(target) < 0.1 * step(exposed)
 
 
-# The scan, of which no smaller sample has seams where paint differs, takes 4 s.
+# Takes 4 s with the scan: no smaller sample has seams where paint differs.
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["head-tex-clean.glb", "scan-clean.glb"])
 def test_smooth_without_iterations_only_levels_also_around_charts(name, tmp_path):
