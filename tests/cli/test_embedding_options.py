@@ -142,3 +142,11 @@ def test_vertices_move_if_that_is_asked_for_and_the_report_says_how_far(extensio
     assert moves.mean() == pytest.approx(geometry["mean_move"], rel=1e-2)
     info = beltrami("info", source, *options, "--smooth-geometry", "--json")
     assert json.loads(info.stdout)["smooth"]["guide_betas"] == {str(CLEAN): 5.0}
+
+
+def test_moved_vertices_may_go_into_another_format(tmp_path):
+    for name in ("same.ply", "other.glb"):  # in which the quads become triangles
+        run("smooth", NOISY, tmp_path / name, "--smooth-geometry")
+    same, other = (painted(tmp_path / name).positions for name in ("same.ply", "other.glb"))
+    assert not np.array_equal(same, painted(NOISY).positions)
+    assert np.allclose(same, other, atol=1e-6)
