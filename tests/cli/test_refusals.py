@@ -229,6 +229,12 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(words, code, said, fol
     refused(folder, *(word.replace("@", f"{SAMPLES}/") for word in shlex.split(words)), code=code, said=said)
 
 
+def hide(module, monkeypatch):
+    """Make importing a module fail, and what of it other tests have imported."""
+    for name in {module, *(name for name in sys.modules if name.startswith(f"{module}."))}:
+        monkeypatch.setitem(sys.modules, name, None)
+
+
 @pytest.mark.parametrize(
     ("module", "extra", "words", "code"),
     [
@@ -241,7 +247,7 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(words, code, said, fol
     ],
 )
 def test_an_extra_that_is_not_installed_is_named(module, extra, words, code, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, module, None)  # which makes importing it fail
+    hide(module, monkeypatch)
     (tmp_path / "volume.nrrd").write_bytes(nrrd_file(sphere(0.4)[0]))
     words = words.replace("@", f"{SAMPLES}/").split()
     (line,) = beltrami(*words, code=code, cwd=tmp_path, text=True).stderr.splitlines()
@@ -250,7 +256,7 @@ def test_an_extra_that_is_not_installed_is_named(module, extra, words, code, tmp
 
 @pytest.mark.parametrize("module", ["av", "dask", "distributed", "embreex", "fsspec", "nrrd", "skimage"])
 def test_nothing_else_misses_an_extra(module, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, module, None)
+    hide(module, monkeypatch)
     (tmp_path / "p.xyz").write_text("0 0 0 255 0 0\n1 0 0 255 0 0\n1 1 0 255 0 0\n0 1 0 255 0 0\n")
     beltrami("smooth", "p.xyz", "q.ply", "--fast", cwd=tmp_path)
     with without_workers():
