@@ -15,6 +15,7 @@ pytest.importorskip("embreex")
 NOISY, CLEAN = (SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean"))
 
 
+@pytest.mark.slow
 def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_path):
     page = tmp_path / "sheet.html"
     lists = ("--beta", "4,12", "-n", "1,3", "--metric-steps", "1")

@@ -103,7 +103,7 @@ def test_the_gutter_can_be_kept(tmp_path):
     ("name", "kind"),
     [
         ("nonmanifold-clean.glb", "gaussian"),
-        ("torus-two-clean.gltf", "poisson"),
+        pytest.param("torus-two-clean.gltf", "poisson", marks=pytest.mark.slow),
         ("sphere-exr-clean.obj", "gaussian"),
         ("nonmanifold-clean.ply", "camera"),
         ("nonmanifold-clean.ply", "grain"),
