@@ -10,11 +10,6 @@
 namespace beltrami::grid {
 namespace {
 
-// Adds weight * values to sums.
-void accumulate(const float* values, float weight, std::size_t count, float* sums) {
-  for (std::size_t i = 0; i < count; ++i) sums[i] += weight * values[i];
-}
-
 // Logarithms of the lengths of edges, and how many edges there are: of the two axes at a cell, or of many such.
 struct Sums {
   std::vector<float> logarithms, counts;
@@ -36,6 +31,7 @@ void take_logarithms(const float* right, const float* below, std::size_t count, 
 void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::span<const float> taps, const Band& band,
               const std::uint8_t* kind, float* const* result, unsigned threads) {
   const std::size_t reach = taps.size() / 2;
+  const auto sum = BELTRAMI_VARIANT_OF(sum_over_taps, choose_instruction_set());
   // A chunk is some rows of a plane; a line of means down columns has zeros on both sides.
   const std::size_t height = std::max<std::size_t>(1, (std::size_t{1} << 16) / std::max<std::size_t>(1, columns));
   parallel_chunks(planes.channels * band.count, height, threads, [&](std::size_t begin, std::size_t end, unsigned) {
@@ -43,13 +39,12 @@ void convolve(const Planes& planes, std::size_t rows, std::size_t columns, std::
     for (std::size_t i = begin; i < end; ++i) {
       const std::size_t row = band.first + i % band.count;
       const float* const plane = planes[i / band.count];
-      std::fill(line.begin(), line.end(), 0.0F);
-      for (std::size_t tap = 0; tap < taps.size(); ++tap)
-        if (row + tap >= reach && row + tap < rows + reach)
-          accumulate(plane + (row + tap - reach) * columns, taps[tap], columns, line.data() + reach);
+      // Beyond the plane there is nothing.
+      const std::size_t begin_tap = reach - std::min(reach, row), end_tap = std::min(taps.size(), rows + reach - row);
+      sum(plane + (row + begin_tap - reach) * columns, columns, taps.subspan(begin_tap, end_tap - begin_tap), columns,
+          line.data() + reach);
       float* means = result[i / band.count] + i % band.count * columns;
-      std::fill(means, means + columns, 0.0F);
-      for (std::size_t tap = 0; tap < taps.size(); ++tap) accumulate(line.data() + tap, taps[tap], columns, means);
+      sum(line.data(), 1, taps, columns, means);
       if (kind == nullptr) continue;
       const std::uint8_t* const kinds = kind + row * columns;
       for (std::size_t column = 0; column < columns; ++column)

@@ -7,6 +7,7 @@
 #include <span>
 
 #include "grid/grid.hpp"
+#include "instruction_set.hpp"
 
 namespace beltrami::grid {
 
@@ -14,6 +15,10 @@ namespace beltrami::grid {
 struct Band {
   std::size_t first, count;
 };
+
+BELTRAMI_DECLARE_VARIANTS(
+    // Writes sums over taps of tap * value for `count` values; those of the next tap begin `step` values further on.
+    void sum_over_taps(const float* values, std::size_t step, std::span<const float> taps, std::size_t count, float* sums))
 
 // Convolves planes of rows * columns cells with the taps (an odd number of them) down columns and along rows, and writes the
 // rows of a band to as many planes. Beyond the grid's borders everything is 0, and so are means in empty cells, if the kinds
