@@ -53,19 +53,27 @@ void move_band(Band& band, const Canvas& canvas, std::size_t first, std::size_t 
   band.rows = end - first;
 }
 
-// Divides the sums of cells by their weights, and mixes the channels back; cells without an estimate get the pilot.
-void finish(const Canvas& canvas, const Band& band, std::size_t first, std::size_t last, float* estimates) {
-  const std::size_t cells = canvas.rows * canvas.columns, n = canvas.channels;
-  std::vector<float> mixed(n);
-  for (std::size_t cell = first; cell < last; ++cell) {
-    const std::size_t own = cell - band.first * canvas.columns, stride = band.rows * canvas.columns;
-    const bool known = canvas.kind[cell] == grid::owned && band.weights[own] > 0;
-    for (std::size_t c = 0; known && c < n; ++c) mixed[c] = band.estimates[c * stride + own] / band.weights[c * stride + own];
-    for (std::size_t c = 0; c < n; ++c) {
-      float value = known ? 0 : canvas.pilot[c * cells + cell];
-      for (std::size_t from = 0; known && from < n; ++from) value += canvas.unmixing[c * n + from] * mixed[from];
-      estimates[c * cells + cell] = value;
-    }
+// Cells whose values stay in the cache.
+constexpr std::size_t finished_cells = 256;
+using Cells = std::array<float, finished_cells>;
+
+// Divides the sums of up to `finished_cells` cells by their weights, and mixes the channels back; cells without an estimate
+// get the pilot.
+void finish(const Canvas& canvas, const Band& band, std::size_t cell, std::size_t count, std::vector<Cells>& mixed,
+            float* estimates) {
+  const std::size_t own = cell - band.first * canvas.columns, stride = band.rows * canvas.columns, n = canvas.channels;
+  for (std::size_t c = 0; c < n; ++c) {
+    const float *sums = band.estimates.data() + c * stride + own, *weights = band.weights.data() + c * stride + own;
+    for (std::size_t i = 0; i < count; ++i) mixed[c][i] = sums[i] / weights[i];  // no number without an estimate
+  }
+  for (std::size_t c = 0; c < n; ++c) {
+    Cells values{};
+    for (std::size_t from = 0; from < n; ++from)
+      for (std::size_t i = 0; i < count; ++i) values[i] += canvas.unmixing[c * n + from] * mixed[from][i];
+    const std::size_t at = c * canvas.rows * canvas.columns + cell;
+    for (std::size_t i = 0; i < count; ++i)
+      estimates[at + i] =
+          canvas.kind[cell + i] == grid::owned && band.weights[own + i] > 0 ? values[i] : canvas.pilot[at + i];
   }
 }
 
@@ -106,7 +114,9 @@ void collaborate(const Canvas& canvas, bool has_pilot, float* estimates, unsigne
     const std::size_t first = band.first * canvas.columns;
     parallel_chunks(finished * canvas.columns - first, finished_rows * canvas.columns, threads,
                     [&](std::size_t begin, std::size_t last, unsigned) {
-                      finish(canvas, band, first + begin, first + last, estimates);
+                      std::vector<Cells> mixed(canvas.channels);
+                      for (std::size_t at = begin; at < last; at += finished_cells)
+                        finish(canvas, band, first + at, std::min(finished_cells, last - at), mixed, estimates);
                     });
     if (poll && !counted(0)) throw Cancelled();
   }

@@ -50,7 +50,7 @@ struct Tile {
 struct TileScratch {
   std::vector<float> noisy, pilot, relative, estimates, weights, distances;
   std::vector<std::uint8_t> kind;
-  std::vector<std::uint16_t> counts;  // of estimates
+  std::vector<std::uint16_t> counts;  // of estimates; enough in empty cells
   std::vector<std::uint32_t> keys;
   Group group{};
 };

@@ -32,7 +32,7 @@ class TilePlanes {
     own_.pilot.assign(all, far_away);
     own_.estimates.assign(all, 0);
     own_.weights.assign(all, 0);
-    own_.counts.assign(static_cast<std::size_t>(area), 0);
+    own_.counts.assign(static_cast<std::size_t>(area), enough_estimates);
     own_.distances.resize(static_cast<std::size_t>(candidates));
     own_.keys.resize(static_cast<std::size_t>(candidates));
     if (canvas.relative != nullptr) own_.relative.assign(static_cast<std::size_t>(area), 1);
@@ -74,6 +74,8 @@ class TilePlanes {
   void read(Index local, Index cell, Index count) {
     const std::size_t n = canvas_.channels;
     std::copy_n(canvas_.kind + cell, count, own_.kind.begin() + local);
+    std::transform(canvas_.kind + cell, canvas_.kind + cell + count, own_.counts.begin() + local,
+                   [](std::uint8_t kind) { return kind == grid::empty ? enough_estimates : std::uint16_t{0}; });
     if (canvas_.relative != nullptr) std::copy_n(canvas_.relative + cell, count, own_.relative.begin() + local);
     for (std::size_t channel = 0; channel < n; ++channel) {
       mix(canvas_.noisy, channel, local, cell, count, own_.noisy);
@@ -288,15 +290,19 @@ void count_patch(const Shape& shape, std::int32_t place, std::uint16_t* BELTRAMI
           static_cast<std::uint16_t>(counts[corner + y * side + x] + shape.ones[static_cast<std::size_t>(y * row_length + x)]);
 }
 
-bool has_enough(const Shape& shape, Index centre, const std::uint16_t* counts) {
-  return std::all_of(shape.offsets.begin(), shape.offsets.begin() + static_cast<Index>(shape.count),
-                     [&](std::int32_t offset) { return counts[centre + offset] >= enough_estimates; });
+// Whether each cell of the patch at a centre has enough estimates, or is empty.
+bool has_enough(Index centre, const std::uint16_t* counts) {
+  const std::uint16_t* corner = counts + centre - patch_reach * side - patch_reach;
+  std::uint16_t least = enough_estimates;
+  for (Index y = 0; y < patch_side && least == enough_estimates; ++y)
+    for (Index x = 0; x < patch_side; ++x) least = std::min(least, corner[y * side + x]);
+  return least == enough_estimates;
 }
 
 // Estimates the patches that look like the one at `centre`, unless its cells have been estimated with others.
 void add_one(const Channels& channels, Index centre, bool has_pilot, const Sums& sums, TileScratch& scratch) {
+  if (has_enough(centre, scratch.counts.data())) return;
   const Shape shape(scratch.kind.data(), centre);
-  if (has_enough(shape, centre, scratch.counts.data())) return;
   compare(channels.pilot, channels.count, shape, centre, has_pilot, scratch.distances.data());
   Group& group = scratch.group;
   group.size = has_pilot ? many : few;
