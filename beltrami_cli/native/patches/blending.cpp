@@ -15,6 +15,9 @@ constexpr std::size_t run = 256, chunk_of_runs = 16 * run;
 
 using Run = std::array<float, run>;
 
+// Standard deviations of noise from a limit beyond which the tables hold less than float32 adds to 1.
+constexpr float beyond_reach = 5.5F;
+
 // Some samples of one channel.
 class Channel {
  public:
@@ -38,23 +41,15 @@ class Channel {
 
   // Replaces colours without noise by the mean of colours with noise that is cut off.
   void expect(Run& values) const {
-    if (!own_.low && !own_.high) return;
-    const std::span<const float> lost = noise_.tables.lost;
-    for (std::size_t i = 0; i < count_; ++i) {
-      const float value = values[i];
-      if (own_.high) values[i] -= sigma_[i] * look_up((1 - value) / sigma_[i], lost);
-      if (own_.low) values[i] += sigma_[i] * look_up(value / sigma_[i], lost);
-    }
+    Run lost{};
+    near_limits(values, noise_.tables.lost, [&](std::size_t i, float found, float sign) { lost[i] += sign * sigma_[i] * found; });
+    for (std::size_t i = 0; i < count_; ++i) values[i] += lost[i];
   }
 
   // The share of samples that are not cut off, by the colours without noise.
   void share_within(const Run& values, Run& within) const {
-    const std::span<const float> share = noise_.tables.share;
-    for (std::size_t i = 0; i < count_; ++i) {
-      within[i] = 1;
-      if (own_.high) within[i] -= look_up((1 - values[i]) / sigma_[i], share);
-      if (own_.low) within[i] -= look_up(values[i] / sigma_[i], share);
-    }
+    within.fill(1);
+    near_limits(values, noise_.tables.share, [&](std::size_t i, float found, float) { within[i] -= found; });
   }
 
   // The same times the variance of each.
@@ -64,6 +59,22 @@ class Channel {
   }
 
  private:
+  // Calls f(sample, value of a table, sign) for each limit that noise was cut off at, unless all samples are beyond reach of
+  // it; the sign is 1 at 0 and -1 at full scale.
+  template <class F>
+  void near_limits(const Run& values, std::span<const float> table, F f) const {
+    for (const bool is_high : {true, false}) {
+      if (!(is_high ? own_.high : own_.low)) continue;
+      Run limits;
+      float least = beyond_reach;
+      for (std::size_t i = 0; i < count_; ++i) {
+        limits[i] = (is_high ? 1 - values[i] : values[i]) / sigma_[i];
+        least = std::min(least, limits[i]);
+      }
+      for (std::size_t i = 0; least < beyond_reach && i < count_; ++i) f(i, look_up(limits[i], table), is_high ? -1.0F : 1.0F);
+    }
+  }
+
   // Interpolates a table linearly; beyond its ends it stays as it is there.
   float look_up(float limit, std::span<const float> table) const {
     const float furthest = noise_.tables.furthest, steps = static_cast<float>(table.size() - 1) / (2 * furthest);
