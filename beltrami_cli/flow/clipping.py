@@ -69,15 +69,13 @@ class ClippedChannels:
         reach = np.float32(_NEAR) * (np.float32(self.sigma[0]) * np.sqrt(relative))
         return channel < reach if self.low[0] else channel > 1 - reach
 
-    def marks(self, channels: Float32s, threads: int = 1) -> Float32s:
+    def mark(self, channels: Float32s, found: Float32s, threads: int = 1) -> None:
         """Mark samples at a limit, to be averaged like colours, shape (clipped channels, ...): 1, 0 or -1."""
         from beltrami_cli._native import mark_cut_off
 
         # Both limits share one plane, because no average holds many samples of either at once.
-        found = np.empty((len(self.clipped), *channels.shape[1:]), np.float32)
         for mark, k in enumerate(self.clipped):
             mark_cut_off(channels[k : k + 1], self._cut_off(k), found[mark : mark + 1], threads)
-        return found
 
     def restore(self, channels: Float32s, marks: Float32s, relative: Float32s, threads: int = 1) -> None:
         """Turn averages of clipped colours, in place, into estimates of the noise-free colours."""

@@ -80,7 +80,9 @@ def _impute_cut_off(manifold: Manifold) -> None:
         for own, variance, (near, level, mark) in in_blocks(0, channel, relative, planes):
             # Samples beyond an edge are not near the limit, and do not count.
             near[:] = clipped.near_limit(own, variance)[0]
-            level[:], mark[:] = own[0] * near, clipped.marks(own, geometry.threads)[0] * near
+            clipped.mark(own, mark[None], geometry.threads)
+            level[:] = own[0] * near
+            mark *= near
         planes = geometry.spread(planes)
         for own, variance, means in in_blocks(0, channel, relative, planes):
             means[1:] /= np.maximum(means[:1], _LEAST_SHARE)

@@ -208,9 +208,7 @@ def _means(
 
     axis, relatives = manifold.geometry.axis, relative_variance(manifold)
     (colours, signs, size, divisors), (before, memory) = noisy, results
-    means = level.means(colours)
-    with _added(axis, colours, signs, size, model.threads):
-        probe = level.means(colours) - means
+    means, probe = level.means(colours), size * level.means(signs)
     for z, p, own, relative in in_blocks(axis, colours, before, memory, relatives):
         blend_residual(z, p, (*model.noise, relative), own, model.threads)
     residual = level.means(memory)
