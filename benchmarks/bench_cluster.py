@@ -16,10 +16,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from batch.dask_cluster import Cluster
-from beltrami_cli.batch.chunk_runners import DaskRunner
-from beltrami_cli.batch.cluster import ClusterExecutor
+from beltrami_cli.batch.cluster import OnDask, do_on_worker, portable
 from beltrami_cli.batch.item import Item, Record
-from beltrami_cli.batch.run import Batch
+from beltrami_cli.batch.run import Batch, ChunkRunner, OnWorkers
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.chunks import in_chunks
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
@@ -54,7 +53,8 @@ def many_files(client):
         ]
         record = Record(f"{folder}/batch.jsonl", resume=False, overwrite=False)
         start = time.perf_counter()
-        outcomes = Batch(jobs, record, Silent()).run(1, None, ClusterExecutor(client, None, None))
+        workers = OnWorkers(OnDask(client), lambda item: (do_on_worker, item, portable(item), None), 1)
+        outcomes = Batch(jobs, record, Silent()).run(1, None, workers)
         assert all(outcome.status == "done" for outcome in outcomes)
         return time.perf_counter() - start
 
@@ -83,7 +83,7 @@ def in_eight_chunks(make):
     """Return what runs a flow, made before, in eight chunks, patches included."""
 
     def run(client):
-        with in_chunks(8, DaskRunner(client)):
+        with in_chunks(8, ChunkRunner(OnDask(client, per_worker=2))):
             plan = make()
             start = time.perf_counter()
             smooth(plan)

@@ -1,4 +1,4 @@
-"""The connection to a Dask scheduler, and files on its workers: one task for each."""
+"""Workers of a Dask scheduler: the connection, their tasks, and files on them."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ import logging
 import queue
 import socket
 import uuid
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 from urllib.parse import urlsplit
 
-from beltrami_cli.batch.item import Attempt, Item, do_item, failed
-from beltrami_cli.batch.run import Executor
+import numpy as np
+
+from beltrami_cli.batch.item import Attempt, Item, do_item
 from beltrami_cli.batch.storage import is_url, place_of
+from beltrami_cli.batch.workers import Lost, Pool, Task
 from beltrami_cli.errors import ProcessingError
 from beltrami_cli.fields import with_files
 from beltrami_cli.formats.access import CONFIGURATION, is_file, parse_json, read_bounded
-from beltrami_cli.jobs.job import at_intervals
+from beltrami_cli.jobs.job import Progress, at_intervals
 
-LOST = "the connection to the scheduler was lost"
+_LOST = "the connection to the scheduler was lost"
 _PATIENCE = 10.0  # seconds for a scheduler to accept a connection, and again to say what it is
-_POLL = 1.0  # seconds between two checks that the scheduler is still there
+_POLL = 0.1  # seconds between two checks of the connection and of the number of workers
 _PAUSE = 0.3  # seconds between two messages on progress
 
 
@@ -102,90 +103,99 @@ async def _require_scheduler(address: str, security: Any) -> None:
         raise ValueError(f"it is a {found}")
 
 
-class ClusterExecutor(Executor):
-    """Has every file done by some worker.
+class OnDask(Pool):
+    """The workers of a scheduler, which gives the task of one that died to another until that happened too often.
 
-    A file whose worker dies is given to another one by the scheduler, until that happened too often (its setting
-    distributed.scheduler.allowed-failures). `at_once` None: all files are given to the scheduler, whose workers do one
-    for each of their threads. `memory` (bytes for each file) None: by the limits of the workers.
+    `at_once`: most tasks that are given to the scheduler at the same time, `per_worker`: most for each worker.
     """
 
-    queues = True
-    threads = 1  # a worker does as many files at once as it has threads
-
-    def __init__(self, client: Any, at_once: int | None, memory: int | None) -> None:
-        self._client, self._at_once, self._memory = client, at_once, memory
-        self._topic = f"beltrami-{uuid.uuid4().hex}"
-        self._events: queue.SimpleQueue[tuple[int, tuple[str, int, int] | None]] = queue.SimpleQueue()
+    def __init__(self, client: Any, at_once: int | None = None, per_worker: int | None = None) -> None:
+        self._client, self._at_once, self._per_worker = client, at_once, per_worker
+        self._topic = f"beltrami-{uuid.uuid4().hex}"  # of progress
+        self._events = queue.SimpleQueue[tuple[int, Any]]()
         self._futures: dict[int, Any] = {}
-
-    def __enter__(self) -> Self:
-        self._client.subscribe_topic(self._topic, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._client.cancel(list(self._futures.values()), force=True)
-        self._client.unsubscribe_topic(self._topic)
+        client.subscribe_topic(self._topic, self._note)
 
     @property
     def is_full(self) -> bool:
-        return self._at_once is not None and len(self._futures) >= self._at_once
+        if self._at_once is not None and len(self._futures) >= self._at_once:
+            return True
+        return self._per_worker is not None and len(self._futures) >= self._per_worker * self._count_workers()
 
-    def start(self, key: int, item: Item) -> None:
-        future = self._client.submit(
-            _do_on_worker, _portable(item), self._memory, self._topic, key, version("beltrami-cli"),
-            key=f"{self._topic}-{key}", pure=False,
-        )  # fmt: skip
-        self._futures[key] = future
-        future.add_done_callback(partial(self._end, key))
-
-    def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
+    def _count_workers(self) -> int:
         try:
-            key, progress = self._events.get(timeout=_POLL)
+            return len(self._client.nthreads())
+        except (OSError, TimeoutError) as error:
+            raise ProcessingError(_LOST) from error
+
+    def start(self, key: int, task: Task, *arguments: Any) -> None:
+        # What a task is called with alone would go through the scheduler.
+        sent = [self.share(each) if isinstance(each, list) else each for each in arguments]
+        try:
+            future = self._client.submit(
+                _on_worker, task, self._topic, key, version("beltrami-cli"), *sent, pure=False
+            )
+        except Exception as error:  # of many kinds where a worker or the scheduler is gone
+            self._futures[key] = None
+            self._events.put((key, Lost(_in_words(error))))
+            return
+        self._futures[key] = future
+        future.add_done_callback(lambda done: self._events.put((key, done)))
+
+    def events(self) -> Iterator[tuple[int, Any]]:
+        try:
+            key, event = self._events.get(timeout=_POLL)
         except queue.Empty:
             if self._client.status not in ("running", "connecting"):
-                for key in list(self._futures):
-                    yield key, self._lost(key, items(key), LOST)
+                raise ProcessingError(_LOST) from None
             return
-        if key not in self._futures:
-            return
-        yield key, progress or self._attempt(key, items(key))
+        if isinstance(event, tuple):
+            if key in self._futures:
+                yield key, event
+        elif isinstance(event, Lost) or self._futures.get(key) is event:  # else of a task that was given up
+            del self._futures[key]
+            yield key, event if isinstance(event, Lost) else _result(event)
 
-    def _attempt(self, key: int, item: Item) -> Attempt:
-        from distributed import CancelledError, KilledWorker
-
-        future = self._futures[key]
+    def share(self, value: Any) -> Any:
         try:
-            attempt: Attempt = future.result(timeout=60)
-        except KilledWorker as error:
-            # The last of them died with this file in work: it may be what they died of.
-            cause = f"every worker that had it in work died, the last one at {error.last_worker.address}"
-            return self._lost(key, item, f"{cause}; there may be too little memory")
-        except CancelledError:
-            return self._lost(key, item, f"{LOST}, or the work was cancelled there")
-        except Exception as error:
-            return self._lost(key, item, " ".join(f"{type(error).__name__}: {error}".split()))
-        del self._futures[key]
-        sent = _portable(item)
-        message = attempt.outcome.error.replace(sent.source, item.source).replace(sent.target, item.target)
-        outcome = dataclasses.replace(
-            attempt.outcome, input=item.source, output=item.target, parameters_sha256=item.parameters, error=message
-        )  # fmt: skip
-        return dataclasses.replace(attempt, outcome=outcome)
+            return self._client.scatter(value, hash=False)
+        except Exception:  # of many kinds where a worker is gone; the value is then sent with the task
+            return value
 
-    def _lost(self, key: int, item: Item, cause: str) -> Attempt:
-        del self._futures[key]
-        return Attempt(failed(item, f"{item.source}: {cause}", 1))
+    def give_up(self) -> None:
+        with contextlib.suppress(Exception):  # where the scheduler is gone, nothing is left to be cancelled
+            self._client.cancel([each for each in self._futures.values() if each is not None], force=True)
+        self._futures.clear()
+
+    def close(self) -> None:
+        super().close()
+        self._client.unsubscribe_topic(self._topic)
 
     def _note(self, event: tuple[float, list[Any]]) -> None:
-        key, label, done, total = event[1]
-        self._events.put((key, (label, done, total)))
-
-    def _end(self, key: int, future: Any) -> None:
-        self._events.put((key, None))
+        key, *progress = event[1]
+        self._events.put((key, tuple(progress)))
 
 
-def _portable(item: Item) -> Item:
+def _result(future: Any) -> Any:
+    from distributed import CancelledError, KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker as error:
+        # The last of them died with this task in work: it may be what they died of.
+        cause = f"every worker that had it in work died, the last one at {error.last_worker.address}"
+        return Lost(f"{cause}; there may be too little memory")
+    except CancelledError:
+        return Lost(f"{_LOST}, or the work was cancelled there")
+    except Exception as error:
+        return Lost(_in_words(error))
+
+
+def _in_words(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def portable(item: Item) -> Item:
     """Return the item with paths that mean the same everywhere, if the files are on shared storage."""
     source = item.source if is_url(item.source) else str(Path(item.source).absolute())
     # A guide may be something else than a file.
@@ -194,37 +204,50 @@ def _portable(item: Item) -> Item:
 
 
 # ---- on a worker
-class Cancelled(BaseException):
+class _Cancelled(BaseException):
     """The result is no longer wanted."""
 
 
-def _do_on_worker(item: Item, memory: int | None, topic: str, key: int, client_version: str) -> Attempt:
-    """Smooth one file in the process of a worker; `memory` None: the worker's share of its own limit."""
-    from distributed import get_client, get_worker
+def _on_worker(task: Task, topic: str, key: int, client_version: str, *arguments: Any) -> Any:
+    from distributed import get_worker
 
     worker = get_worker()
     if version("beltrami-cli") != client_version:  # which might not give the same bytes
-        cause = f"the worker {worker.address} has version {version('beltrami-cli')}"
-        error = f"{item.source}: {cause}, not {client_version}; install the same everywhere"
-        return Attempt(failed(item, error, 1))
-    # A worker that died may have written the file already, which was not there when the item was given out.
-    client, place = get_client(), [topic, str(key)]
-    again = client.get_metadata(place, default=None) is not None
-    client.set_metadata(place, worker.address)
-    limit = worker.memory_manager.memory_limit
-    if memory is None and limit:
-        memory = limit // worker.state.nthreads
-    task = worker.get_current_task()
+        cause = f"the worker {worker.address} has version {version('beltrami-cli')}, not {client_version}"
+        return Lost(f"{cause}; install the same everywhere")
+    own = worker.get_current_task()
 
     def progress(label: str, done: int, total: int) -> None:
-        state = worker.state.tasks.get(task)
+        state = worker.state.tasks.get(own)
         if state is None or state.state == "cancelled":
-            raise Cancelled
+            raise _Cancelled
         worker.log_event(topic, [key, label, done, total])
 
-    own = dataclasses.replace(item, again=item.again or again)
-    # Threads share the memory of a process, which can then not be limited for one of them.
+    # Arrays that change: what Dask has received may be read-only, and stays for another attempt.
+    values = [[np.array(each) for each in value] if isinstance(value, list) else value for value in arguments]
     try:
-        return do_item(own, memory, at_intervals(_PAUSE, progress), is_alone=worker.state.nthreads == 1)
-    except Cancelled:
-        return Attempt(failed(item, f"{item.source}: given up", 1))
+        return task(*values, at_intervals(_PAUSE, progress))
+    except _Cancelled:
+        return Lost("given up")
+
+
+def do_on_worker(item: Item, local: Item, memory: int | None, progress: Progress) -> Attempt:
+    """Smooth one file, whose names are those of `local` here; `memory` None: the worker's share of its own limit."""
+    from distributed import get_client, get_worker
+
+    # A worker that died may have written the file already, which was not there when the item was given out.
+    worker, client = get_worker(), get_client()
+    own = str(worker.get_current_task())
+    again = client.get_metadata([own], default=None) is not None
+    client.set_metadata([own], worker.address)
+    threads, limit = worker.state.nthreads, worker.memory_manager.memory_limit
+    if memory is None and limit:
+        memory = limit // threads
+    # Threads share the memory of a process, which can then not be limited for one of them.
+    local = dataclasses.replace(local, again=item.again or again)
+    attempt = do_item(local, memory, progress, is_alone=threads == 1)
+    outcome = dataclasses.replace(
+        attempt.outcome, input=item.source, output=item.target, parameters_sha256=item.parameters,
+        error=attempt.outcome.error.replace(local.source, item.source).replace(local.target, item.target),
+    )  # fmt: skip
+    return dataclasses.replace(attempt, outcome=outcome)

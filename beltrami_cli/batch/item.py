@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -22,7 +21,7 @@ from beltrami_cli.errors import BeltramiError, InputError, OutputError
 from beltrami_cli.formats.access import Access, is_there, open_regular, parse_json
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings, Progress, limited_memory
-from beltrami_cli.jobs.output import FileSet, Output, Overwrite
+from beltrami_cli.jobs.output import FileSet, Output
 from beltrami_cli.jobs.progress import Share
 
 if TYPE_CHECKING:
@@ -187,7 +186,6 @@ def _made(item: Item, access: Access, progress: Progress | None) -> FileReport:
 _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'
 _LONGEST = 1 << 26  # bytes of a line
-_LONGEST_HEAD = 1 << 16  # bytes in which a report is recognised
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _UNFIT = (
     ValueError,
@@ -202,16 +200,19 @@ class Record:
     """A report as it grows: a line when a file is started, and one when it is finished.
 
     `resume`: go on from an earlier report; InputError if it cannot be read.
-    `overwrite`: replace it, or only another record ("own").
+    `overwrite`: replace it; what is no record stays, as it may be a part of a model.
     """
 
-    def __init__(self, path: str, *, resume: bool, overwrite: Overwrite) -> None:
+    def __init__(self, path: str, *, resume: bool, overwrite: bool) -> None:
         self.path = path
         if not resume and not overwrite and is_there(path):
             raise OutputError(path, "exists already", "--resume goes on from it, --overwrite starts again")
         self._output = Output(
-            path, overwrite=resume or overwrite, what="report", is_own=lambda head: _HEAD.match(head) is not None
-        )  # fmt: skip
+            path,
+            overwrite=resume or (overwrite and "own"),
+            what="report",
+            is_own=lambda head: _HEAD.match(head) is not None,
+        )
         self._latest = _read_record(path) if resume and is_there(path) else {}
         self.close([])  # without the line that the end of a run cut off
         self._output.overwrite = True  # from now on it is ours
@@ -236,35 +237,6 @@ class Record:
         earlier = {place: outcome for place, outcome in self._latest.items() if place not in now}
         lines = [_line(each).encode() for each in (*earlier.values(), *now.values())]
         self._output.write(Written(main=lines))
-
-
-def is_part_of_model(path: str, items: Iterable[Item]) -> bool:
-    """Whether a file that is no report belongs to a model of a batch, or to one in the place of an output."""
-    try:
-        with open_regular(Path(path)) as file:
-            head = file.read(_LONGEST_HEAD)
-    except OSError:
-        return False
-    if not head or _HEAD.match(head):
-        return False
-    return any(
-        place_of(path) in _places_of_parts(name, item)
-        for item in items
-        for name in (item.source, item.target)
-    )
-
-
-def _places_of_parts(name: str, item: Item) -> set[str]:
-    from beltrami_cli.jobs.file_job import open_input
-
-    places: set[str] = set()
-    access = Access(item.outside, note=lambda path, _: places.add(place_of(str(path))))
-    if not is_url(name):
-        with contextlib.suppress(BeltramiError):  # which is reported when the item is done
-            folder = Path(name).parent
-            references = open_input(name, item.settings, access).references()
-            places |= {place_of(str(folder / each)) for each in references}
-    return places
 
 
 def is_done(item: Item, outcome: Outcome | None) -> bool:

@@ -1,27 +1,15 @@
-"""Smooth many files at once, whatever happens to some of them, in processes that do one file at a time.
-
-The pool of the standard library fails everything when a process dies, as it does when the system runs out of memory.
-Here each has a pipe of its own to the process that leads, which alone decides, in one thread; one that dies fails only
-its own file.
-"""
+"""Smooth many files, whatever happens to some of them: each by a worker, or one after another in pieces."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import multiprocessing
-import signal
-import sys
-import time
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
-from types import FrameType
-from typing import Any, NoReturn, Protocol, Self, cast
+from functools import partial
+from typing import Any, Protocol, Self
 
+from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.item import (
     Attempt,
     Item,
@@ -34,12 +22,18 @@ from beltrami_cli.batch.item import (
     outcome_of,
 )
 from beltrami_cli.batch.storage import exists, make_folder_of
-from beltrami_cli.errors import OutputError, unhandled_endings
+from beltrami_cli.batch.workers import Lost, Pool, Processes
+from beltrami_cli.errors import OutputError, ProcessingError
+from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.job import at_intervals
 
-_GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
+# Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
+# for the memory kills every worker. A choice.
+_TRIES = 5
 _PAUSE = 0.1  # seconds between two messages on progress
+
+Advanced = Callable[[int, str, int, int], None]  # called with a key and its progress
 
 
 class Watcher(Protocol):
@@ -72,8 +66,8 @@ class Executor(ABC):
     def start(self, key: int, item: Item) -> None: ...
 
     @abstractmethod
-    def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
-        """Wait, and give for a key either its progress or its result; `items` gives the item of a key."""
+    def attempts(self, advanced: Advanced) -> Iterator[tuple[int, Attempt]]:
+        """Wait for a while, call `advanced` with what comes of progress, and give by key what came of items."""
 
 
 class Batch:
@@ -105,8 +99,10 @@ class Batch:
             count = max(1, min(at_once, len(waiting)))
             share = None if memory is None else memory // count
             threads = KernelParameters().thread_count
-            larger = self._work(waiting, Workers(count, share, max(1, threads // count)), is_last=count == 1)
-            self._work(larger, Workers(1, memory, threads), is_last=True)
+            larger = self._work(
+                waiting, in_processes(count, share, max(1, threads // count)), is_last=count == 1
+            )
+            self._work(larger, in_processes(1, memory, threads), is_last=True)
         for key in set(range(len(self._items))) - self._outcomes.keys():  # left undone by --fail-fast
             written = _written(self._earlier[key])
             self._outcomes[key] = outcome_of(self._items[key], "not started", written=written)
@@ -122,16 +118,13 @@ class Batch:
             while not self._stopped and (waiting or in_work):
                 while waiting and not workers.is_full and not self._stopped:
                     in_work |= self._started(waiting.popleft(), workers)
-                for key, event in workers.events(self._items.__getitem__) if in_work else ():
-                    if not isinstance(event, Attempt):
-                        self._watcher.advanced(key, *event)
-                        continue
+                for key, attempt in workers.attempts(self._watcher.advanced) if in_work else ():
                     in_work.discard(key)
-                    if event.wants_memory and not is_last:
+                    if attempt.wants_memory and not is_last:
                         self._watcher.postponed(key)
                         larger.append(key)
                     else:
-                        self._finish(key, event)
+                        self._finish(key, attempt)
         return larger
 
     def _started(self, key: int, executor: Executor) -> set[int]:
@@ -187,122 +180,126 @@ def _written(earlier: Outcome | None) -> dict[str, str]:
     return {} if earlier is None else earlier.written
 
 
-class _Stopped(BaseException):
-    """The process that this one works for is gone."""
+class OnWorkers(Executor):
+    """Does files on the workers of a pool; `call` gives the task of an item, and its arguments."""
 
-
-@dataclass
-class _Worker:
-    process: SpawnProcess
-    pipe: Connection[Any, Any]
-    key: int = -1
-
-
-class Workers(Executor):
-    """Up to `count` processes, each with `memory` bytes; what still runs at its end is stopped."""
-
-    def __init__(self, count: int, memory: int | None, threads: int) -> None:
-        self._count, self._memory, self.threads = count, memory, threads
-        self._idle: list[_Worker] = []
-        self._busy: dict[Connection[Any, Any], _Worker] = {}
+    def __init__(
+        self,
+        pool: Pool,
+        call: Callable[[Item], tuple[Any, ...]],
+        threads: int | None,
+        *,
+        queues: bool = False,
+    ) -> None:
+        self._pool, self._call, self.threads, self.queues = pool, call, threads, queues
+        self._items: dict[int, Item] = {}
 
     def __exit__(self, *_: object) -> None:
-        workers = [*self._idle, *self._busy.values()]
-        for worker in workers:
-            worker.process.terminate()
-        deadline = time.monotonic() + _GRACE
-        for worker in workers:
-            worker.process.join(max(0.0, deadline - time.monotonic()))
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
-            worker.pipe.close()
+        self._pool.close()
 
     @property
     def is_full(self) -> bool:
-        return len(self._busy) >= self._count
+        return self._pool.is_full
 
     def start(self, key: int, item: Item) -> None:
-        while True:
-            worker = self._idle.pop() if self._idle else _Worker(*start_worker(_work))
-            try:
-                worker.pipe.send((item, self._memory))
-                break
-            except OSError:  # it died while it had nothing to do
-                worker.process.join()
-        worker.key = key
-        self._busy[worker.pipe] = worker
+        self._items[key] = item
+        self._pool.start(key, *self._call(item))
 
-    def events(self, items: Callable[[int], Item]) -> Iterator[tuple[int, Attempt | tuple[str, int, int]]]:
-        for pipe in wait(list(self._busy)):
-            worker = self._busy[cast("Connection[Any, Any]", pipe)]
-            try:
-                event: Attempt | tuple[str, int, int] = worker.pipe.recv()
-            except (EOFError, OSError):
-                event = self._remove_dead(worker, items(worker.key))
-            else:
-                if isinstance(event, Attempt):
-                    self._idle.append(self._busy.pop(worker.pipe))
-            yield worker.key, event
-
-    def _remove_dead(self, worker: _Worker, item: Item) -> Attempt:
-        self._busy.pop(worker.pipe).pipe.close()
-        worker.process.join()
-        code = worker.process.exitcode or 0
-        how = f"by signal {-code}" if code < 0 else f"with code {code}"
-        cause = f"{item.source}: the process that worked on it ended {how}; there may be too little memory"
-        return Attempt(failed(item, cause, 1), wants_memory=True)
+    def attempts(self, advanced: Advanced) -> Iterator[tuple[int, Attempt]]:
+        for key, event in self._pool.events():
+            if isinstance(event, tuple):
+                advanced(key, *event)
+                continue
+            item = self._items.pop(key)
+            if isinstance(event, Lost):
+                outcome = failed(item, f"{item.source}: {event.cause}", 1)
+                event = Attempt(outcome, wants_memory=event.wants_memory)
+            yield key, event
 
 
-def start_worker(work: Callable[[Connection[Any, Any]], None]) -> tuple[SpawnProcess, Connection[Any, Any]]:
-    """Start a process that is called with one end of a pipe; return it with the other end."""
-    context = multiprocessing.get_context("spawn")  # a fork would copy locks of threads as they are
-    ours, theirs = context.Pipe()
-    process = context.Process(target=work, args=(theirs,), daemon=True)
-    with _without_interrupts():
-        process.start()
-    theirs.close()  # so that the pipe ends with the process
-    return process, ours
+def in_processes(count: int, memory: int | None, threads: int) -> Executor:
+    """Return what does up to `count` files at the same time in processes, each with `memory` bytes."""
+    return OnWorkers(Processes(count), lambda item: (do_item, item, memory), threads)
 
 
-@contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Start processes that Ctrl-C, which reaches all, does not end with a traceback while they load their modules."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    from multiprocessing import resource_tracker
+class InPieces(Executor):
+    """Does one file at a time here, and has up to `count` chunks of each surface done by the workers of a pool."""
 
-    resource_tracker.ensure_running()  # which would let the signal through again when it starts
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    def __init__(self, pool: Pool, count: int, memory: int | None) -> None:
+        self._pool, self._count, self._memory = pool, count, memory
+        self._waiting: tuple[int, Item] | None = None
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.close()
+
+    @property
+    def is_full(self) -> bool:
+        return self._waiting is not None
+
+    def start(self, key: int, item: Item) -> None:
+        self._waiting = key, item
+
+    def attempts(self, advanced: Advanced) -> Iterator[tuple[int, Attempt]]:
+        assert self._waiting is not None
+        (key, item), self._waiting = self._waiting, None
+        runner, progress = ChunkRunner(self._pool), at_intervals(_PAUSE, partial(advanced, key))
+        with in_chunks(self._count, runner):
+            attempt = do_item(item, self._memory, progress, is_alone=False)
+        yield key, dataclasses.replace(attempt, pieces=runner.most)
+
+
+class ChunkRunner:
+    """Works on chunks with workers that may die; a `Runner`."""
+
+    def __init__(self, pool: Pool) -> None:
+        self._pool = pool
+        self._chunks: Sequence[Chunk] = ()
+        # Shared parts of the chunks, so that only colours are sent from one operation to the next.
+        self._parts: dict[int, Any] = {}
+        self.most = 0  # chunks that a surface was cut into
+
+    def run(
+        self, chunks: Sequence[Chunk], work: Work, stacks_of: Callable[[Chunk], list[Float32s]]
+    ) -> Iterator[Done]:
+        if chunks is not self._chunks:
+            self._chunks, self._parts, self.most = chunks, {}, max(self.most, len(chunks))
+        waiting, failures, in_work = list(range(len(chunks))), Counter[int](), set[int]()
+        try:
+            while waiting or in_work:
+                while waiting and not self._pool.is_full:
+                    number = self._pool.choose(waiting, self._parts)
+                    waiting.remove(number)
+                    in_work.add(number)
+                    self._start(number, work, stacks_of(chunks[number]))
+                for number, answer in self._pool.events():
+                    in_work.discard(number)
+                    if isinstance(answer, Exception):
+                        raise answer
+                    if not isinstance(answer, Lost):
+                        yield number, *answer
+                        continue
+                    failures[number] += 1
+                    if failures[number] == _TRIES:
+                        what = f"workers died or failed {_TRIES} times with one piece of the surface"
+                        remedy = "if there is too little memory for it, raise --pieces"
+                        raise ProcessingError(f"{what}: {answer.cause}; {remedy}")
+                    self._parts.pop(number, None)  # it may be what was lost
+                    waiting.append(number)
+        finally:
+            self._pool.give_up()
+
+    def _start(self, number: int, work: Work, stacks: list[Float32s]) -> None:
+        if number not in self._parts:
+            self._parts[number] = self._pool.share(self._chunks[number].without_whole())
+        self._pool.start(number, do_chunk, self._parts[number], work, stacks)
+
+
+def do_chunk(
+    chunk: Chunk, work: Work, stacks: list[Float32s], progress: object
+) -> tuple[Float32s, Figures] | Exception:
+    """Return the result of a chunk in a worker."""
+    del progress
     try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _work(pipe: Connection[Any, Any]) -> None:
-    """Be a worker for files."""
-    progress = at_intervals(_PAUSE, lambda *event: _send(pipe, event))
-    answer_until_closed(pipe, lambda item, memory: do_item(item, memory, progress))
-
-
-def answer_until_closed(pipe: Connection[Any, Any], answer: Callable[..., object]) -> None:
-    """Answer the arguments that come through a pipe until it is closed."""
-    for number in unhandled_endings():
-        signal.signal(number, _end)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; who leads decides
-    with contextlib.suppress(EOFError, ConnectionError, _Stopped):
-        while True:
-            _send(pipe, answer(*pipe.recv()))
-
-
-def _send(pipe: Connection[Any, Any], message: object) -> None:
-    try:
-        pipe.send(message)
-    except OSError:  # the other end is closed, which is no error of a file
-        raise _Stopped from None
-
-
-def _end(number: int, frame: FrameType | None) -> NoReturn:
-    sys.exit(128 + number)
+        return work.on(chunk, stacks, 1)
+    except Exception as error:  # other than the death of a worker, it would come again elsewhere
+        return error

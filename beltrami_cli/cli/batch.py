@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,13 +14,13 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, overwrite_at, values_for
+from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, values_for
 from beltrami_cli.cli.console import NO_NOISE, Messages, printable
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_file
-from beltrami_cli.jobs.job import BakeSettings, NoiseSettings
-from beltrami_cli.jobs.output import Overwrite
+from beltrami_cli.jobs.job import BakeSettings, NoiseSettings, default_memory
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
@@ -151,7 +151,9 @@ def batch(
     With --scheduler the workers of a Dask cluster process the files (extra cluster). INPUTS and --out-dir may be URLs
     that fsspec opens, also without a scheduler.
     """
+    from beltrami_cli.batch.item import Record
     from beltrami_cli.batch.plan import plan
+    from beltrami_cli.batch.run import Batch
 
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
@@ -162,11 +164,11 @@ def batch(
     if dry_run:
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
-    rewritten = overwrite_at("report_path", overwrite=overwrite)
     path = _report_path(report_path, out_dir, inputs, jobs)
-    _require_no_part(path, jobs, rewritten)
-    with _executor(scheduler, pieces, given["at_once"], given["max_memory"], messages) as executor:
-        outcomes = _run(jobs, (path, rewritten), given, executor, messages)
+    with _executor(scheduler, pieces, given, messages) as executor, Display(jobs, messages) as display:
+        record = Record(path, resume=given["resume"], overwrite=overwrite)
+        batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
+        outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), executor)
     if not messages.quiet:
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
@@ -175,22 +177,8 @@ def batch(
         raise ProcessingError(f"{lost} of {len(outcomes)} files failed; {remedy}")
 
 
-def _run(
-    jobs: Sequence[Item], report: tuple[str, Overwrite], given: dict[str, Any], executor: Executor | None,
-    messages: Messages,
-) -> list[Outcome]:  # fmt: skip
-    """Do the files, and show how far they are; `report` is its path, and whether it may be replaced."""
-    from beltrami_cli.batch.item import Record
-    from beltrami_cli.batch.run import Batch
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.job import default_memory
-
-    path, rewritten = report
-    with Display(jobs, messages) as display:
-        record = Record(path, resume=given["resume"], overwrite=rewritten)
-        batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
-        at_once = given["at_once"] or KernelParameters().thread_count
-        return batch.run(at_once, given["max_memory"] or default_memory(), executor)
+def _at_once(given: Mapping[str, Any]) -> int:
+    return given["at_once"] or KernelParameters().thread_count
 
 
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
@@ -279,38 +267,36 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
     return path
 
 
-def _require_no_part(path: str, jobs: Sequence[Item], rewritten: Overwrite) -> None:
-    """Raise OutputError if a report that may replace any file would replace a part of a model."""
-    from beltrami_cli.batch.item import is_part_of_model
-
-    if rewritten is True and is_part_of_model(path, jobs):
-        raise OutputError(path, "the report would replace a file that a model needs", "choose another name")
-
-
 @contextlib.contextmanager
 def _executor(
-    scheduler: str | None, pieces: int | None, at_once: int | None, memory: int | None, messages: Messages
+    scheduler: str | None, pieces: int | None, given: Mapping[str, Any], messages: Messages
 ) -> Iterator[Executor | None]:
-    """Give those who do the files on other machines; None: they are done on this one."""
+    """Give what does the files, if neither these nor surfaces are cut and done on this machine: None then."""
     if scheduler is None and pieces is None:
         yield None
         return
-    from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
-    from beltrami_cli.batch.cluster import ClusterExecutor, connected
-    from beltrami_cli.flow.parameters import KernelParameters
-    from beltrami_cli.jobs.job import default_memory
+    from beltrami_cli.batch.run import InPieces, OnWorkers
+    from beltrami_cli.batch.workers import Processes
 
+    at_once, memory = given["at_once"], given["max_memory"]
     if scheduler is None:
-        processes = at_once or KernelParameters().thread_count
-        yield ChunkExecutor(ProcessRunner(processes), pieces or 1, memory or default_memory())
+        yield InPieces(Processes(_at_once(given)), pieces or 1, memory or default_memory())
         return
+    from beltrami_cli.batch.cluster import OnDask, connected, do_on_worker, portable
+
     with connected(scheduler) as client:
         if not client.nthreads():
             messages.say(f"{scheduler} has no workers yet; the files wait for them")
         if pieces is None:
-            yield ClusterExecutor(client, at_once, memory)
+
+            def call(item: Item) -> tuple[Any, ...]:
+                return do_on_worker, item, portable(item), memory
+
+            # A worker does as many files at once as it has threads.
+            yield OnWorkers(OnDask(client, at_once), call, 1, queues=True)
         else:
-            yield ChunkExecutor(DaskRunner(client, at_once), pieces, memory or default_memory())
+            pool = OnDask(client, at_once, per_worker=2)  # one in work and one on its way
+            yield InPieces(pool, pieces, memory or default_memory())
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:

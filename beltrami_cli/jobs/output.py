@@ -156,7 +156,7 @@ class Output:
             head = b"?"
         if head and not is_own(head):
             cause = f"exists, and is no {self.what} of this program as far as can be seen"
-            remedy = "choose another name, or give it on the command line together with --overwrite"
+            remedy = "choose another name, or remove it"
             raise OutputError(self.target, cause, remedy)
 
     def _check_folder(self, folder: Path) -> None:
@@ -267,18 +267,17 @@ class FileSet:
             (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
         )
         self._names |= names
-        with replacing.writing():
-            for path, pieces in files.items():
-                may_replace = output.overwrite and path in own
-                try:
-                    if self._journal is None:
-                        with replacing.folders_locked([main.path.parent]), replacing.endings_held():
-                            self._journal = replacing.Journal(main.path.parent)
-                    self._make_folder(path.parent)
-                    self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
-                except OSError as error:
-                    raise _unwritable(output.target, error) from error
-                leave_memory()
+        for path, pieces in files.items():
+            may_replace = output.overwrite and path in own
+            try:
+                if self._journal is None:
+                    with replacing.folders_locked([main.path.parent]), replacing.endings_held():
+                        self._journal = replacing.Journal(main.path.parent)
+                self._make_folder(path.parent)
+                self._staged[path] = self._journal.write_aside(path, pieces, overwrite=may_replace)
+            except OSError as error:
+                raise _unwritable(output.target, error) from error
+            leave_memory()
 
     def _make_folder(self, folder: Path) -> None:
         missing = takewhile(lambda each: not each.exists(), (folder, *folder.parents))
@@ -305,18 +304,17 @@ class FileSet:
         # Files come before the files that name them, and OUTPUT last.
         ranks = {output.path: output.is_result for output in self._outputs}
         order = sorted(self._staged, key=lambda path: (path in ranks, ranks.get(path, False), str(path)))
-        with replacing.writing():
-            try:
-                with replacing.folders_locked(path.parent for path in order), replacing.endings_held():
-                    if self._journal is not None:
-                        self._journal.put_together([self._staged[path] for path in order])
-                    self._made_folders.clear()
-                    self._remove_temporary()
-            except OSError as error:
-                blamed = next((path for path in order if str(path) == error.filename), order[-1])
-                if isinstance(error, FileExistsError):
-                    raise _existing(self._names[blamed]) from error
-                raise _unwritable(self._names[blamed], error) from error
+        try:
+            with replacing.folders_locked(path.parent for path in order), replacing.endings_held():
+                if self._journal is not None:
+                    self._journal.put_together([self._staged[path] for path in order])
+                self._made_folders.clear()
+                self._remove_temporary()
+        except OSError as error:
+            blamed = next((path for path in order if str(path) == error.filename), order[-1])
+            if isinstance(error, FileExistsError):
+                raise _existing(self._names[blamed]) from error
+            raise _unwritable(self._names[blamed], error) from error
         self.streams.clear()
 
 

@@ -21,7 +21,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -298,15 +297,6 @@ def _try_lock(descriptor: int) -> bool | None:
     except (ImportError, OSError):  # Windows, and some file systems
         return None
     return True
-
-
-# What a thread besides the main one enters to write files: the main one, which signals end, waits until it has left.
-GATE: ContextVar[contextlib.AbstractContextManager[object] | None] = ContextVar("GATE", default=None)
-
-
-def writing() -> contextlib.AbstractContextManager[object]:
-    """Return the context in which this thread writes files."""
-    return GATE.get() or contextlib.nullcontext()
 
 
 @contextlib.contextmanager

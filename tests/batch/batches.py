@@ -17,7 +17,7 @@ QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric
 
 
 class Here(run.Executor):
-    """Does files in this process, where `Workers` would start some: half a second of processor time for each."""
+    """Does files in this process, where others would be started: half a second of processor time for each."""
 
     def __init__(self, _, memory, threads):
         self.memory, self.threads, self.done = memory, threads, []
@@ -32,13 +32,13 @@ class Here(run.Executor):
     def start(self, key, item):
         self.done.append((key, do_item(item, self.memory)))
 
-    def events(self, _):
+    def attempts(self, _):
         yield self.done.pop()
 
 
 def without_workers():
     """Have batches do their files in this process."""
-    return patch.object(run, "Workers", Here)
+    return patch.object(run, "in_processes", Here)
 
 
 def batch(*arguments, code=0, cwd=None):

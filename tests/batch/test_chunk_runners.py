@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import os
 import pickle
 import re
-import threading
+import signal
 import time
 from concurrent.futures import Future
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from batch.batches import batch, files_in
 from batch.chunk_work import add, die, die_once, refuse, sleep
-from beltrami_cli.batch import chunk_runners
-from beltrami_cli.batch.chunk_runners import ChunkExecutor, DaskRunner, ProcessRunner
-from beltrami_cli.batch.cluster import Cancelled
-from beltrami_cli.batch.item import Attempt
+from beltrami_cli.batch import run as run_module
+from beltrami_cli.batch.cluster import OnDask
+from beltrami_cli.batch.run import ChunkRunner
+from beltrami_cli.batch.workers import Channel, Processes
 from beltrami_cli.errors import InputError, OutputError, ProcessingError, UnpaintedError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work
-from beltrami_cli.jobs.replacing import writing
 from cli.commands import SAMPLES
 
 CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
@@ -37,9 +36,9 @@ def done(runner, work):
 @pytest.fixture
 def runner():
     """Give two processes, which take a second to start."""
-    made = ProcessRunner(2)
-    yield made
-    made.close()
+    pool = Processes(2)
+    yield ChunkRunner(pool)
+    pool.close()
 
 
 @pytest.mark.slow
@@ -55,7 +54,7 @@ def test_a_chunk_whose_process_dies_is_done_by_another(runner, tmp_path):
 
 @pytest.mark.slow
 def test_a_chunk_that_every_process_dies_with_fails(runner, monkeypatch):
-    monkeypatch.setattr(chunk_runners, "_TRIES", 2)
+    monkeypatch.setattr(run_module, "_TRIES", 2)
     with pytest.raises(ProcessingError, match="workers died or failed 2 times with one piece of the surface"):
         done(runner, Work(die, ()))
 
@@ -63,11 +62,16 @@ def test_a_chunk_that_every_process_dies_with_fails(runner, monkeypatch):
 @pytest.mark.slow
 def test_work_that_is_given_up_ends_at_once(runner):
     answers = runner.run(CUT, Work(sleep, ()), lambda chunk: [])
-    start = time.monotonic()
-    runner.close()
-    with pytest.raises(Cancelled):
+    start, before = time.monotonic(), signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 2)
+    with pytest.raises(KeyboardInterrupt):
         next(answers)
+    signal.signal(signal.SIGALRM, before)
     assert time.monotonic() - start < 30
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
 
 
 @pytest.mark.slow
@@ -81,14 +85,18 @@ def test_storage_that_is_full_is_reported(runner, monkeypatch):
         done(runner, Work(add, ()))
 
 
-def test_arrays_are_exchanged(tmp_path):
+def test_arrays_of_messages_are_exchanged_and_can_be_changed(tmp_path):
     (tmp_path / "file").touch()
-    ours, theirs = (chunk_runners._Exchange(tmp_path / "file") for _ in range(2))
+    ours, theirs = (Channel(pipe, tmp_path / "file") for pipe in multiprocessing.Pipe())
     for size in (2, 0, 3, 1):
-        arrays = [np.arange(4 * size, dtype=np.float32).reshape(2, -1).T, np.ones((size, 3), np.float32)]
-        got = theirs.take(ours.put(arrays))
-        assert all(map(np.array_equal, got, arrays))
-    assert theirs.take([]) == []
+        transposed = np.arange(4 * size, dtype=np.float32).reshape(2, -1).T
+        arrays = [transposed, np.ones((size, 3)), np.ones(size, bool)]
+        for sender, receiver in ((ours, theirs), (theirs, ours)):
+            sender.send({"arrays": arrays, "name": "a"})
+            got = receiver.receive()
+            assert got["name"] == "a"
+            assert all(map(np.array_equal, got["arrays"], arrays))
+            assert all(each.flags.aligned and each.flags.writeable for each in got["arrays"])
 
 
 @pytest.mark.slow
@@ -106,39 +114,6 @@ def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
     assert files_in(tmp_path / "pieces") == files_in(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("is_writing", [True, False])
-def test_only_files_that_are_being_written_are_finished_after_the_end(is_writing, monkeypatch):
-    begun, ended, seen = threading.Event(), threading.Event(), []
-
-    def do(*_, **__):
-        try:
-            if is_writing:
-                with writing():
-                    begun.set()
-                    time.sleep(0.5)
-                    seen.append("written")
-            else:
-                begun.set()
-                ended.wait()
-                with writing():
-                    seen.append("written")
-        except Cancelled:
-            seen.append("cancelled")
-        return Attempt(None)
-
-    monkeypatch.setattr(chunk_runners, "_GRACE", 0.05)
-    monkeypatch.setattr(chunk_runners, "do_item", do)
-    monkeypatch.setattr(chunk_runners, "failed", lambda *_: None)
-    with ChunkExecutor(ProcessRunner(1), 1, None) as executor:
-        executor.start(0, SimpleNamespace(source="a.ply"))
-        begun.wait()
-    assert seen == (["written"] if is_writing else [])
-    ended.set()
-    while not seen:
-        time.sleep(0.01)
-    assert seen == (["written"] if is_writing else ["cancelled"])
-
-
 class Client:
     """Stands for a Dask client whose scheduler fails, or whose workers fail some times with one of the chunks."""
 
@@ -150,17 +125,24 @@ class Client:
     def scatter(self, value, **_):
         return value
 
-    def submit(self, function, chunk, job, version, **_):
+    def submit(self, on_worker, task, topic, key, version, *arguments, **_):
         future = Future()
-        if chunk.part == 1 and self.times:
+        if key == 1 and self.times:
             self.times -= 1
             future.set_exception(self.error)
         else:
-            future.set_result(function(chunk, job, version))
+            future.set_result(task(*arguments, None))
         return future
+
+    def subscribe_topic(self, *_):
+        pass
 
     def cancel(self, *_, **__):
         raise OSError("no scheduler")
+
+
+def done_on_dask(client):
+    return done(ChunkRunner(OnDask(client, per_worker=2)), Work(add, ()))
 
 
 @pytest.mark.parametrize("kind", [KeyError, OSError, ValueError, RuntimeError, AssertionError, TimeoutError])
@@ -168,21 +150,21 @@ def test_a_chunk_is_sent_again_whatever_dask_raises_and_not_for_ever(kind):
     """Dask raises many kinds of exceptions when a worker dies; exceptions of the work itself are its answer."""
     pytest.importorskip("distributed")
     expected = [(number, [number], (1.0, 1)) for number in range(5)]
-    assert done(DaskRunner(Client(kind("two"), times=1)), Work(add, ())) == expected
+    assert done_on_dask(Client(kind("two"), times=1)) == expected
     with pytest.raises(ProcessingError, match="workers died or failed 5 times"):
-        done(DaskRunner(Client(kind("two"))), Work(add, ()))
+        done_on_dask(Client(kind("two")))
 
 
 def test_the_message_names_what_failed_on_dask():
     pytest.importorskip("distributed")
     with pytest.raises(ProcessingError, match="ModuleNotFoundError"):
-        done(DaskRunner(Client(ModuleNotFoundError("beltrami_cli"))), Work(add, ()))
+        done_on_dask(Client(ModuleNotFoundError("beltrami_cli")))
 
     def no_scheduler():
         raise OSError("timed out")
 
     with pytest.raises(ProcessingError, match="scheduler"):
-        done(DaskRunner(Client(None, nthreads=no_scheduler)), Work(add, ()))
+        done_on_dask(Client(None, nthreads=no_scheduler))
 
 
 @pytest.mark.parametrize("kind", [InputError, OutputError, UnpaintedError])

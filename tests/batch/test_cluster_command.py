@@ -18,8 +18,9 @@ import pytest
 from batch.batches import QUICK, batch, copies, files_in, lines_of, smoothed, write_textured
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch import cluster as cluster_module
-from beltrami_cli.batch.chunk_runners import DaskRunner
+from beltrami_cli.batch.cluster import OnDask
 from beltrami_cli.batch.item import Item, do_item
+from beltrami_cli.batch.run import ChunkRunner
 from beltrami_cli.cli.main import group
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import in_chunks
@@ -112,7 +113,7 @@ def test_a_surface_in_chunks_outlives_a_worker(cluster, monkeypatch):
             cluster.kill_first()
             killed.append(done)
 
-    with cluster.client() as client, in_chunks(3, DaskRunner(client)):
+    with cluster.client() as client, in_chunks(3, ChunkRunner(OnDask(client, per_worker=2))):
         parts = smooth_mesh(SURFACE, parameters, progress)
     assert killed
     assert np.array_equal(parts.colours, whole.colours)

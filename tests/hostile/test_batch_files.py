@@ -13,7 +13,6 @@ from beltrami_cli.batch.item import Record
 from beltrami_cli.errors import InputError
 from cli.commands import SAMPLES
 from hostile.folders import snapshot
-from hostile.textured_models import PICTURE, write_model
 
 MINE = b"written by another user"
 
@@ -196,17 +195,10 @@ def test_nothing_waits_for_what_is_no_file(scan, made):
     assert "not a regular file" in batch(scan, "--out-dir", out, *report, "--resume", *QUICK, code=3)
 
 
-@pytest.mark.parametrize("name", ["scans/{part}", "out/{part}"])
-@pytest.mark.parametrize("part", ["model.mtl", "skin.png"])
-def test_a_report_does_not_replace_a_part_of_a_model(name, part, tmp_path):
-    for folder in ("scans", "out"):
-        write_model(tmp_path / folder, "obj", "skin.png", "model.mtl")
-        (tmp_path / folder / "skin.png").write_bytes(PICTURE)
-    report = tmp_path / name.format(part=part)
-    before = snapshot(tmp_path)
-    words = (tmp_path / "scans" / "model.obj", "--out-dir", tmp_path / "out", "--overwrite", *QUICK)
-    assert "would replace a file that a model needs" in batch(*words, "--report", report, code=4)
-    assert snapshot(tmp_path) == before
-    (tmp_path / "notes.txt").write_text("replaced, since the command line says so")
-    batch(*words, "--report", tmp_path / "notes.txt")
-    assert lines_of(tmp_path / "notes.txt")
+@pytest.mark.parametrize("name", ["scans/skin.png", "out/model.mtl", "notes.txt"])
+def test_only_a_report_is_replaced_by_a_report(name, scan, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / name).write_bytes(b"precious")
+    words = (scan, "--out-dir", tmp_path / "out", "--overwrite", "--report")
+    assert "exists, and is no report" in batch(*words, tmp_path / name, code=4)
+    assert (tmp_path / name).read_bytes() == b"precious"

@@ -240,20 +240,21 @@ def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_
 WORKER = """
 import multiprocessing, sys, time
 from pathlib import Path
-from beltrami_cli.batch import run
+from beltrami_cli.batch.workers import Channel, serve
+from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs.output import FileSet, Output
 
-def work(item, memory, progress):
+def work(progress):
     with FileSet() as files:
         Output(sys.argv[1], overwrite=True, files=files).write(Written([b"new"], {}))
         print(len(list(Path(sys.argv[1]).parent.iterdir())), flush=True)
         time.sleep(60)
 
-run.do_item = work
 ours, theirs = multiprocessing.Pipe()
-ours.send((None, None))
-run._work(theirs)
+with scratch_file() as path:
+    Channel(ours, path).send((work, (), set()))
+    serve(theirs, path)
 """
 
 
