@@ -232,7 +232,7 @@ def _on_worker(task: Task, topic: str, key: int, client_version: str, *arguments
 
 
 def do_on_worker(item: Item, local: Item, memory: int | None, progress: Progress) -> Attempt:
-    """Smooth one file, whose names are those of `local` here; `memory` None: the worker's share of its own limit."""
+    """Smooth one file by its names on this machine, in `local`; `memory` None: the worker's share of its own limit."""
     from distributed import get_client, get_worker
 
     # A worker that died may have written the file already, which was not there when the item was given out.

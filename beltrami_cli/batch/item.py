@@ -200,7 +200,7 @@ class Record:
     """A report as it grows: a line when a file is started, and one when it is finished.
 
     `resume`: go on from an earlier report; InputError if it cannot be read.
-    `overwrite`: replace it; what is no record stays, as it may be a part of a model.
+    `overwrite`: replace a record; any other file stays, as it may be a part of a model.
     """
 
     def __init__(self, path: str, *, resume: bool, overwrite: bool) -> None:

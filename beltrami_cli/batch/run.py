@@ -39,7 +39,6 @@ Advanced = Callable[[int, str, int, int], None]  # called with a key and its pro
 class Watcher(Protocol):
     """Shows how a batch goes; a key is the place of an item in it."""
 
-    def started(self, key: int) -> None: ...
     def advanced(self, key: int, label: str, done: int, total: int) -> None: ...
     def postponed(self, key: int) -> None: ...  # to the end, when it is tried alone with all memory
     def finished(self, key: int, attempt: Attempt) -> None: ...
@@ -49,7 +48,6 @@ class Executor(ABC):
     """Does items, to be used as a context; items still in work at its end are given up."""
 
     threads: int | None = None  # for each file whose settings leave it open; None: as many as there are
-    queues = False  # whether items may wait after `start`; then a file begins with its first progress
 
     def __enter__(self) -> Self:
         return self
@@ -147,8 +145,6 @@ class Batch:
             item = dataclasses.replace(item, settings=dataclasses.replace(item.settings, kernel=kernel))
         self._record.add(outcome_of(item, "started", written=_written(earlier)))
         executor.start(key, dataclasses.replace(item, overwrite=overwrite, again=again))
-        if not executor.queues:
-            self._watcher.started(key)
         return {key}
 
     def _finish(self, key: int, attempt: Attempt) -> None:
@@ -184,14 +180,9 @@ class OnWorkers(Executor):
     """Does files on the workers of a pool; `call` gives the task of an item, and its arguments."""
 
     def __init__(
-        self,
-        pool: Pool,
-        call: Callable[[Item], tuple[Any, ...]],
-        threads: int | None,
-        *,
-        queues: bool = False,
+        self, pool: Pool, call: Callable[[Item], tuple[Any, ...]], threads: int | None = None
     ) -> None:
-        self._pool, self._call, self.threads, self.queues = pool, call, threads, queues
+        self._pool, self._call, self.threads = pool, call, threads
         self._items: dict[int, Item] = {}
 
     def __exit__(self, *_: object) -> None:

@@ -35,7 +35,7 @@ from beltrami_cli.errors import ProcessingError, unhandled_endings
 from beltrami_cli.formats.image.reading import scratch_file
 from beltrami_cli.jobs.job import at_intervals
 
-_GRACE = 5.0  # seconds that a process has to clean up when it is asked to end
+_GRACE = 5.0  # seconds: enough to remove files that were not finished
 _PAUSE = 0.1  # seconds between two messages on progress
 _ALIGNMENT = 64  # bytes: arrays begin at multiples of it, as C++ may ask of them
 
@@ -177,10 +177,13 @@ class _Worker:
 
 
 class Processes(Pool):
-    """Processes of this machine, up to `most`, which are started when they are needed."""
+    """Processes of this machine, up to `most`, which are started when they are needed.
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    `grace`: seconds that they have to clean up when they are asked to end.
+    """
+
+    def __init__(self, most: int, grace: float = _GRACE) -> None:
+        self._most, self._grace = most, grace
         self._idle: list[_Worker] = []
         self._busy: dict[Connection[Any, Any], _Worker] = {}
         self._shared, self._numbers = weakref.WeakSet[Any](), count()
@@ -237,7 +240,7 @@ class Processes(Pool):
         self._busy.clear()
 
     def close(self) -> None:
-        _end([*self._idle, *self._busy.values()], _GRACE)
+        _end([*self._idle, *self._busy.values()], self._grace)
         self._idle.clear()
         self._busy.clear()
 

@@ -280,7 +280,8 @@ def _executor(
 
     at_once, memory = given["at_once"], given["max_memory"]
     if scheduler is None:
-        yield InPieces(Processes(_at_once(given)), pieces or 1, memory or default_memory())
+        processes = Processes(_at_once(given), grace=0)  # which write nothing
+        yield InPieces(processes, pieces or 1, memory or default_memory())
         return
     from beltrami_cli.batch.cluster import OnDask, connected, do_on_worker, portable
 
@@ -293,7 +294,7 @@ def _executor(
                 return do_on_worker, item, portable(item), memory
 
             # A worker does as many files at once as it has threads.
-            yield OnWorkers(OnDask(client, at_once), call, 1, queues=True)
+            yield OnWorkers(OnDask(client, at_once), call, 1)
         else:
             pool = OnDask(client, at_once, per_worker=2)  # one in work and one on its way
             yield InPieces(pool, pieces, memory or default_memory())
@@ -330,9 +331,6 @@ class Display:
 
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
-
-    def started(self, key: int) -> None:
-        self.advanced(key, "", 0, 1)
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
         self._shares[key] = done / total
