@@ -8,6 +8,7 @@ the times that phases took.
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 import time
@@ -37,9 +38,6 @@ _SECONDS = {
 _COUNT = re.compile(r"\d+ of \d+ ")  # before a label: shown, but no part of its name
 _UNANNOUNCED = 1.0  # seconds of a phase that no job has announced; more is left then than has been done
 _FIRST_SHARE = 0.05  # of the whole, that a first phase takes while nothing is announced
-# A phase without news follows the clock up to this share of the time that it has left, and then comes ever closer to
-# its end, so that it still moves after four times as long.
-_ON_TIME = 0.8
 _TRUSTED = 0.1  # share of a phase after which its time left is extrapolated from its own speed
 _STEPS = 1000  # of the work on one of several items
 _PRIOR = 1.0  # seconds by which expectations count against the times that phases took
@@ -132,12 +130,10 @@ class Work:
         return self._expected * self._slowness() * (1 - heard)
 
     def _reached(self, now: float) -> float:
-        """Return the share of the current phase that is shown."""
+        """Return the share of the current phase that is shown: without news it comes ever closer to its end."""
         left = self._left()
         waited = (now - self._heard[1]) / left if left > 0 else 0.0
-        late = max(0.0, waited - _ON_TIME)
-        step = min(waited, _ON_TIME) + (1 - _ON_TIME) * late / (late + 2 * (1 - _ON_TIME))
-        return self._base + (1 - self._base) * step
+        return 1 - (1 - self._base) * math.exp(-waited)
 
     def state(self) -> State:
         now = self.clock()
