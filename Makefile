@@ -227,12 +227,14 @@ samples: $(VENV)/.installed-samples
 # Pictures come from Debian packages, which are unpacked and not installed. The environment is one of its own.
 NOISE_PACKAGES := supertuxkart-data plasma-workspace-wallpapers gnome-backgrounds mate-backgrounds trigger-rally-data
 NOISE_PICTURES := build/noise-model/pictures
+# Of noise_model/train.py, such as "--observations 4000 --weights build/noise-model" for a trial.
+NOISE_OPTIONS ?=
 
 noise-model:
 	$(MAKE) --no-print-directory VENV=$(VENV)-noise run-noise-model
 
 run-noise-model: $(VENV)/.installed-noise | $(NOISE_PICTURES)
-	$(BIN)/python noise_model/train.py $(NOISE_PICTURES)
+	$(BIN)/python noise_model/train.py $(NOISE_PICTURES) $(NOISE_OPTIONS)
 
 $(NOISE_PICTURES):
 	@mkdir -p build/noise-model/packages $@.part

@@ -6,13 +6,11 @@ import hashlib
 import re
 from pathlib import Path
 
-from beltrami_cli.flow import noise
-
 TRAINING = ("noises", "observations", "pictures", "surfaces", "train")
 INFERENCE = ("clusters", "features", "grid_squares", "neighbourhoods", "network")
 FILES = (
     *(Path(__file__).with_name(f"{name}.py") for name in TRAINING),
-    *(Path(noise.__file__).with_name(f"{name}.py") for name in INFERENCE),
+    *(Path(__file__).parents[1] / f"beltrami_cli/flow/noise/{name}.py" for name in INFERENCE),
 )
 
 

@@ -44,6 +44,7 @@ class Recipe:
     transfer: str = ""  # "to linear", "to srgb": what the file stores
     codec: str = ""  # "JPEG", "WEBP"
     quality: int = 90
+    second_quality: int = 0  # of the same compression again; 0: none
     subsampling: int = 2  # 0: none, 2: half the resolution for chroma
     after_codec: float = 1.0  # resampled by this afterwards
     bits: int = 8  # 0: real numbers
@@ -92,6 +93,19 @@ def draw_recipe(rng: np.random.Generator) -> Recipe:
         recipe = _compressed(rng, recipe)
         recipe = replace(recipe, after_codec=float(rng.choice([1, 1, 1, 2 ** rng.uniform(-1, 1)])))
     return recipe
+
+
+def draw_recipe_of_textures(rng: np.random.Generator) -> Recipe:
+    """Draw the steps that are hardest to read on a grid: compression alone after noise, and coarse grain."""
+    if rng.random() < 0.35:
+        recipe = replace(_noise_of(rng, Recipe()), sigma=float(2 ** rng.uniform(0, 5)) / 255, is_linear=False)
+        return replace(recipe, grain=float(rng.uniform(1.3, 5)), kernel=int(rng.integers(4)))
+    sigma = 0.0 if rng.random() < 0.3 else float(2 ** rng.uniform(0, 5)) / 255
+    recipe = Recipe(
+        sigma, correlation=float(rng.choice([0, 0, 0, rng.uniform(0, 1), 1])), codec="JPEG",
+        quality=int(rng.integers(60, 98)), subsampling=int(rng.choice([0, 2])),
+    )  # fmt: skip
+    return recipe if rng.random() < 0.75 else replace(recipe, second_quality=int(rng.integers(60, 98)))
 
 
 def _with_one_step(rng: np.random.Generator, recipe: Recipe) -> Recipe:
@@ -207,6 +221,8 @@ def _stored(pair: np.ndarray, recipe: Recipe) -> Sample:
         # The noise goes on where it is cut off, and has no rounding in it.
         return Sample(stored[0], pair[0] - pair[1], np.zeros_like(pair[0]))
     coded = np.stack([_coded(own, recipe) for own in stored])
+    if recipe.second_quality:
+        coded = np.stack([_coded(own, replace(recipe, quality=recipe.second_quality)) for own in coded])
     reference = stored[1]
     if recipe.after_codec != 1:
         coded = np.stack([_resized(own, recipe.after_codec, 1).clip(0, 1) for own in coded])

@@ -12,13 +12,14 @@ from beltrami_cli.flow.noise.features import Cells
 from beltrami_cli.flow.noise.grid_squares import SIDE, Grid
 from beltrami_cli.flow.noise.neighbourhoods import Samples
 from beltrami_cli.flow.noise.network import log_of
-from noises import Sample, degrade, draw_recipe, of_one_channel
+from noises import Sample, degrade, draw_recipe, draw_recipe_of_textures, of_one_channel
 from pictures import Crop, drawn, varied
 
 SIDES = (32, 48, 64, 96, 128, 192, 256)
 SHARES = (0.06, 0.06, 0.14, 0.22, 0.24, 0.2, 0.08)
 MAX_SQUARES = 64  # of a picture
 ONE_CHANNEL = 0.12  # share of the pictures that are of one channel, or grey
+HARD = 0.2  # share of the pictures with the noise that is hardest to read
 # Of the variance of independent noise, at each scale, the last with the mean that is left.
 OF_SCALES = np.array([0.75, 0.1875, 0.046875, 0.015625])
 FEWEST_DETAILS = 3 * SIDE**2 / 16  # of the finest cells that a picture must hold
@@ -43,7 +44,8 @@ class Observation:
 def random_observation(rng: np.random.Generator, crops: list[Crop]) -> Observation | None:
     """Make one for training."""
     crop = crops[rng.integers(len(crops))]
-    recipe, side = draw_recipe(rng), int(rng.choice(SIDES, p=SHARES))
+    draw = draw_recipe_of_textures if rng.random() < HARD else draw_recipe
+    recipe, side = draw(rng), int(rng.choice(SIDES, p=SHARES))
     wanted = int(np.ceil(side / min(1, recipe.resampled * recipe.after_codec))) + 8
     clean = varied(rng, drawn(rng, _part_of(rng, crop.pixels, wanted)))
     if rng.random() < ONE_CHANNEL:
@@ -78,7 +80,7 @@ def observe(sample: Sample, filled: np.ndarray | None = None) -> Observation | N
         np.ones(planes.shape[1:], bool) if filled is None else filled[: planes.shape[1], : planes.shape[2]]
     )
     grid = Grid(filled, MAX_SQUARES)
-    if not grid.count:
+    if not filled.any() or not grid.count:
         return None
     seen = grid.cut(planes)
     noise, loss = (
@@ -94,11 +96,11 @@ def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Obse
     products, energies = [0.0 * own.products for own in cells], 0.0 * blocks.energies
     for part, sign in ((noise, 1), (loss, -1)):
         if part is not None:
-            pairs = zip(products, part.products(), strict=True)
-            products = [total + sign * own for total, own in pairs]
+            triples = zip(products, part.where.scales, part.products, strict=False)
+            products = [total + sign * scale.padded(own) for total, scale, own in triples]
             energies = energies + sign * part.blocks().energies
     truths = [dataclasses.replace(own, products=part) for own, part in zip(cells, products, strict=True)]
-    covariances = np.stack([own.covariance() for own in truths])
+    covariances = np.stack([covariance_of(own) for own in truths])
     if np.isnan(covariances[0]).any() or cells[0].freedom.sum() < FEWEST_DETAILS:
         return None
     known = np.where(np.isnan(covariances), covariances[0], covariances)
@@ -120,6 +122,14 @@ def observed(seen: Samples, noise: Samples | None, loss: Samples | None) -> Obse
         features.describe_levels(blocks), log_of(total), log_of(variances).ravel(), correlations.ravel(), by_level,
         _by_square(truths),
     )  # fmt: skip
+
+
+def covariance_of(cells: Cells) -> np.ndarray:
+    """Return the covariance of the components, shape (3, 3); NaN where there are no cells."""
+    total = cells.freedom.sum(dtype=np.float64)
+    if not total:
+        return np.full((3, 3), np.nan)
+    return features.symmetric(np.einsum("kpn,pn->k", cells.products, cells.freedom, dtype=np.float64) / total)
 
 
 def _by_level(level, energy) -> np.ndarray:

@@ -1,12 +1,15 @@
 """Train the network that reads noise, print how well it reads, and write its weights.
 
 ``python noise_model/train.py FOLDER...`` takes clean pictures from folders of unpacked packages; `make noise-model`
-fetches them. Training needs NumPy alone.
+fetches them. Training needs NumPy alone. The weights in the package were trained so; those for grids, then without
+features of cosine waves, went on with ``--kinds grid --continue --seed 400 --observations 104000 --epochs 8`` once
+these had come, with weights of 0.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import time
 from functools import cache
@@ -35,7 +38,8 @@ from beltrami_cli.flow.noise.network import (
 from configuration import configuration
 from observations import Observation
 
-WEIGHTS = Path(network.__file__).parent
+# Of the repository, not of an installed package.
+WEIGHTS = Path(__file__).parents[1] / "beltrami_cli/flow/noise"
 OBSERVATIONS = {"grid": 140_000, "cluster": 60_000, "validation": 4_000}
 CHUNK = 2_000  # observations that are made together
 FIRST_SEED = 300  # of training; those below served to choose features and layers
@@ -43,8 +47,11 @@ EPOCHS, BATCH, RATE, DECAY = 12, 96, 2e-3, 0.1
 SEED = 49
 KINDS = {"grid": observations.random_observation, "cluster": surfaces.random_observation}
 LARGEST_GRADIENT = 1.0  # norm
+WARM_UP = 500  # steps until the rate is at its height
+ROWS = 100_000  # of features that are standardised at a time
 # What the heads count for in the loss.
-COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5, "levels": 0.5}
+COUNTED = {"total": 3.0, "deviations": 2.0, "correlations": 2.0, "places": 0.5}
+LEVELS_COUNTED = {"grid": 1.5, "cluster": 0.5}
 
 
 class Node:
@@ -126,7 +133,7 @@ def crops_of(roots: tuple[Path, ...], part: str) -> list[pictures.Crop]:
     return pictures.clean_crops(list(roots), part, SEED)
 
 
-def make_observations(job: tuple[str, str, int, int, list[Path]]) -> list[Observation]:
+def make_observations(job: tuple[str, str, int, int, list[Path]]) -> Batches:
     """Make observations; `job`: the kind of neighbourhoods, the part of the pictures, seed, count, folders."""
     kind, part, seed, count, roots = job
     crops = crops_of(tuple(roots), part)
@@ -135,11 +142,11 @@ def make_observations(job: tuple[str, str, int, int, list[Path]]) -> list[Observ
         made = KINDS[kind](rng, crops)
         if made is not None:
             found.append(made)
-    return found
+    return Batches(kind, found)
 
 
 class Batches:
-    """Observations side by side, in half precision; features are standardised as they are taken."""
+    """Observations side by side, in half precision."""
 
     def __init__(self, kind: str, observations: list[Observation]) -> None:
         self.kind = kind
@@ -156,33 +163,43 @@ class Batches:
             self.parts[name] = np.stack([getattr(own, attribute) for own in observations]).astype(np.float32)
         self.parts["total"] = self.parts["total"][:, None]
 
+    def extend(self, others: list[Batches]) -> None:
+        """Take the observations of others, too."""
+        every = [self, *others]
+        self.counts = np.concatenate([own.counts for own in every])
+        self.starts = np.append(0, np.cumsum(self.counts))
+        self.parts = {name: np.concatenate([own.parts[name] for own in every]) for name in self.parts}
+
     def standard(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return the means and standard deviations of features."""
         some = self.parts["squares"][:: max(1, len(self.parts["squares"]) // 200_000)].astype(np.float32)
         channels = self.parts["channels"].reshape(-1, self.parts["channels"].shape[-1])
-        kinds = {
-            "squares": some,
-            "even": self.parts["even"],
-            "levels": channels,
-        }
+        kinds = {"squares": some, "even": self.parts["even"], "levels": channels}
         return {name: own.mean(axis=0) for name, own in kinds.items()}, {
             name: own.std(axis=0) + 1e-3 for name, own in kinds.items()
         }
 
+    def standardise(self, weights: Weights) -> None:
+        """Standardise the features of neighbourhoods, in place."""
+        squares = self.parts["squares"]
+        self.parts["quiet"] = network.quiet_of(squares, self.kind).astype(np.float32)
+        for first in range(0, len(squares), ROWS):
+            block = squares[first : first + ROWS]
+            block[:] = weights.standardised("squares", block.astype(np.float32))
+
     def take(self, chosen: np.ndarray, weights: Weights) -> tuple[tuple, dict, dict]:
         """Return what `read` takes of some observations, the truths, and the candidates."""
         rows = np.concatenate([np.arange(self.starts[own], self.starts[own + 1]) for own in chosen])
-        counts = self.counts[chosen]
-        channels, squares = self.parts["channels"][chosen], self.parts["squares"][rows].astype(np.float32)
+        counts, even = self.counts[chosen], self.parts["even"][chosen]
+        starts = np.append(0, np.cumsum(counts)[:-1])
+        channels = self.parts["channels"][chosen].reshape(-1, self.parts["channels"].shape[-1])
         given = (
-            weights.standardised("squares", squares),
-            np.append(0, np.cumsum(counts)[:-1]),
-            weights.standardised("even", self.parts["even"][chosen]),
-            weights.standardised("levels", channels.reshape(-1, channels.shape[-1])),
+            self.parts["squares"][rows].astype(np.float32),
+            starts,
+            weights.standardised("even", even),
+            weights.standardised("levels", channels),
         )
-        candidates = candidates_of(
-            self.parts["even"][chosen], squares, given[1], channels.reshape(-1, channels.shape[-1]), self.kind
-        )
+        candidates = candidates_of(even, self.parts["quiet"][rows], starts, channels, self.kind)
         truths = {name: self.parts[name][chosen] for name in ("total", "deviations", "correlations")}
         # Levels and squares are read by how they differ from their mean, which may be all that is uncertain.
         levels = self.parts["levels"][chosen].reshape(-1, features.LEVEL_BINS)
@@ -191,7 +208,7 @@ class Batches:
             known.sum(axis=1, keepdims=True), 1
         )
         truths["levels"] = levels - means
-        places, starts = self.parts["places"][rows], given[1]
+        places = self.parts["places"][rows]
         means = np.add.reduceat(np.nan_to_num(places), starts) / np.maximum(
             np.add.reduceat(np.isfinite(places), starts, dtype=np.float32), 1
         )
@@ -200,7 +217,10 @@ class Batches:
 
 
 def losses(
-    found: dict[str, np.ndarray], truths: dict[str, np.ndarray], candidates: dict[str, np.ndarray]
+    found: dict[str, np.ndarray],
+    truths: dict[str, np.ndarray],
+    candidates: dict[str, np.ndarray],
+    counted: dict[str, float],
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:
     """Return the loss of each head, and its gradient: pinball losses of quantiles; of correlations, squares."""
     values, gradients = {}, {}
@@ -218,7 +238,7 @@ def losses(
             shares = np.array(TOTAL_QUANTILES if name == "total" else QUANTILES, np.float32)
             slope, parts = np.where(error > 0, shares, shares - 1) * known[..., None], len(shares)
             values[name] = float((slope * error).sum() / count / parts)
-        gradient = -COUNTED[name] * slope / count / parts
+        gradient = -counted[name] * slope / count / parts
         if name in candidates:
             gradient = _through_mixture(gradient, read_as, outputs, candidates[name])
         gradients[name] = gradient.reshape(own.shape).astype(np.float32)
@@ -255,48 +275,77 @@ def initial(
     return weights
 
 
-def train(kind: str, training: Batches, validation: Batches, epochs: int) -> Weights:
-    """Train by Adam with a rate that falls to 0 along a cosine."""
+def slopes_of(
+    chosen: np.ndarray, data: Batches, weights: Weights
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Return the losses of some observations, and their gradients by the weights."""
+    (squares, starts, *others), truths, candidates = data.take(chosen, weights)
+    tape = Tape(weights.layers)
+    found = read(tape, Node(squares), starts, *map(Node, others))
+    counted = {**COUNTED, "levels": LEVELS_COUNTED[data.kind]}
+    outputs = {name: own.value for name, own in found.items()}
+    values, gradients = losses(outputs, truths, candidates, counted)
+    for name, own in found.items():
+        own.gradient = gradients[name]
+    tape.go_back()
+    return values, tape.gradients
+
+
+def train(
+    kind: str, training: Batches, validation: Batches, epochs: int, start: Weights | None = None
+) -> Weights:
+    """Train by Adam with a rate that falls to 0 along a cosine; from some weights on, at half the rate."""
     rng = np.random.default_rng(SEED)
-    means, scales = training.standard()
-    weights = Weights(
-        initial(rng, {name: len(own) for name, own in means.items()}, network.WIDTHS[kind]),
-        means,
-        scales,
-        configuration(),
-    )
-    layers, moments = weights.layers, {}
+    if start is None:
+        means, scales = training.standard()
+        columns = {name: len(own) for name, own in means.items()}
+        start = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, "")
+        rate = RATE
+    else:
+        rate = RATE / 2
+    weights = dataclasses.replace(start, configuration=configuration())
+    for data in (training, validation):
+        data.standardise(weights)
+    moments = {name: (0 * own, 0 * own) for name, own in weights.layers.items()}
     step, steps, began = 0, epochs * (len(training.counts) // BATCH), time.monotonic()
     for epoch in range(epochs):
-        order, sums = rng.permutation(len(training.counts)), {}
+        order, sums = rng.permutation(len(training.counts)), []
         for at in range(0, len(order) - BATCH + 1, BATCH):
-            given, truths, candidates = training.take(order[at : at + BATCH], weights)
-            tape = Tape(layers)
-            squares, starts, *others = given
-            found = read(tape, Node(squares), starts, *map(Node, others))
-            values, gradients = losses({name: own.value for name, own in found.items()}, truths, candidates)
-            for name, own in found.items():
-                own.gradient = gradients[name].astype(np.float32)
-            tape.go_back()
+            values, gradients = slopes_of(order[at : at + BATCH], training, weights)
+            sums.append(values)
             step += 1
-            rate = RATE * min(1, step / 500) * (1 + np.cos(np.pi * step / steps)) / 2
-            norm = np.sqrt(sum(float(np.vdot(own, own)) for own in tape.gradients.values()))
-            for name, gradient in tape.gradients.items():
-                gradient = gradient * np.float32(min(1, LARGEST_GRADIENT / norm))
-                first, second = moments.setdefault(name, (np.zeros_like(gradient), np.zeros_like(gradient)))
-                first += 0.1 * (gradient - first)
-                second += 0.001 * (gradient**2 - second)
-                change = (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
-                layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
-            for name, value in values.items():
-                sums[name] = sums.get(name, 0) + value * BATCH / len(order)
+            share = min(1, step / WARM_UP) * (1 + np.cos(np.pi * step / steps)) / 2
+            descend(weights.layers, moments, gradients, rate * share, step)
         if epoch % 5 == 4 or epoch == epochs - 1:
-            given, truths, candidates = validation.take(np.arange(len(validation.counts)), weights)
-            found = read(Tape(layers), *map(Node, given[:1]), given[1], *map(Node, given[2:]))
-            valued, _ = losses({name: own.value for name, own in found.items()}, truths, candidates)
-            line = ", ".join(f"{name} {sums[name]:.4f} / {valued[name]:.4f}" for name in sums)
+            valued, _ = slopes_of(np.arange(len(validation.counts)), validation, weights)
+            line = ", ".join(
+                f"{name} {np.mean([own[name] for own in sums]):.4f} / {value:.4f}"
+                for name, value in valued.items()
+            )
             print(f"epoch {epoch + 1}, {time.monotonic() - began:.0f} s: {line}", flush=True)
     return weights
+
+
+def descend(layers, moments, gradients, rate, step) -> None:
+    """Take a step of Adam, in place, with decay of the weights."""
+    norm = np.sqrt(sum(float(np.vdot(own, own)) for own in gradients.values()))
+    for name, (first, second) in moments.items():
+        gradient = gradients[name] * np.float32(min(1, LARGEST_GRADIENT / norm))
+        first += 0.1 * (gradient - first)
+        second += 0.001 * (gradient**2 - second)
+        change = (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
+        layers[name] -= (rate * (change + DECAY * layers[name])).astype(np.float32)
+
+
+def save(weights: Weights, path: Path) -> None:
+    """Write a file of weights; eight binary digits are enough, and compress better."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, values in weights.layers.items():
+        digits, exponents = np.frexp(values)
+        arrays[f"layer/{name}"] = np.ldexp(np.rint(digits * 256) / 256, exponents).astype(np.float16)
+    for kind, parts in (("mean", weights.means), ("scale", weights.scales)):
+        arrays |= {f"{kind}/{name}": values.astype(np.float32) for name, values in parts.items()}
+    np.savez_compressed(path, configuration=np.array(weights.configuration), **arrays)
 
 
 def main() -> None:
@@ -306,6 +355,10 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--observations", type=int, help="of each kind")
     parser.add_argument("--epochs", type=int, default=EPOCHS)
+    parser.add_argument(
+        "--continue", action="store_true", dest="goes_on", help="from the weights that there are"
+    )
+    parser.add_argument("--seed", type=int, help="of the first observations; each makes 2,000")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument(
         "--judged", default="test", choices=["validation", "test"], help="the part that is judged"
@@ -321,16 +374,18 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     """Train the network for one kind of neighbourhoods."""
     began = time.monotonic()
     count = options.observations or OBSERVATIONS[kind]
-    jobs = [(kind, "training", seed, CHUNK, roots) for seed in range(FIRST_SEED, FIRST_SEED + count // CHUNK)]
+    first = options.seed or FIRST_SEED
+    jobs = [(kind, "training", seed, CHUNK, roots) for seed in range(first, first - -count // CHUNK)]
     jobs.append((kind, "validation", 0, OBSERVATIONS["validation"], roots))
     with Pool(options.processes) as pool:
-        *parts, validation = pool.imap(make_observations, jobs)
-    training = Batches(kind, [own for part in parts for own in part])
+        training, *parts, validation = pool.imap(make_observations, jobs)
+    training.extend(parts)
     held = f"{len(training.counts)} observations, {training.starts[-1]} neighbourhoods"
     print(f"{kind}: {held}: {time.monotonic() - began:.0f} s", flush=True)
     del parts
     path = options.weights / f"{kind}_weights.npz"
-    train(kind, training, Batches(kind, validation), options.epochs).save(str(path))
+    start = Weights.load(path) if options.goes_on else None
+    save(train(kind, training, validation, options.epochs, start), path)
     print(f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True)
     table.main(roots, options.judged, kind, Weights.load(path))
 

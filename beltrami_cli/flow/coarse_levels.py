@@ -64,7 +64,7 @@ def denoise_means(manifold: AnyManifold, tick: Callable[[], None] | None = None)
     for number, level in reversed(list(enumerate(levels, 1))):
         noise = level.noise * _noise_of_level(covariances, number, is_coarsest=number == len(levels))
         error += max(0.0, _estimate(level, manifold, noise))
-    left = manifold.noise.with_covariances(_left_for_samples(covariances))
+    left = dataclasses.replace(manifold.noise, covariances=_left_for_samples(covariances))
     return dataclasses.replace(manifold, noise=left), error
 
 

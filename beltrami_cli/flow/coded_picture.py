@@ -269,7 +269,7 @@ class _Covariances:
         planes = np.broadcast_to(np.moveaxis(noise / np.float32(255), 2, 0), (3, *used.shape))
         seen = Grid(used, most=used.size).cut(planes, np.arange(3))
         for number, scale in enumerate(seen.where.scales[:SCALES]):
-            self._sums[number] += seen.products_of(number) @ scale.freedom
+            self._sums[number] += seen.products[number] @ scale.freedom
             self._counted[number] += scale.freedom.sum()
 
     def mean(self) -> Float64s:

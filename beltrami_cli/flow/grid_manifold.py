@@ -295,7 +295,7 @@ class GridManifold(Manifold):
         """Return a part without colours, see `GridGeometry.cut`."""
         noise = self.noise
         if noise.relative is not None:
-            noise = noise.with_relative(pick(noise.relative, samples))
+            noise = dataclasses.replace(noise, relative=pick(noise.relative, samples))
         return dataclasses.replace(
             self,
             geometry=self.geometry.cut(samples, inside),

@@ -192,7 +192,7 @@ class MeshManifold(Manifold):
         """Return the part of some samples, ascending, without colours."""
         noise = self.noise
         if noise.relative is not None:
-            noise = noise.with_relative(noise.relative[samples])
+            noise = dataclasses.replace(noise, relative=noise.relative[samples])
         return dataclasses.replace(
             self,
             geometry=self.geometry.cut(samples),

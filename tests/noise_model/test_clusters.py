@@ -7,6 +7,7 @@ from beltrami_cli.flow.noise.clusters import VertexClusters
 from beltrami_cli.flow.noise.features import SCALES, describe, describe_even_cells, describe_levels
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.vertex_graph import Graph
+from observations import covariance_of
 
 WHITE = 0.04
 
@@ -47,7 +48,7 @@ def test_independent_noise_has_the_same_variance_at_all_scales():
     assert len(cells) == SCALES
     for own in cells:
         count = float(own.freedom.sum())  # of three components each; four standard errors of a variance
-        variance = np.trace(own.covariance()) / 3 / 255**2
+        variance = np.trace(covariance_of(own)) / 3 / 255**2
         assert variance == pytest.approx(WHITE**2, rel=4 * np.sqrt(2 / (3 * count)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import PAIRS, SCALES
-from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale
+from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples, Scale, in_components
 from beltrami_cli.flow.vertex_graph import Graph, levels_of
 
 # Blocks of consecutive samples that are read of a large surface, and samples of each.
@@ -34,34 +34,63 @@ _NEIGHBOURS = 3
 
 
 @dataclass(frozen=True)
-class _Edges:
-    """Pairs of neighbouring parts of a scale, shape (E, 2)."""
+class ClusterScale(Scale):
+    """Clusters of parts."""
 
-    scale: Scale
-    pairs: Int64s
+    parents: Int64s  # the cell of each part
+    tile: Int64s  # the neighbourhood of each cell
+    slot: Int64s  # the number of each cell within its neighbourhood
+    edges: Int64s  # pairs of neighbouring parts, shape (E, 2)
+
+    @cached_property
+    def _samples(self) -> Float64s:
+        """The samples of each cell; at least 1."""
+        return np.maximum(self.sums(self.counts), 1)
+
+    def sums(self, values: Array) -> Float64s:
+        if values.ndim > 1:
+            return np.stack([self.sums(own) for own in values])
+        return np.bincount(self.parents, values, len(self.tile)).astype(np.float64, copy=False)
+
+    def means(self, values: Array) -> Float64s:
+        return self.sums(self.counts * values) / self._samples
+
+    def spread(self, values: Array) -> Array:
+        return values[..., self.parents]
+
+    def details(self, fine: Array, coarse: Array) -> Array:
+        return (fine - self.spread(coarse)) * np.sqrt(self.counts)
+
+    def sums_of_details(self, values: Array) -> Float64s:
+        return self.sums(values)
+
+    def padded(self, values: Array, empty: float = 0.0) -> Float32s:
+        shape = int(self.tile.max(initial=-1)) + 1, int(self.slot.max(initial=0)) + 1
+        found = np.full((*values.shape[:-1], *shape), empty, np.float32)
+        found[..., self.tile, self.slot] = values
+        return found
 
     @cached_property
     def across(self) -> tuple[Int64s, Int64s, Int64s]:
         """Neighbouring parts in different cells, one and other, and the neighbourhood of one, in both directions."""
-        parents = self.scale.parents
-        one, other = self.pairs[parents[self.pairs[:, 0]] != parents[self.pairs[:, 1]]].T
+        one, other = self.edges[np.diff(self.parents[self.edges], axis=1)[:, 0] != 0].T
         ends = np.concatenate([one, other])
-        return ends, np.concatenate([other, one]), self.scale.tile[parents[ends]]
+        return ends, np.concatenate([other, one]), self.tile[self.parents[ends]]
 
     @cached_property
     def degree(self) -> Int64s:
         """How many neighbours each part has."""
-        return np.bincount(self.pairs.ravel(), minlength=len(self.scale.parents)).astype(np.int64)
+        return np.bincount(self.edges.ravel(), minlength=len(self.parents)).astype(np.int64)
 
     @cached_property
     def of_residuals(self) -> Float64s:
         """The deviation of independent noise in what each part differs by from the mean of its neighbours."""
-        around = self.sums_around(1 / self.scale.counts) / np.maximum(self.degree, 1) ** 2
-        return np.asarray(np.sqrt(1 / self.scale.counts + around), np.float64)
+        around = self.sums_around(1 / self.counts) / np.maximum(self.degree, 1) ** 2
+        return np.asarray(np.sqrt(1 / self.counts + around), np.float64)
 
     def sums_around(self, values: Float64s) -> Float64s:
         """Return the sums of values over the neighbours of each part."""
-        (one, other), count = self.pairs.T, len(values)
+        (one, other), count = self.edges.T, len(values)
         return np.asarray(np.bincount(one, values[other], count) + np.bincount(other, values[one], count))
 
 
@@ -78,8 +107,8 @@ class VertexClusters(Neighbourhoods):
         return self._cut[0]
 
     @property
-    def scales(self) -> list[Scale]:
-        return [own.scale for own in self._cut[1]]
+    def scales(self) -> list[ClusterScale]:
+        return self._cut[1]
 
     @property
     def tiles(self) -> Int64s:
@@ -89,7 +118,7 @@ class VertexClusters(Neighbourhoods):
         return planes[:, self.chosen]
 
     @cached_property
-    def _cut(self) -> tuple[Int64s, list[_Edges], Int64s]:
+    def _cut(self) -> tuple[Int64s, list[ClusterScale], Int64s]:
         chosen, graph = _some_samples(self.graph)
         levels = list(islice(levels_of(graph), SCALES + 2))
         counts = levels[-1].counts
@@ -105,15 +134,16 @@ class VertexClusters(Neighbourhoods):
             parents = renumbered[place + 1][coarse.members[fine.centres]][used]
             edges = renumbered[place][fine.graph.edges]
             freedom = (np.bincount(parents, minlength=len(tile)) - 1).astype(np.float64)
-            scale = Scale(
-                parents,
+            scale = ClusterScale(
                 fine.counts[used].astype(np.float64),
                 freedom,
                 np.ones(len(tile), bool),
+                parents,
                 tile,
                 _ranks_within(tile),
+                edges[(edges >= 0).all(axis=1)],
             )
-            found.append(_Edges(scale, edges[(edges >= 0).all(axis=1)]))
+            found.append(scale)
         return chosen[tiles[0] >= 0], found, tiles[0][tiles[0] >= 0]
 
     def energies_for_order(self, samples: Samples) -> Float32s:
@@ -127,25 +157,24 @@ class VertexClusters(Neighbourhoods):
         return [np.log2(self.counts) / 4, self.means(degree[None])[0] / 4]
 
     def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, Float32s | None]:
-        edges = self._cut[1][number]
         residuals = self._residuals(samples, number) if number < _SCALES_OF_RESIDUALS else None
         return (
             self._mean_squares(samples, number),
-            self._neighbours(edges, samples.details(number)),
+            self._neighbours(self.scales[number], samples.details[number]),
             residuals,
         )
 
     def _mean_squares(self, samples: Samples, number: int) -> Float32s:
         """Return the mean squares of the energies of cells in each neighbourhood, by component, shape (P, 3)."""
-        scale, energies = self.scales[number], samples.products_of(number)[:3]
+        scale, energies = self.scales[number], samples.products[number][:3]
         used = scale.freedom > 0
         sums = [np.bincount(scale.tile[used], own[used] ** 2, self.count) for own in energies]
         cells = np.maximum(np.bincount(scale.tile[used], minlength=self.count), 1)
         return (np.stack(sums, axis=1) / cells[:, None]).astype(np.float32)
 
-    def _neighbours(self, edges: _Edges, details: Float64s) -> Float32s:
+    def _neighbours(self, scale: ClusterScale, details: Float64s) -> Float32s:
         """Return the correlation of neighbouring details in each neighbourhood, by component, shape (P, 3)."""
-        one, other, tile = edges.across
+        one, other, tile = scale.across
         columns = []
         for values in details:
             both = np.bincount(tile, values[one] * values[other], self.count)
@@ -155,14 +184,14 @@ class VertexClusters(Neighbourhoods):
 
     def _residuals(self, samples: Samples, number: int) -> Float32s:
         """Return mean products of the residuals of the parts of each cell; of details where there are none."""
-        edges, values = self._cut[1][number], samples.components(number)
-        scale, inside = edges.scale, edges.degree >= _NEIGHBOURS
-        differences = [own - edges.sums_around(own) / np.maximum(edges.degree, 1) for own in values]
-        residuals = np.stack(differences)[:, inside] / edges.of_residuals[inside]
+        scale, values = self.scales[number], in_components(samples.means[number])
+        inside = scale.degree >= _NEIGHBOURS
+        differences = [own - scale.sums_around(own) / np.maximum(scale.degree, 1) for own in values]
+        residuals = np.stack(differences)[:, inside] / scale.of_residuals[inside]
         parents, cells = scale.parents[inside], len(scale.tile)
         sums = np.stack([np.bincount(parents, residuals[k] * residuals[m], cells) for k, m in PAIRS])
         count = np.bincount(parents, minlength=cells)
-        products = samples.products_of(number)
+        products = samples.products[number]
         return scale.padded(np.where(count > 0, sums / np.maximum(count, 1), products))
 
     @cached_property
@@ -171,7 +200,7 @@ class VertexClusters(Neighbourhoods):
         return np.stack(sums, axis=1) / self.counts[:, None]
 
     def over_samples(self, variances: Float64s) -> Float32s:
-        nearest = variances[self.nearest(self.graph.positions)].astype(np.float32)
+        nearest = variances[self.nearest(self.graph.positions)][:, None].astype(np.float32)
         even = self.graph.smoothed(nearest, _SPREAD**2)
         return np.asarray(even / even.mean(dtype=np.float64), np.float32)
 

@@ -10,7 +10,6 @@ sorted by the energy of their finest details.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -93,40 +92,6 @@ class Cells:
     def is_valid(self) -> Bools:
         """Which cells there are."""
         return self.freedom > 0
-
-    def of(self, chosen: Bools) -> Cells:
-        """Return the cells of some neighbourhoods."""
-        return Cells(
-            self.products[:, chosen],
-            self.freedom[chosen],
-            self.blocks[:, chosen],
-            self.unevenness[chosen],
-            self.cut_off[chosen],
-            self.fourth[chosen],
-            self.others[chosen],
-            None if self.residuals is None else self.residuals[:, chosen],
-            self.is_grid,
-        )
-
-    def divided_by(self, variances: Float64s) -> Cells:
-        """Return the cells of colours that noise has a variance less by a factor in, by neighbourhood."""
-        factor = (1 / variances).astype(np.float32)[:, None]
-        residuals = None if self.residuals is None else self.residuals * factor
-        return dataclasses.replace(
-            self,
-            products=self.products * factor,
-            blocks=self.blocks * factor,
-            unevenness=self.unevenness * factor,
-            fourth=self.fourth * factor**2,
-            residuals=residuals,
-        )
-
-    def covariance(self) -> Array:
-        """Return the covariance of the components, shape (3, 3); NaN where there are no cells."""
-        total = self.freedom.sum(dtype=np.float64)
-        if not total:
-            return np.full((3, 3), np.nan)
-        return symmetric(np.einsum("kpn,pn->k", self.products, self.freedom, dtype=np.float64) / total)
 
 
 @dataclass(frozen=True)
@@ -215,31 +180,31 @@ def _even_by_neighbourhood(cells: Cells, whole: Bools) -> Float32s:
     return np.concatenate([log_deviation(own) for own in parts])
 
 
-def even_covariances(cells: Sequence[Cells]) -> tuple[Float64s, Float64s]:
-    """Return the covariance of components in the even cells of a picture, shape (SCALES, 3, 3), in steps of 8 bits.
+def even_covariances(cells: Sequence[Cells], chosen: Bools, variances: Float64s) -> tuple[Float64s, Float64s]:
+    """Return the covariance of components in the even cells of some neighbourhoods, shape (SCALES, 3, 3).
 
-    And how many details of each component show it, shape (SCALES,).
+    It is divided by the relative variance of each neighbourhood, shape (P,). The second result is how many details of
+    each component show it, shape (SCALES,).
     """
     found, counts = np.zeros((SCALES, 3, 3)), np.zeros(SCALES)
     for scale, own in enumerate(cells):
-        whole = _known_cells(own)[1]
-        unevenness, products = own.unevenness[whole], own.products[:, whole]
-        if not len(unevenness):
+        whole = _known_cells(own, chosen[:, None])[1]
+        if not whole.any():
             continue
-        weights = own.freedom[whole]
+        unevenness = (own.unevenness / variances[:, None])[whole]
         even = unevenness <= np.sort(unevenness)[int(_EVEN_SHARE * (len(unevenness) - 1))]
-        means = np.einsum("kn,n->k", products[:, even], weights[even], dtype=np.float64)
-        total = weights[even].sum()
-        found[scale] = symmetric(means / total)
-        # Squares of a grid hold enough details at all scales.
-        counts[scale] = np.inf if own.is_grid else total
+        products, freedom = (own.products / variances[:, None])[:, whole][:, even], own.freedom[whole][even]
+        total = freedom.sum()
+        found[scale] = symmetric(np.einsum("kn,n->k", products, freedom, dtype=np.float64) / total)
+        counts[scale] = total
     return found, counts
 
 
-def _known_cells(cells: Cells) -> tuple[Bools, Bools]:
-    """Return the cells whose unevenness is known, and these without those that were cut off; (P, n) each."""
-    known = cells.is_valid & np.isfinite(cells.unevenness)
-    known = known if known.any() else cells.is_valid
+def _known_cells(cells: Cells, chosen: Bools | bool = True) -> tuple[Bools, Bools]:
+    """Return the cells whose unevenness is known, and the ones of them that were not cut off; (P, n) each."""
+    valid = cells.is_valid & chosen
+    known = valid & np.isfinite(cells.unevenness)
+    known = known if known.any() else valid
     whole = known & (cells.cut_off <= _MAX_CUT_OFF)
     return known, whole if 4 * whole.sum() > _EVEN_SHARE * known.sum() else known
 
@@ -310,11 +275,6 @@ def _quantiles(values: Float32s, shares: Sequence[float]) -> list[Float32s]:
 def log_deviation(variance: Array | float) -> Float32s:
     """Return log2 of deviations in steps of 8 bits, with a floor well below a step."""
     return np.asarray(np.log2(np.maximum(variance, 0) + FLOOR) / 2, np.float32)
-
-
-def order_of(energies: Float32s) -> Int64s:
-    """Return the channels in the order of the energy of their finest details, shape (3,)."""
-    return np.argsort(energies, kind="stable").astype(np.int64)
 
 
 def level_bins(level: Float32s) -> Int64s:

@@ -31,6 +31,68 @@ _TILE = 8
 _QUIET = 0.3
 _OF_NOISE = {1: 0.876, 3: 0.754}
 
+# Cells a side of a block of JPEG, its cosine waves, and their bands, by the sum of both frequencies.
+_JPEG = 8
+_COSINES = np.cos(np.pi / _JPEG * (np.arange(_JPEG) + 0.5) * np.arange(_JPEG)[:, None]).astype(np.float32)
+_COSINES *= np.sqrt(np.where(np.arange(_JPEG) > 0, 2, 1) / _JPEG).astype(np.float32)[:, None]
+_BANDS: Int64s = np.digitize(np.add.outer(np.arange(_JPEG), np.arange(_JPEG)), (1, 3, 5, 8))
+
+# Waves of luma below this are 0: rounding to 8 bits leaves them a deviation of 0.2.
+_ZERO_WAVE = 0.75
+
+# Shares of red, green and blue in the luma of JPEG.
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+
+
+@dataclass(frozen=True)
+class SquareScale(Scale):
+    """Cells of 2 x 2 parts in squares, row by row."""
+
+    side: int  # cells
+    present: Bools | None  # which parts of the squares there are, shape (P, 2 * side, 2 * side); None: all
+
+    def quarters(self, values: Array) -> list[Array]:
+        """Return the four parts of each cell, shape (..., P, side, side) each; 0: there is none."""
+        squares = laid_out(values, self.present, 2 * self.side)
+        return [squares[..., i::2, j::2] for i in (0, 1) for j in (0, 1)]
+
+    def sums(self, values: Array) -> Array:
+        a, b, c, d = self.quarters(values)
+        return (a + b + c + d).reshape(*values.shape[:-1], -1)
+
+    def means(self, values: Array) -> Array:
+        return self.sums(values) / np.float32(4)
+
+    def spread(self, values: Array) -> Array:
+        squares = values.reshape(*values.shape[:-1], -1, self.side, 1, self.side, 1)
+        parts = np.broadcast_to(squares, (*squares.shape[:-3], 2, self.side, 2))
+        if self.present is not None:
+            return parts.reshape(*values.shape[:-1], *self.present.shape)[..., self.present]
+        return parts.reshape(*values.shape[:-1], -1)
+
+    def details(self, fine: Array, coarse: Array) -> Array:
+        """Return the three Haar details of each cell, shape (N, 3, cells); 0 where cells lack parts."""
+        a, b, c, d = self.quarters(fine)
+        right, left, factor = a - b, c - d, np.sqrt(self.counts) / 2
+        down, both = a + b - c - d, right - left
+        found = np.stack([right + left, down, both], axis=1).reshape(len(fine), 3, -1)
+        return found * (self.is_whole * factor)
+
+    def sums_of_details(self, values: Array) -> Array:
+        return np.asarray(values.sum(axis=-2))
+
+    def padded(self, values: Array, empty: float = 0.0) -> Float32s:
+        return values.reshape(*values.shape[:-1], -1, self.side**2).astype(np.float32)
+
+
+def laid_out(values: Array, present: Bools | None, side: int) -> Array:
+    """Return values of parts as squares, shape (..., P, side, side); 0 where there is no part."""
+    if present is None:
+        return values.reshape(*values.shape[:-1], -1, side, side)
+    squares = np.zeros((*values.shape[:-1], *present.shape), values.dtype)
+    squares[..., present] = values
+    return squares
+
 
 @dataclass(frozen=True)
 class Grid(Neighbourhoods):
@@ -39,6 +101,7 @@ class Grid(Neighbourhoods):
     filled: Bools
     most: int = MAX_SQUARES
     kind: ClassVar[str] = "grid"
+    precision: ClassVar[type] = np.float32  # enough for means of a few samples
 
     @cached_property
     def corners(self) -> Int64s:
@@ -54,6 +117,11 @@ class Grid(Neighbourhoods):
         """Which cells of the squares are filled, shape (P, SIDE, SIDE)."""
         return self._cut_out(self.filled)
 
+    @cached_property
+    def _present(self) -> Bools | None:
+        """The same; None: all."""
+        return None if self._squares.all() else self._squares
+
     def _cut_out(self, plane: Array) -> Array:
         """Return the squares of a plane; 0 beyond its border."""
         found = np.zeros((len(self.corners), SIDE, SIDE), plane.dtype)
@@ -63,51 +131,51 @@ class Grid(Neighbourhoods):
         return found
 
     @cached_property
-    def scales(self) -> list[Scale]:
-        whole, found = self._squares, []
-        parts = np.flatnonzero(whole)
+    def scales(self) -> list[SquareScale]:
+        whole, present, found = self._squares, self._present, []
         for number in range(SCALES + 1):
-            side = whole.shape[-1] // 2
-            square, row, column = np.unravel_index(parts, whole.shape)
-            parents = (square * side + row // 2) * side + column // 2
             whole = np.logical_and.reduce([whole[:, i::2, j::2] for i in (0, 1) for j in (0, 1)])
-            tile, slot = np.divmod(np.arange(whole.size), side**2)
-            is_whole = whole.ravel()
-            found.append(
-                Scale(parents, np.full(len(parts), 4.0**number), 3.0 * is_whole, is_whole, tile, slot)
-            )
-            parts = np.arange(whole.size)
+            is_whole, samples = whole.ravel(), np.full(1, 4.0**number, np.float32)  # the same in all
+            freedom = np.float32(3) * is_whole
+            found.append(SquareScale(samples, freedom, is_whole, whole.shape[-1], present))
+            present = None
         return found
 
     @cached_property
     def tiles(self) -> Int64s:
-        return np.nonzero(self._squares)[0].astype(np.int64)
+        return np.repeat(np.arange(len(self.corners)), self.counts)
+
+    @cached_property
+    def counts(self) -> Int64s:
+        return np.asarray(np.count_nonzero(self._squares, axis=(1, 2)), np.int64)
+
+    def means(self, rows: Array) -> Float32s:
+        squares = laid_out(rows, self._present, SIDE).reshape(len(rows), self.count, -1)
+        return np.asarray(squares.sum(axis=2, dtype=np.float32) / self.counts, np.float32)
 
     def chosen_of(self, planes: Float32s) -> Float32s:
-        return np.stack([self._cut_out(plane)[self._squares] for plane in planes])
+        cut = [self._cut_out(plane) for plane in planes]
+        return np.stack([own.ravel() if self._present is None else own[self._squares] for own in cut])
 
     def energies_for_order(self, samples: Samples) -> Float32s:
-        (a, b, c, d), is_whole = self._quarters(samples.colours, 0)
+        finest = self.scales[0]
+        a, b, c, d = finest.quarters(samples.colours)
+        is_whole = finest.is_whole.reshape(a.shape[1:])
         return np.asarray(np.abs(a - b - c + d).sum(axis=(1, 2, 3), where=is_whole), np.float32)
-
-    def _quarters(self, values: Array, number: int) -> tuple[list[Float32s], Bools]:
-        """Return the four parts of each cell of a scale, shape (N, P, n, n) each, and which cells are whole."""
-        side = SIDE >> number
-        squares = np.zeros((len(values), self.count, side, side), np.float32)
-        if number:
-            squares[:] = values.reshape(squares.shape)
-        else:
-            squares[:, self._squares] = values
-        parts = [squares[..., i::2, j::2] for i in (0, 1) for j in (0, 1)]
-        return parts, self.scales[number].is_whole.reshape(parts[0].shape[1:])
 
     def described(self, samples: Samples) -> list[Array]:
         """Describe filling, steps between JPEG blocks, and how many values there are."""
-        squares = np.full((3, *self._squares.shape), -1, np.float32)
-        squares[:, self._squares] = samples.colours
-        ordered = np.sort(squares.reshape(3, self.count, -1), axis=2)
+        squares = laid_out(samples.colours, self._present, SIDE)
+        shown = squares if self._present is None else np.where(self._squares, squares, np.float32(-1))
+        ordered = np.sort(shown.reshape(3, self.count, -1), axis=2)
         values = np.log2(1 + np.count_nonzero(np.diff(ordered, axis=2) > 1 / 16, axis=2)).mean(axis=0)
-        return [values / 4, self.counts / SIDE**2, self._steps_of_jpeg(squares.mean(axis=0))]
+        luma = np.einsum("c,cpij->pij", _LUMA[samples.order], squares)
+        return [
+            values / 4,
+            self.counts / SIDE**2,
+            self._steps_of_jpeg(shown.mean(axis=0)),
+            *_waves_of_jpeg(luma, self._squares),
+        ]
 
     def _steps_of_jpeg(self, means: Float32s) -> Float32s:
         """Return by how much steps between blocks of 8 x 8 exceed all others."""
@@ -123,22 +191,23 @@ class Grid(Neighbourhoods):
 
     def described_cells(self, samples: Samples, number: int) -> tuple[Float32s, Float32s, None]:
         """Return the fourth power of details, how they depend on the direction, and their correlation."""
-        (a, b, c, d), is_whole = self._quarters(samples.components(number), number)
-        values = np.stack([a - b + c - d, a + b - c - d, a - b - c + d])
-        values *= is_whole * np.float32(2.0**number / 2)
+        scale = self.scales[number]
+        values = samples.details[number].reshape(3, 3, self.count, scale.side, scale.side)
+        is_whole = scale.is_whole.reshape(values.shape[2:])
         count = np.maximum(is_whole.sum(axis=(1, 2)), 1)
-        across, down, both = np.einsum("dkpij,dkpij->dkp", values, values) / count + 1e-3
+        squares = np.square(values)
+        across, down, both = np.moveaxis(squares.sum(axis=(3, 4)), 1, 0) / count + 1e-3
         energy = np.maximum((across + down + both - 3e-3) / 3, 1e-9)
-        right = np.einsum("dkpij,dkpij->kp", values[..., 1:], values[..., :-1]) / (3 * count * energy)
-        below = np.einsum("dkpij,dkpij->kp", values[..., 1:, :], values[..., :-1, :]) / (3 * count * energy)
+        right = np.einsum("kdpij,kdpij->kp", values[..., 1:], values[..., :-1]) / (3 * count * energy)
+        below = np.einsum("kdpij,kdpij->kp", values[..., 1:, :], values[..., :-1, :]) / (3 * count * energy)
         others = [
             np.abs(np.log2(across / down)) / 2,
             np.log2(2 * both / (across + down)) / 2,
             (right + below) / 2,
             np.abs(right - below),
         ]
-        fourth = np.square(np.square(values)).sum(axis=(0, 3, 4)) / (3 * count)
-        return fourth.T, np.concatenate(others).T.astype(np.float32), None
+        fourth = np.square(squares).sum(axis=(1, 3, 4)) / (3 * count)
+        return fourth.T.astype(np.float32), np.concatenate(others).T.astype(np.float32), None
 
     def over_samples(self, variances: Float64s) -> Float32s:
         down, across = ((np.arange(size) + 0.5) / SIDE - 0.5 for size in self.filled.shape)
@@ -157,20 +226,42 @@ class Grid(Neighbourhoods):
         result /= np.float32(total / np.count_nonzero(self.filled))
         return result
 
-    def quiet_energies(self, samples: Samples, channels: int) -> Float64s:
-        """Return the energy of the quietest component in the quiet tiles of each square, shape (P,).
 
-        One channel is there three times. NaN: squares that lack cells show less than there is.
-        """
-        finest, side = self.scales[0], _TILE // 2
-        products = samples.products_of(0)[: 3 if channels > 1 else 1]
-        energies = finest.padded(products / (1 if channels > 1 else 3))
-        tiles = energies.reshape(len(products), -1, SIDE // _TILE, side, SIDE // _TILE, side).mean(
-            axis=(3, 5)
-        )
-        ordered = np.sort(tiles.min(axis=0).reshape(self.count, -1), axis=1)
-        quiet = ordered[:, int(_QUIET * (ordered.shape[1] - 1))].astype(np.float64) / _OF_NOISE[len(products)]
-        return np.where(self._squares.all(axis=(1, 2)), quiet, np.nan)
+def quiet_energies(samples: Samples, channels: int) -> Float64s:
+    """Return the energy of the quietest component in the quiet tiles of each square of a grid, shape (P,).
+
+    One channel is there three times. NaN: squares that lack cells show less than there is.
+    """
+    scale, components = samples.where.scales[0], 3 if channels > 1 else 1
+    energies = scale.padded(samples.products[0][:components] * (components / 3))
+    tiles = energies.reshape(components, -1, *2 * (SIDE // _TILE, _TILE // 2)).mean(axis=(3, 5)).min(axis=0)
+    ordered = np.sort(tiles.reshape(len(tiles), -1), axis=1).astype(np.float64)
+    is_whole = scale.padded(scale.is_whole).all(axis=1)
+    return np.where(
+        is_whole, ordered[:, int(_QUIET * (ordered.shape[1] - 1))] / _OF_NOISE[components], np.nan
+    )
+
+
+def _waves_of_jpeg(luma: Float32s, filled: Bools) -> list[Float32s]:
+    """Describe the cosine waves of blocks of 8 x 8, which JPEG rounds to multiples of steps, by their frequency.
+
+    That is how many of them are 0, their median, and the least of all others: nearly the step.
+    """
+    shape = len(luma), SIDE // _JPEG, _JPEG, SIDE // _JPEG, _JPEG
+    across = np.einsum("vj,paibj->paibv", _COSINES, luma.reshape(shape))
+    waves = np.abs(np.einsum("ui,paibv->puvab", _COSINES, across))
+    is_whole: Bools = np.asarray(filled.reshape(shape).all(axis=(2, 4)))
+    found = []
+    for band in range(1, _BANDS.max() + 1):  # the mean of a block is no wave
+        own = waves[:, band == _BANDS]
+        own = np.where(is_whole[:, None], own, np.inf).reshape(len(luma), -1)
+        ordered, known = np.sort(own, axis=1), np.isfinite(own).sum(axis=1)
+        zeros = (own < _ZERO_WAVE).sum(axis=1)
+        for place in (known // 2, zeros + (known - zeros) // 10):
+            picked = np.take_along_axis(ordered, np.minimum(place, own.shape[1] - 1)[:, None], axis=1)[:, 0]
+            found.append(log_deviation(np.square(np.where(np.isfinite(picked), picked, 0))))
+        found.append(zeros / np.maximum(known, 1))
+    return found
 
 
 def choose_corners(filled: Bools, most: int = MAX_SQUARES) -> Int64s:

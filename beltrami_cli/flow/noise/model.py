@@ -66,7 +66,7 @@ class VarianceStabiliser:
     def slopes(self, channels: Float32s) -> Float32s:
         """Return by what factor small differences of stabilised channels grow when they are transformed back."""
         factors = np.ones_like(channels)
-        for own, plane in zip(factors, channels[: _count(channels)], strict=False):
+        for own, plane in zip(factors, channels[:COLOURS], strict=False):
             own[:] = np.interp(plane, (self._stable[1:] + self._stable[:-1]) / 2, self._slopes)
         return factors
 
@@ -81,16 +81,11 @@ class VarianceStabiliser:
         )
         rows = max(1, large_arrays.BLOCK // max(1, int(np.prod(channels.shape[2:]))))
         for block in large_arrays.blocks(channels.shape[1], rows):
-            for plane in channels[: _count(channels), block]:
+            for plane in channels[:COLOURS, block]:
                 within = np.interp(plane, before, after)
                 # Colours beyond the limits go on with the slopes there.
                 within += np.minimum(plane, 0) * first + np.maximum(plane - before[-1], 0) * last
                 plane[...] = within
-
-
-def _count(channels: Float32s) -> int:
-    """Return how many of the channels are colours."""
-    return min(COLOURS, len(channels))
 
 
 @dataclass(frozen=True)
@@ -193,12 +188,6 @@ class NoiseModel:
         else:
             colours[:] = np.square(sigma / self.growth) * np.eye(colours.shape[1])
         return dataclasses.replace(self, covariances=covariances, interval=None)
-
-    def with_covariances(self, covariances: Float64s) -> NoiseModel:
-        return dataclasses.replace(self, covariances=covariances)
-
-    def with_relative(self, relative: Float32s | None) -> NoiseModel:
-        return dataclasses.replace(self, relative=relative)
 
     def described(self) -> dict[str, float]:
         """Return standard deviations, the mean of colour channels, of full scale 1, and the grain.

@@ -7,8 +7,8 @@ from their mean, weighted so that independent noise has the same variance in all
 
 from __future__ import annotations
 
-import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -20,12 +20,10 @@ from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.flow.noise.features import (
     COMPONENTS,
     PAIRS,
-    SCALES,
     STEPS,
     Blocks,
     Cells,
     log_deviation,
-    order_of,
     variances_of_channels,
 )
 
@@ -34,45 +32,47 @@ _AROUND = 9
 
 
 @dataclass(frozen=True)
-class Scale:
+class Scale(ABC):
     """Parts (samples, or cells of the scale below) and the cells that they form."""
 
-    parents: Int64s  # the cell of each part
-    counts: Float64s  # samples of each part
-    freedom: Float64s  # details in each cell; 0: a single part
+    counts: Array  # samples of each part
+    freedom: Array  # details in each cell; 0: a single part
     is_whole: Bools  # cells that lack no part
-    tile: Int64s  # the neighbourhood of each cell
-    slot: Int64s  # the number of each cell within its neighbourhood
 
-    @cached_property
-    def samples(self) -> Float64s:
-        """The samples of the parts of each cell; at least 1."""
-        return np.maximum(self.sums(self.counts), 1)
+    @abstractmethod
+    def sums(self, values: Array) -> Array:
+        """Return the sums of values of parts in each cell, along the last axis."""
 
-    def sums(self, values: Array) -> Float64s:
-        """Return the sums of values of parts in each cell."""
-        return np.bincount(self.parents, values, len(self.tile)).astype(np.float64, copy=False)
+    @abstractmethod
+    def means(self, values: Array) -> Array:
+        """Return the means of values of parts over the samples of each cell."""
 
-    def means(self, values: Array) -> Float64s:
-        """Return the means of values of parts in each cell."""
-        return self.sums(self.counts * values) / self.samples
+    @abstractmethod
+    def spread(self, values: Array) -> Array:
+        """Return the values of cells at each of their parts."""
 
+    @abstractmethod
+    def details(self, fine: Array, coarse: Array) -> Array:
+        """Return the details of parts by their means and those of their cells, shape (N, ...)."""
+
+    @abstractmethod
+    def sums_of_details(self, values: Array) -> Array:
+        """Return the sums of values of details, shape (...), in each cell."""
+
+    @abstractmethod
     def padded(self, values: Array, empty: float = 0.0) -> Float32s:
         """Lay out values of cells by neighbourhood, shape (..., P, n)."""
-        shape = int(self.tile.max(initial=-1)) + 1, int(self.slot.max(initial=0)) + 1
-        found = np.full((*values.shape[:-1], *shape), empty, np.float32)
-        found[..., self.tile, self.slot] = values
-        return found
 
 
 class Neighbourhoods(ABC):
     """Neighbourhoods of the samples of a surface that are read."""
 
     kind: ClassVar[str]
+    precision: ClassVar[type] = np.float64  # of means of samples
 
     @property
     @abstractmethod
-    def scales(self) -> list[Scale]:
+    def scales(self) -> Sequence[Scale]:
         """The cells of all scales, and of the next one, which shows where the last one is even."""
 
     @property
@@ -105,11 +105,11 @@ class Neighbourhoods(ABC):
     def centres(self) -> Float64s:
         """Where the neighbourhoods are, shape (P, D)."""
 
-    def nearest(self, places: Float64s, count: int = 1) -> Int64s:
-        """Return the neighbourhoods nearest to places, shape (S, count)."""
+    def nearest(self, places: Float64s) -> Int64s:
+        """Return the neighbourhood nearest to each place."""
         from scipy.spatial import cKDTree  # slow to import
 
-        return np.asarray(cKDTree(self.centres).query(places, k=np.arange(1, count + 1))[1], np.int64)
+        return np.asarray(cKDTree(self.centres).query(places)[1], np.int64)
 
     def medians_around(self, values: Float64s) -> Float64s:
         """Return the median of values of neighbourhoods over each and those around."""
@@ -136,7 +136,7 @@ class Neighbourhoods(ABC):
         """Return the samples of three channels that are read."""
         samples = Samples(self, self.chosen_of(planes) * STEPS, np.arange(3))
         if order is None:
-            order = order_of(self.energies_for_order(samples))
+            order = np.argsort(self.energies_for_order(samples), kind="stable")
         return Samples(self, samples.colours[order], order)
 
 
@@ -147,9 +147,6 @@ class Samples:
     where: Neighbourhoods
     colours: Float32s  # shape (3, n), in steps of 8 bits
     order: Int64s  # the channels as they were given, in the order that they have here
-
-    def with_colours(self, colours: Float32s) -> Samples:
-        return dataclasses.replace(self, colours=colours)
 
     @property
     def is_cut_off(self) -> Bools:
@@ -174,52 +171,42 @@ class Samples:
         return np.stack(rows, axis=1).astype(np.float32)
 
     @cached_property
-    def _means(self) -> list[Float64s]:
+    def means(self) -> list[Array]:
         """The means of the parts of each scale by channel, shape (3, n)."""
-        found = [self.colours.astype(np.float64)]
+        found: list[Array] = [self.colours.astype(self.where.precision)]
         for scale in self.where.scales:
-            found.append(np.stack([scale.means(own) for own in found[-1]]))
+            found.append(scale.means(found[-1]))
         return found
-
-    def components(self, number: int) -> Float64s:
-        """Return the means of the components of the parts of a scale, shape (3, n)."""
-        return in_components(self._means[number])
-
-    def details(self, number: int) -> Float64s:
-        """Return the details of the components of the parts of a scale, shape (3, n)."""
-        scale, fine, coarse = self.where.scales[number], *self._means[number : number + 2]
-        # By channel first: differences of equal colours are exactly 0.
-        return in_components((fine - coarse[:, scale.parents]) * np.sqrt(scale.counts))
 
     @cached_property
-    def _products(self) -> list[Float64s]:
-        """The mean products of components in each cell, shape (6, cells)."""
-        found = []
-        for number, scale in enumerate(self.where.scales):
-            own = self.details(number)
-            sums = np.stack([scale.sums(own[k] * own[m]) for k, m in PAIRS])
-            found.append(sums * scale.is_whole / np.maximum(scale.freedom, 1))
-        return found
+    def details(self) -> list[Array]:
+        """The details of the components of each scale, shape (3, ...)."""
+        # By channel first: differences of equal colours are exactly 0.
+        return [
+            in_components(scale.details(*means))
+            for scale, means in zip(self.where.scales, pairwise(self.means), strict=True)
+        ]
 
-    def products(self) -> list[Float32s]:
-        """Return the mean products of the components' details in each cell, at each scale."""
-        pairs = zip(self.where.scales[:SCALES], self._products, strict=False)
-        return [scale.padded(own) for scale, own in pairs]
-
-    def products_of(self, number: int) -> Float64s:
-        """Return the mean products of the components' details in each cell of a scale, shape (6, cells)."""
-        return self._products[number]
+    @cached_property
+    def products(self) -> list[Array]:
+        """The mean products of the components' details in each cell of each scale, shape (6, cells)."""
+        return [
+            np.stack([scale.sums_of_details(own[k] * own[m]) for k, m in PAIRS])
+            / np.maximum(scale.freedom, 1)
+            for scale, own in zip(self.where.scales, self.details, strict=True)
+        ]
 
     def cells(self) -> list[Cells]:
         """Return the details at each scale."""
-        scales, found = self.where.scales, []
-        cut_off = self.is_cut_off.mean(axis=0, dtype=np.float64)
+        scales, found, is_grid = self.where.scales, [], self.where.kind == "grid"
+        cut_off = np.zeros(0) if is_grid else self.is_cut_off.mean(axis=0, dtype=np.float64)
         for number, (scale, above) in enumerate(pairwise(scales)):
-            cut_off = scale.means(cut_off)
-            products, is_grid = self._products[number], self.where.kind == "grid"
-            energies = np.stack([above.sums(scale.freedom * own) for own in products[:3]])
+            products = self.products[number]
+            energies = above.sums(scale.freedom * products[:3])
             blocks = energies / np.maximum(above.sums(scale.freedom), 1)
-            around = np.zeros(len(cut_off)) if is_grid else above.means(cut_off)[above.parents]
+            if not is_grid:
+                cut_off = scale.means(cut_off)
+            around = np.zeros(len(scale.freedom)) if is_grid else above.spread(above.means(cut_off))
             fourth, others, residuals = self.where.described_cells(self, number)
             found.append(
                 Cells(
@@ -236,30 +223,26 @@ class Samples:
             )
         return found
 
-    def _unevenness(self, number: int) -> Float64s:
+    def _unevenness(self, number: int) -> Array:
         """Return the energy of the next two scales around each cell of a scale; infinite: not known."""
-        scales = self.where.scales
-        member = np.arange(len(scales[number].tile))
-        total = np.where(scales[number + 1].is_whole[scales[number + 1].parents], 0, np.inf)
-        for coarse in range(number + 1, min(number + 3, SCALES + 1)):
-            member = scales[coarse].parents[member]
-            total += 3 * self._products[coarse][:3].sum(axis=0)[member]
-        return total
+        above, *further = self.where.scales[number + 1 : number + 3]
+        totals = [3 * own[:3].sum(axis=0) for own in self.products[number + 1 : number + 3]]
+        if further:
+            totals[0] = totals[0] + further[0].spread(totals[1])
+        return above.spread(np.where(above.is_whole, totals[0], np.inf))
 
     def blocks(self) -> Blocks:
         """Return the whole cells of the second scale."""
         fine, coarse, *above = self.where.scales[:4]
-        channels = [variances_of_channels(own.T.astype(np.float32)).T for own in self._products[:4]]
-        energy = channels[1] * coarse.freedom
-        energy += np.stack([coarse.sums(fine.freedom * own) for own in channels[0]])
+        channels = [variances_of_channels(own.T).T for own in self.products[:4]]
+        energy = channels[1] * coarse.freedom + coarse.sums(fine.freedom * channels[0])
         freedom = coarse.freedom + coarse.sums(fine.freedom)
-        parents = above[0].parents
-        around = (channels[2][:, parents] + channels[3][:, above[1].parents[parents]]) / 2
+        around = above[0].spread(channels[2] + above[1].spread(channels[3])) / 2
         used = coarse.is_whole & (freedom > 2)
-        parts = self._means[2] / STEPS, energy / np.maximum(freedom, 1), around
+        parts = self.means[2] / STEPS, energy / np.maximum(freedom, 1), around
         return Blocks(*(own[:, used].astype(np.float32) for own in parts))
 
 
-def in_components(channels: Float64s) -> Float64s:
+def in_components(channels: Array) -> Array:
     """Transform channels, the first axis, to components."""
-    return np.asarray(np.einsum("kc,c...->k...", COMPONENTS.astype(np.float64), channels), np.float64)
+    return np.asarray(np.einsum("kc,c...->k...", COMPONENTS.astype(channels.dtype), channels))

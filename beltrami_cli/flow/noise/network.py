@@ -59,7 +59,7 @@ _FIRST_OF_EVEN = {
 }
 
 # Where the features of neighbourhoods have log2 of the deviations of channels in the quieter half of the finest cells.
-_FIRST_OF_QUIET = {"grid": 57, "cluster": 62}
+_FIRST_OF_QUIET = {"grid": 69, "cluster": 62}
 
 Value = TypeVar("Value")
 
@@ -144,17 +144,22 @@ def readings(found: dict[str, Array], candidates: dict[str, Array]) -> dict[str,
     return {**found, **read_as}
 
 
+def quiet_of(squares: Float32s, kind: str) -> Float32s:
+    """Return the features of neighbourhoods by which their noise is compared, shape (P, 3)."""
+    first = _FIRST_OF_QUIET[kind]
+    return squares[:, first : first + 3]
+
+
 def candidates_of(
-    even: Float32s, squares: Float32s, starts: Int64s, levels: Float32s, kind: str
+    even: Float32s, quiet: Float32s, starts: Int64s, levels: Float32s, kind: str
 ) -> dict[str, Array]:
     """Return what features show as log2(deviation + OFFSET), candidates along the last axis.
 
     Of all even cells, shape (N, 1, M), and by scale and component, (N, 12, M); relative to the mean of a picture, by
     neighbourhood, (P, 1, M), and by channel and level, (N * channels, LEVEL_BINS, M).
     """
-    quiet = squares[:, _FIRST_OF_QUIET[kind] :][:, :3]
     of_squares = _log_of_features(quiet).mean(axis=1)
-    counts = np.diff(np.append(starts, len(squares)))
+    counts = np.diff(np.append(starts, len(quiet)))
     of_squares -= np.repeat(np.add.reduceat(of_squares, starts) / counts, counts)
     by_level = levels.reshape(len(levels), LEVEL_BINS, -1)
     known = by_level[..., -1] >= COUNT_OF_LEVEL
@@ -191,12 +196,8 @@ def _candidates_of_even(even: Float32s, kind: str) -> dict[str, Array]:
     of_finest = np.broadcast_to(of_differences[:, :1], usual.shape)
     deviations = np.concatenate([variances, finest, of_differences, of_finest], axis=2)
     total = np.concatenate([total, of_differences[:, 0, :, 0], of_differences[:, 1, :, 0]], axis=1)
-    return {"total": log_of(total[:, None]), "deviations": log_of(_last(deviations))}
-
-
-def _last(values: Array) -> Array:
-    """Return values of the shape (N, SCALES, M, 3) as (N, SCALES * 3, M)."""
-    return np.moveaxis(values, 2, 3).reshape(len(values), SCALES * 3, -1)
+    by_component = np.moveaxis(deviations, 2, 3).reshape(len(even), SCALES * 3, -1)
+    return {"total": log_of(total[:, None]), "deviations": log_of(by_component)}
 
 
 def log_of(variance: Array) -> Array:
@@ -218,19 +219,9 @@ class Weights:
         result = (features - self.means[name]) / self.scales[name]
         return np.asarray(np.clip(result, -MAX_STANDARDISED, MAX_STANDARDISED), np.float32)
 
-    def save(self, path: str) -> None:
-        """Write a file that `load` reads; eight binary digits are enough for weights, and compress better."""
-        arrays: dict[str, Any] = {}
-        for name, values in self.layers.items():
-            digits, exponents = np.frexp(values)
-            arrays[f"layer/{name}"] = np.ldexp(np.rint(digits * 256) / 256, exponents).astype(np.float16)
-        for kind, parts in (("mean", self.means), ("scale", self.scales)):
-            arrays |= {f"{kind}/{name}": values.astype(np.float32) for name, values in parts.items()}
-        np.savez_compressed(path, configuration=np.array(self.configuration), **arrays)
-
     @classmethod
     def load(cls, path: Any) -> Weights:
-        """Read the file that `save` wrote."""
+        """Read the file that training wrote."""
         parts: dict[str, dict[str, Float32s]] = {"layer": {}, "mean": {}, "scale": {}}
         with path.open("rb") as stream, np.load(stream) as arrays:
             for key in arrays.files:

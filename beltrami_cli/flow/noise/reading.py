@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise import features
-from beltrami_cli.flow.noise.features import COMPONENTS, LEVEL_BINS, SCALES, STEPS
+from beltrami_cli.flow.noise.features import COMPONENTS, LEVEL_BINS, SCALES, STEPS, even_covariances
 from beltrami_cli.flow.noise.given import GivenNoise
-from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.grid_squares import quiet_energies
 from beltrami_cli.flow.noise.haar_noise import covariance_of_cells
 from beltrami_cli.flow.noise.model import COLOURS, NoiseModel, VarianceStabiliser
 from beltrami_cli.flow.noise.neighbourhoods import Neighbourhoods, Samples
@@ -27,6 +27,7 @@ from beltrami_cli.flow.noise.network import (
     Layers,
     Weights,
     candidates_of,
+    quiet_of,
     read,
     readings,
     weights_of,
@@ -65,10 +66,7 @@ _TRUST = 3
 # deviation.
 _DETAILS_OF_READING = 26
 
-# Less energy than rounding leaves, in steps of 8 bits squared.
-_LEAST_ENERGY = 1e-6
-
-# Share of the samples of a square at a limit, from which on its noise shows to be weaker than it is.
+# Share of the samples of a neighbourhood at a limit, from which on its noise shows to be weaker than it is.
 _MAX_SHARE_CUT_OFF = 0.01
 
 # Where values exceed full scale, as in light, this quantile of theirs becomes full scale. Where less than this share of
@@ -121,7 +119,7 @@ def _measured(found: NoiseModel, relative: Float32s, sigma: Float64s) -> NoiseMo
         raise UsageError(cause)
     every = found.sigma
     every[:channels] = sigma
-    return NoiseModel.independent(every).with_relative(relative)
+    return dataclasses.replace(NoiseModel.independent(every), relative=relative)
 
 
 def _sigma_of(given: GivenNoise) -> float:
@@ -132,40 +130,34 @@ def _sigma_of(given: GivenNoise) -> float:
 
 
 def read_noise(
-    planes: Float32s,
-    neighbourhoods: Neighbourhoods,
-    *,
-    varies: bool = True,
-    full_scale: float = 1.0,
-    weights: Weights | None = None,
+    planes: Float32s, where: Neighbourhoods, *, varies: bool = True, weights: Weights | None = None
 ) -> NoiseModel:
     """Read the noise of channels on a grid, shape (N, R, C), or of vertices, shape (N, S).
 
     If it `varies`, it is read as it depends on level and place. Without weights, those in the package are used.
     """
-    weights, count = weights or weights_of(neighbourhoods.kind), len(planes)
-    if not neighbourhoods.count:
+    weights, count = weights or weights_of(where.kind), len(planes)
+    if not where.count:
         return NoiseModel.independent(np.zeros(count))
     together = [list(range(COLOURS))] if count >= COLOURS else []
     alone = [[channel] for channel in range(len(together) * COLOURS, count)]
-    readings = [
-        _read_channels(planes[own], neighbourhoods, full_scale, weights) for own in (*together, *alone)
-    ]
+    readings = [_read_channels(planes[own], where, weights) for own in (*together, *alone)]
     colours = readings[: 1 if together else None]
     stabiliser, by_place = None, None
-    if varies and any(own.is_noisy for own in colours):
+    if varies and any(own.components.any() for own in colours):
         stabiliser = _by_level(colours) if all(own.are_levels for own in colours) else None
-        by_place = _by_place(readings[0], stabiliser)
-        if stabiliser is not None and by_place is not None and not _explains(stabiliser, readings[0]):
-            stabiliser, by_place = None, _by_place(readings[0], None)
-    relative = None if by_place is None else neighbourhoods.over_samples(by_place)
+        by_place = _by_place(colours[0], stabiliser)
+        if stabiliser is not None and by_place is not None and not _explains(stabiliser, colours[0]):
+            stabiliser, by_place = None, _by_place(colours[0], None)
     covariances = np.zeros((SCALES, count, count))
     for own, reading in zip((*together, *alone), readings, strict=True):
         transformed = stabiliser if reading in colours else None
         covariances[:, np.array(own)[:, None], own] = reading.covariances(transformed, by_place)
+    relative = None if by_place is None else where.over_samples(by_place)
     model = NoiseModel(_simplified(covariances), stabiliser, relative)
-    low, high = (float(np.sqrt(np.mean([own.interval[end] ** 2 for own in colours]))) for end in (0, 1))
-    return dataclasses.replace(model, interval=(min(low, model.overall), max(high, model.overall)))
+    low, high = np.sqrt(np.mean(np.square([own.interval for own in colours]), axis=0))
+    interval = min(float(low), model.overall), max(float(high), model.overall)
+    return dataclasses.replace(model, interval=interval)
 
 
 def _simplified(covariances: Float64s) -> Float64s:
@@ -184,53 +176,32 @@ def _simplified(covariances: Float64s) -> Float64s:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """What the network says of one or three channels."""
+    """What the network reads of K channels, one or three."""
 
-    squares: Samples
-    channels: int
+    samples: Samples
     components: Float64s  # covariances by scale, shape (SCALES, 3, 3), in steps of 8 bits
+    order: Int64s  # of the channels, shape (K,)
     interval: tuple[float, float]
-    levels: (
-        Float64s  # quantiles of log2 of the relative deviation by channel and bin, shape (K, LEVEL_BINS, 3)
-    )
-    samples: Float64s  # blocks in each bin, shape (K, LEVEL_BINS)
-    places: Float64s  # quantiles of log2 of the relative deviation by square, shape (P, 3)
-    square_levels: Float64s  # mean level of the squares, by channel, shape (P, K)
+    levels: Float64s  # log2 of the relative deviation by channel and bin, shape (K, LEVEL_BINS)
+    blocks: Float64s  # in each bin, shape (K, LEVEL_BINS)
+    places: Float64s  # log2 of the relative deviation by neighbourhood, shape (P,)
     full_scale: float
     are_levels: bool
 
-    @property
-    def step(self) -> float:
-        """A step of 8 bits."""
-        return self.full_scale / float(STEPS)
-
-    @property
-    def is_noisy(self) -> bool:
-        return bool(self.components.any())
-
     def covariances(self, stabiliser: VarianceStabiliser | None, by_place: Float64s | None) -> Float64s:
-        """Return the covariances of channels by scale, of stabilised colours, with what even cells show of them."""
-        back = np.argsort(self.squares.order)[: self.channels]
-        components = self.components if stabiliser is None else self.components * stabiliser.scale**2
-        is_whole = self.squares.cut_off() < _MAX_SHARE_CUT_OFF
-        if self.is_noisy and is_whole.any():
-            cells = [own.of(is_whole) for own in self._stabilised(stabiliser, by_place)]
-            components = _combined(components, *features.even_covariances(cells))
-        mixing = COMPONENTS.astype(np.float64)[:, back]
-        channels: Float64s = np.einsum("kc,lkm,md->lcd", mixing, components, mixing)
-        return channels * self.step**2
-
-    def _stabilised(
-        self, stabiliser: VarianceStabiliser | None, by_place: Float64s | None
-    ) -> list[features.Cells]:
-        """Return the cells of colours whose noise is the same at all levels and places."""
-        squares = self.squares
+        """Return the covariances of stabilised channels by scale, with what even cells show of them."""
+        step, components, samples = self.full_scale / float(STEPS), self.components, self.samples
         if stabiliser is not None:
-            colours = squares.colours * np.float32(self.step)
+            components = components * stabiliser.scale**2
+            colours = samples.colours * np.float32(step)
             stabiliser.stabilise(colours)
-            squares = squares.with_colours(colours / np.float32(self.step))
-        cells = squares.cells()
-        return cells if by_place is None else [own.divided_by(by_place) for own in cells]
+            samples = dataclasses.replace(samples, colours=colours / np.float32(step))
+        is_whole = self.samples.cut_off() < _MAX_SHARE_CUT_OFF
+        if components.any():
+            variances = np.ones(len(is_whole)) if by_place is None else by_place
+            components = _combined(components, *even_covariances(samples.cells(), is_whole, variances))
+        mixing = COMPONENTS.astype(np.float64)[:, self.order] * step
+        return np.asarray(np.einsum("kc,lkm,md->lcd", mixing, components, mixing), np.float64)
 
 
 def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Float64s:
@@ -239,72 +210,65 @@ def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Flo
     Plain colours show the noise more exactly than it is read. The more details even cells have, the more certain it is.
     The more their energy exceeds what the network reads, the more texture is in it.
     """
-    variances, energies = (np.einsum("lkk->lk", own) for own in (components, measured))
-    shares = _shares_of_noise(variances, energies)
-    shares *= (1 / (1 + _DETAILS_OF_READING / np.maximum(counts, 1)))[:, None]
+    shares = _shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
+    shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
     pairs = np.sqrt(shares[:, :, None] * shares[:, None])
-    return pairs * measured + (1 - pairs) * components
+    return np.asarray(pairs * measured + (1 - pairs) * components, np.float64)
 
 
 def _shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
     """Return how far energies are trusted to be noise that the network reads as variances."""
-    shares: Float64s = np.clip(variances / np.maximum(energies, _LEAST_ENERGY), 0, 1) ** _TRUST
-    return shares
+    return np.asarray((variances / np.maximum(variances, energies)) ** _TRUST, np.float64)
 
 
-def _read_channels(
-    planes: Float32s, neighbourhoods: Neighbourhoods, full_scale: float, weights: Weights
-) -> _Reading:
+def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Reading:
     """Read the noise of three channels, or of one as three that are the same."""
-    count = len(planes)
-    squares = neighbourhoods.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
-    squares, scale, are_levels = _in_full_scale(squares, full_scale)
-    blocks = squares.blocks()
-    found = _read(weights, squares, blocks)
-    back = np.argsort(squares.order)[:count]
-    total = np.sort(found["total"][0])
+    samples = where.cut(np.broadcast_to(planes, (COLOURS, *planes.shape[1:])))
+    samples, scale, are_levels = _in_full_scale(samples)
+    cells, blocks, start = samples.cells(), samples.blocks(), np.zeros(1, np.int64)
+    even, described = features.describe_even_cells(cells)[None], features.describe(samples.described(), cells)
+    levels = features.describe_levels(blocks)
+    outputs = read(
+        Layers(weights.layers),
+        weights.standardised("squares", described),
+        start,
+        weights.standardised("even", even),
+        weights.standardised("levels", levels),
+    )
+    quiet = quiet_of(described, where.kind)
+    found = readings(outputs, candidates_of(even, quiet, start, levels, where.kind))
+    order, step = np.argsort(samples.order)[: len(planes)], scale / float(STEPS)
+    low, _, median, high = (deviation_of(own) for own in np.sort(found["total"][0]))
     bins = [np.bincount(features.level_bins(own), minlength=LEVEL_BINS) for own in blocks.levels]
     return _Reading(
-        squares,
-        count,
-        _components(found) * _strength_of(total) ** 2,
-        (deviation_of(total[0]) * scale / float(STEPS), deviation_of(total[-1]) * scale / float(STEPS)),
-        np.sort(found["levels"].reshape(COLOURS, LEVEL_BINS, -1), axis=2)[back].astype(np.float64),
-        np.array(bins, np.float64)[back],
-        np.sort(found["places"], axis=1).astype(np.float64),
-        (squares.levels[back].T / STEPS).astype(np.float64),
+        samples,
+        _components(found) * (0.0 if low < INVISIBLE else median) ** 2,  # noise may be invisible
+        order,
+        (low * step, high * step),
+        _medians(found["levels"].reshape(COLOURS, LEVEL_BINS, -1))[order],
+        np.array(bins, np.float64)[order],
+        _medians(found["places"]),
         scale,
         are_levels,
     )
 
 
-def _read(weights: Weights, squares: Samples, blocks: features.Blocks) -> dict[str, Array]:
-    """Return quantiles of all that the network reads, and correlations."""
-    cells, starts = squares.cells(), np.zeros(1, np.int64)
-    even = features.describe_even_cells(cells)[None]
-    described, levels = features.describe(squares.described(), cells), features.describe_levels(blocks)
-    found = read(
-        Layers(weights.layers),
-        weights.standardised("squares", described),
-        starts,
-        weights.standardised("even", even),
-        weights.standardised("levels", levels),
-    )
-    return readings(found, candidates_of(even, described, starts, levels, squares.where.kind))
+def _medians(quantiles: Array) -> Float64s:
+    return np.sort(quantiles, axis=-1)[..., QUANTILES.index(0.5)].astype(np.float64)
 
 
-def _in_full_scale(squares: Samples, full_scale: float) -> tuple[Samples, float, bool]:
+def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
     """Return colours from 0 to 1, what full scale was, and whether they are levels, which are not below 0."""
-    values = squares.colours / STEPS
+    values = samples.colours / STEPS
     low, high = np.quantile(values, (1 - _BRIGHT, _BRIGHT))
-    shift, scale = min(0.0, float(low)), full_scale
-    if values.max(initial=0) > full_scale + shift:
-        scale = max(full_scale, float(high) - shift)
+    shift, scale = min(0.0, float(low)), 1.0
+    if values.max(initial=0) > 1 + shift:
+        scale = max(1.0, float(high) - shift)
     if shift == 0 and scale == 1:
-        return squares, scale, True
+        return samples, scale, True
     values = (values - np.float32(shift)) * (STEPS / np.float32(scale))
     # What lies beyond is seldom noise: single samples there must not hide that of all others.
-    return squares.with_colours(values.clip(0, STEPS)), scale, shift == 0
+    return dataclasses.replace(samples, colours=values.clip(0, STEPS)), scale, shift == 0
 
 
 def deviation_of(logarithm: Array | float) -> float:
@@ -312,16 +276,10 @@ def deviation_of(logarithm: Array | float) -> float:
     return max(0.0, float(2**logarithm) - OFFSET)
 
 
-def _strength_of(quantiles: Array) -> float:
-    """Return the deviation to reckon with: the median, or 0 where noise may be invisible."""
-    least, _, median, _ = (deviation_of(own) for own in quantiles)
-    return 0.0 if least < INVISIBLE else median
-
-
 def _components(found: dict[str, Array]) -> Float64s:
     """Return the covariances of components by scale, of channels with a root mean square noise of 1."""
-    medians = found["deviations"].reshape(SCALES, COLOURS, len(QUANTILES))[..., QUANTILES.index(0.5)]
-    deviations = np.maximum(2.0 ** medians.astype(np.float64) - OFFSET, 1e-3)
+    medians = _medians(found["deviations"].reshape(SCALES, COLOURS, len(QUANTILES)))
+    deviations = np.maximum(2.0**medians - OFFSET, 1e-3)
     correlations = np.tanh(found["correlations"].reshape(SCALES, COLOURS).astype(np.float64))
     mixed = np.stack([np.eye(COLOURS)] * SCALES)
     for number, (one, other) in enumerate(((0, 1), (0, 2), (1, 2))):
@@ -334,55 +292,54 @@ def _components(found: dict[str, Array]) -> Float64s:
 
 def _by_level(readings: Sequence[_Reading]) -> VarianceStabiliser | None:
     """Return what makes the noise the same at all levels, if it differs by more than is read of noise that does not."""
-    quantiles = np.concatenate([own.levels for own in readings])
-    samples = np.concatenate([own.samples for own in readings])
-    middles, logs = np.arange(LEVEL_BINS) + 0.5, quantiles[..., QUANTILES.index(0.5)]
-    counted = samples >= _MIN_SHARE_OF_LEVEL * samples.sum(axis=1, keepdims=True)
+    logs, blocks = (
+        np.concatenate(own)
+        for own in zip(*((reading.levels, reading.blocks) for reading in readings), strict=True)
+    )
+    middles = np.arange(LEVEL_BINS) + 0.5
+    counted = blocks >= _MIN_SHARE_OF_LEVEL * blocks.sum(axis=1, keepdims=True)
     logs = np.stack(
         [np.interp(middles, middles[own], log[own]) for log, own in zip(logs, counted, strict=True)]
     )
     # Channels have much in common here, and their mean is less uncertain.
-    mean, seen = np.average(logs, axis=0, weights=samples + 1e-9), samples.sum(axis=0)
+    mean, seen = np.average(logs, axis=0, weights=blocks + 1e-9), blocks.sum(axis=0)
     if np.ptp(mean[seen >= _MIN_SHARE_OF_LEVEL * seen.sum()]) < np.log2(MIN_RATIO_OF_LEVELS):
         return None
     variances = 4.0**logs
-    samples /= samples.sum(axis=1, keepdims=True)
-    variances /= (variances * samples).sum(axis=1, keepdims=True)
-    relative = np.sqrt(np.average(variances, axis=0, weights=samples + 1e-9))
+    blocks /= blocks.sum(axis=1, keepdims=True)
+    variances /= (variances * blocks).sum(axis=1, keepdims=True)
+    relative = np.sqrt(np.average(variances, axis=0, weights=blocks + 1e-9))
     scale = readings[0].full_scale
-    return VarianceStabiliser(scale * middles / LEVEL_BINS, relative, samples.sum(axis=0), scale)
+    return VarianceStabiliser(scale * middles / LEVEL_BINS, relative, blocks.sum(axis=0), scale)
 
 
 def _explains(stabiliser: VarianceStabiliser, reading: _Reading) -> bool:
     """Whether the level explains most of the variance between neighbourhoods."""
-    logs = reading.places[:, QUANTILES.index(0.5)]
-    return bool(2 * np.var(logs - _logs_of_level(reading, stabiliser)) < np.var(logs))
+    return bool(2 * np.var(reading.places - _logs_of_level(reading, stabiliser)) < np.var(reading.places))
 
 
 def _logs_of_level(reading: _Reading, stabiliser: VarianceStabiliser) -> Float64s:
     """Return log2 of the deviations of neighbourhoods that their levels would have."""
-    levels = reading.square_levels * reading.full_scale
+    levels = reading.samples.levels[reading.order].T * (reading.full_scale / STEPS)
     return np.asarray(np.log2(stabiliser.sigma_at(levels, stabiliser.scale)).mean(axis=1), np.float64)
 
 
 def _by_place(reading: _Reading, stabiliser: VarianceStabiliser | None) -> Float64s | None:
     """Return the relative variances of neighbourhoods, if they differ more than is read of noise that does not."""
-    logs = reading.places[:, QUANTILES.index(0.5)]
-    of_level = np.zeros(len(logs))
-    if stabiliser is not None:  # what the level explains is no difference of places
-        of_level = _logs_of_level(reading, stabiliser)
-        logs = logs - of_level
-    where = reading.squares.where
-    low, high = np.quantile(where.medians_around(logs), (_MIN_SHARE_OF_PLACES, 1 - _MIN_SHARE_OF_PLACES))
+    # What the level explains is no difference of places.
+    of_level = np.zeros(len(reading.places)) if stabiliser is None else _logs_of_level(reading, stabiliser)
+    logs, where = reading.places - of_level, reading.samples.where
+    around = where.medians_around(logs)
+    low, high = np.quantile(around, (_MIN_SHARE_OF_PLACES, 1 - _MIN_SHARE_OF_PLACES))
     if high - low <= np.log2(MIN_RATIO_OF_PLACES):
         return None
     variances = 4.0**logs
-    if isinstance(where, Grid):
+    if where.kind == "grid":
         variances *= np.trace(reading.components[0]) / COLOURS / variances.mean()
-        energies = where.quiet_energies(reading.squares, reading.channels) / 4.0**of_level
+        energies = quiet_energies(reading.samples, len(reading.order)) / 4.0**of_level
         # Where noise was cut off, squares show less than there is.
-        is_known = np.isfinite(energies) & (reading.squares.cut_off() < _MAX_SHARE_CUT_OFF)
-        shares = _shares_of_noise(variances, energies)
-        variances = np.where(is_known, shares * energies + (1 - shares) * variances, variances)
+        is_known = np.isfinite(energies) & (reading.samples.cut_off() < _MAX_SHARE_CUT_OFF)
+        shares = np.where(is_known, _shares_of_noise(variances, energies), 0)
+        variances = np.where(is_known, shares * energies, 0) + (1 - shares) * variances
     variances = np.maximum(variances, _LEAST_OF_PLACE * variances.mean())
     return np.asarray(variances / variances.mean(), np.float64)

@@ -1,0 +1,43 @@
+"""What the network is trained on: noisy pictures, and the noise that was put in."""
+
+import numpy as np
+import pytest
+
+from beltrami_cli.flow.noise.network import OFFSET
+from noises import Recipe, Sample, degrade, draw_recipe, draw_recipe_of_textures
+from observations import observe
+
+SHAPE = (96, 128, 3)
+
+
+def clean():
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] / 200
+    return np.stack([0.3 + x, 0.7 - y, 0.2 + y], axis=2).astype(np.float32)
+
+
+@pytest.mark.parametrize("sigma", [0, 4, 12])
+@pytest.mark.parametrize("bits", [0, 8])
+def test_the_truth_is_the_noise_that_was_added(sigma, bits):
+    """Within four standard errors of the deviation of all samples."""
+    observed = observe(degrade(np.random.default_rng(1), clean(), Recipe(sigma / 255, bits=bits)))
+    assert 2**observed.total - OFFSET == pytest.approx(sigma, rel=4 / np.sqrt(2 * np.prod(SHAPE)), abs=1e-3)
+
+
+def test_what_compression_alone_does_is_no_noise():
+    observed = observe(degrade(np.random.default_rng(1), clean(), Recipe(codec="JPEG", quality=60)))
+    assert 2**observed.total - OFFSET == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("shape", [(0, 8, 3), (8, 0, 3), (4, 4, 3)])
+def test_pictures_without_enough_cells_are_left_out(shape):
+    none = np.zeros(shape, np.float32)
+    assert observe(Sample(none, none, none)) is None
+
+
+@pytest.mark.parametrize("draw", [draw_recipe, draw_recipe_of_textures])
+def test_all_recipes_make_finite_observations(draw):
+    rng, picture = np.random.default_rng(2), clean()
+    for _ in range(20):
+        observed = observe(degrade(rng, picture, draw(rng)))
+        assert all(np.isfinite(own).all() for own in (observed.squares, observed.even, observed.levels))
+        assert np.isfinite(observed.total)
