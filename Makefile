@@ -227,7 +227,7 @@ samples: $(VENV)/.installed-samples
 # Pictures come from Debian packages, which are unpacked and not installed. The environment is one of its own.
 NOISE_PACKAGES := supertuxkart-data plasma-workspace-wallpapers gnome-backgrounds mate-backgrounds trigger-rally-data
 NOISE_PICTURES := build/noise-model/pictures
-# Of noise_model/train.py, such as "--observations 4000 --weights build/noise-model" for a trial.
+# Of noise_model/train.py, such as "--observations 500 --epochs 2 --weights build/noise-model" for a trial.
 NOISE_OPTIONS ?=
 
 noise-model:

@@ -375,8 +375,9 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     began = time.monotonic()
     count = options.observations or OBSERVATIONS[kind]
     first = options.seed or FIRST_SEED
-    jobs = [(kind, "training", seed, CHUNK, roots) for seed in range(first, first - -count // CHUNK)]
-    jobs.append((kind, "validation", 0, OBSERVATIONS["validation"], roots))
+    size = min(CHUNK, count)
+    jobs = [(kind, "training", seed, size, roots) for seed in range(first, first + count // size)]
+    jobs.append((kind, "validation", 0, min(count, OBSERVATIONS["validation"]), roots))
     with Pool(options.processes) as pool:
         training, *parts, validation = pool.imap(make_observations, jobs)
     training.extend(parts)

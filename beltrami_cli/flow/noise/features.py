@@ -265,11 +265,9 @@ def _quantiles(values: Float32s, shares: Sequence[float]) -> list[Float32s]:
     """Return quantiles along the last axis among finite values, as logarithms of deviations."""
     ordered = np.sort(values, axis=-1)
     last = np.isfinite(ordered).sum(axis=-1, keepdims=True) - 1
-    picked = (
-        np.take_along_axis(ordered, np.maximum(np.rint(share * last), 0).astype(np.intp), axis=-1)
-        for share in shares
-    )
-    return [log_deviation(np.where(np.isfinite(own), own, 0)[..., 0]) for own in picked]
+    places = np.maximum(np.rint(np.array(shares) * last), 0).astype(np.intp)
+    picked = np.take_along_axis(ordered, places, axis=-1)
+    return list(np.moveaxis(log_deviation(np.where(np.isfinite(picked), picked, 0)), -1, 0))
 
 
 def log_deviation(variance: Array | float) -> Float32s:
