@@ -70,7 +70,7 @@ _DETAILS_OF_READING = 26
 _MAX_SHARE_CUT_OFF = 0.01
 
 # Where values exceed full scale, as in light, this quantile of theirs becomes full scale. Where less than this share of
-# them is at least 0, they are no levels, and are shifted.
+# them is at least 0, or at most full scale, they are no levels, and are shifted.
 _BRIGHT = 0.99
 
 
@@ -212,13 +212,16 @@ def _combined(components: Float64s, measured: Float64s, counts: Float64s) -> Flo
     """
     shares = _shares_of_noise(*(np.einsum("lkk->lk", own) for own in (components, measured)))
     shares *= (counts / (counts + _DETAILS_OF_READING))[:, None]
-    pairs = np.sqrt(shares[:, :, None] * shares[:, None])
-    return np.asarray(pairs * measured + (1 - pairs) * components, np.float64)
+    found = np.zeros_like(components)
+    for share, own in ((shares, measured), (1 - shares, components)):
+        found += own * np.sqrt(share[:, :, None] * share[:, None])
+    return found
 
 
 def _shares_of_noise(variances: Float64s, energies: Float64s) -> Float64s:
     """Return how far energies are trusted to be noise that the network reads as variances."""
-    return np.asarray((variances / np.maximum(variances, energies)) ** _TRUST, np.float64)
+    most = np.maximum(np.maximum(variances, energies), np.finfo(np.float64).tiny)
+    return np.asarray((variances / most) ** _TRUST, np.float64)
 
 
 def _read_channels(planes: Float32s, where: Neighbourhoods, weights: Weights) -> _Reading:
@@ -258,12 +261,11 @@ def _medians(quantiles: Array) -> Float64s:
 
 
 def _in_full_scale(samples: Samples) -> tuple[Samples, float, bool]:
-    """Return colours from 0 to 1, what full scale was, and whether they are levels, which are not below 0."""
+    """Return colours from 0 to 1, what full scale was, and whether they are levels, which begin between 0 and 1."""
     values = samples.colours / STEPS
     low, high = np.quantile(values, (1 - _BRIGHT, _BRIGHT))
-    shift, scale = min(0.0, float(low)), 1.0
-    if values.max(initial=0) > 1 + shift:
-        scale = max(1.0, float(high) - shift)
+    shift = 0.0 if 0 <= low <= 1 else float(low)
+    scale = max(1.0, float(high) - shift) if values.max(initial=0) > 1 + shift else 1.0
     if shift == 0 and scale == 1:
         return samples, scale, True
     values = (values - np.float32(shift)) * (STEPS / np.float32(scale))
