@@ -53,7 +53,7 @@ class Scale(ABC):
 
     @abstractmethod
     def details(self, fine: Array, coarse: Array) -> Array:
-        """Return the details of parts by their means and those of their cells, shape (N, ...)."""
+        """Return the details by the means of parts and of their cells, shape (N, ...)."""
 
     @abstractmethod
     def sums_of_details(self, values: Array) -> Array:
