@@ -1,15 +1,12 @@
 """Train the network that reads noise, print how well it reads, and write its weights.
 
 ``python noise_model/train.py FOLDER...`` takes clean pictures from folders of unpacked packages; `make noise-model`
-fetches them. Training needs NumPy alone. The weights in the package were trained so; those for grids, then without
-features of cosine waves, went on with ``--kinds grid --continue --seed 400 --observations 104000 --epochs 8`` once
-these had come, with weights of 0.
+fetches them. Training needs NumPy alone. The weights in the package were trained so.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
 import time
 from functools import cache
@@ -291,19 +288,12 @@ def slopes_of(
     return values, tape.gradients
 
 
-def train(
-    kind: str, training: Batches, validation: Batches, epochs: int, start: Weights | None = None
-) -> Weights:
-    """Train by Adam with a rate that falls to 0 along a cosine; from some weights on, at half the rate."""
+def train(kind: str, training: Batches, validation: Batches, epochs: int) -> Weights:
+    """Train by Adam with a rate that falls to 0 along a cosine."""
     rng = np.random.default_rng(SEED)
-    if start is None:
-        means, scales = training.standard()
-        columns = {name: len(own) for name, own in means.items()}
-        start = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, "")
-        rate = RATE
-    else:
-        rate = RATE / 2
-    weights = dataclasses.replace(start, configuration=configuration())
+    means, scales = training.standard()
+    columns = {name: len(own) for name, own in means.items()}
+    weights = Weights(initial(rng, columns, network.WIDTHS[kind]), means, scales, configuration())
     for data in (training, validation):
         data.standardise(weights)
     moments = {name: (0 * own, 0 * own) for name, own in weights.layers.items()}
@@ -315,7 +305,7 @@ def train(
             sums.append(values)
             step += 1
             share = min(1, step / WARM_UP) * (1 + np.cos(np.pi * step / steps)) / 2
-            descend(weights.layers, moments, gradients, rate * share, step)
+            descend(weights.layers, moments, gradients, RATE * share, step)
         if epoch % 5 == 4 or epoch == epochs - 1:
             valued, _ = slopes_of(np.arange(len(validation.counts)), validation, weights)
             line = ", ".join(
@@ -355,10 +345,6 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--observations", type=int, help="of each kind")
     parser.add_argument("--epochs", type=int, default=EPOCHS)
-    parser.add_argument(
-        "--continue", action="store_true", dest="goes_on", help="from the weights that there are"
-    )
-    parser.add_argument("--seed", type=int, help="of the first observations; each makes 2,000")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument(
         "--judged", default="test", choices=["validation", "test"], help="the part that is judged"
@@ -374,9 +360,8 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     """Train the network for one kind of neighbourhoods."""
     began = time.monotonic()
     count = options.observations or OBSERVATIONS[kind]
-    first = options.seed or FIRST_SEED
     size = min(CHUNK, count)
-    jobs = [(kind, "training", seed, size, roots) for seed in range(first, first + count // size)]
+    jobs = [(kind, "training", FIRST_SEED + number, size, roots) for number in range(max(1, count // size))]
     jobs.append((kind, "validation", 0, min(count, OBSERVATIONS["validation"]), roots))
     with Pool(options.processes) as pool:
         training, *parts, validation = pool.imap(make_observations, jobs)
@@ -385,8 +370,7 @@ def train_kind(kind: str, roots: list[Path], options: argparse.Namespace) -> Non
     print(f"{kind}: {held}: {time.monotonic() - began:.0f} s", flush=True)
     del parts
     path = options.weights / f"{kind}_weights.npz"
-    start = Weights.load(path) if options.goes_on else None
-    save(train(kind, training, validation, options.epochs, start), path)
+    save(train(kind, training, validation, options.epochs), path)
     print(f"{path.stat().st_size / 1024:.0f} KB written after {time.monotonic() - began:.0f} s", flush=True)
     table.main(roots, options.judged, kind, Weights.load(path))
 

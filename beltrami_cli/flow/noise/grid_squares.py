@@ -270,7 +270,8 @@ def choose_corners(filled: Bools, most: int = MAX_SQUARES) -> Int64s:
     first = [int(filled.any(axis=axis).argmax()) for axis in (1, 0)]
     filled = filled[first[0] :, first[1] :]
     down, across = (np.arange(0, size, SIDE) for size in filled.shape)
-    counts = np.add.reduceat(np.add.reduceat(filled, down, axis=0, dtype=np.int64), across, axis=1)
+    columns = (np.count_nonzero(filled[row : row + SIDE], axis=0) for row in down)
+    counts = np.stack([np.add.reduceat(each, across) for each in columns])
     enough = counts >= max(1, min(MIN_FILLED_SHARE * SIDE**2, int(counts.max(initial=0))))
     corners: Int64s = np.argwhere(enough).astype(np.int64) * SIDE
     if len(corners) > most:

@@ -141,7 +141,7 @@ def read_noise(
         return NoiseModel.independent(np.zeros(count))
     together = [list(range(COLOURS))] if count >= COLOURS else []
     alone = [[channel] for channel in range(len(together) * COLOURS, count)]
-    readings = [_read_channels(planes[own], where, weights) for own in (*together, *alone)]
+    readings = [_read_channels(planes[own[0] : own[-1] + 1], where, weights) for own in (*together, *alone)]
     colours = readings[: 1 if together else None]
     stabiliser, by_place = None, None
     if varies and any(own.components.any() for own in colours):
