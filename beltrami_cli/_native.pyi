@@ -101,8 +101,6 @@ def add_enlarged(
     side: int,
     threads: int,
 ) -> None: ...
-
-
 def nearest_marked(
     marked: NDArray[np.bool_], wanted: NDArray[np.bool_], reach: int, threads: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]: ...
