@@ -13,6 +13,8 @@ import pytest
 
 from beltrami_cli.errors import InputError, ProcessingError, UsageError
 from beltrami_cli.flow.beltrami_flow import smooth
+from beltrami_cli.flow.noise.grid_squares import Grid
+from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.parameters import KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job
@@ -73,6 +75,19 @@ def test_the_result_is_the_same(model, photograph_as_jpeg, tmp_path, monkeypatch
     files = smoothed(source, tmp_path / "disk", 1 << 30)
     assert sum(on_disk) > 1 << 19  # at least the colours of 160 x 160 texels, old and new
     assert files == in_memory
+
+
+def test_reading_noise_takes_no_memory_for_each_texel():
+    def peak(side):
+        planes, grid = np.zeros((3, side, side), np.float32), Grid(np.ones((side, side), bool))
+        tracemalloc.start()
+        try:
+            read_noise(planes, grid)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    assert peak(4096) - peak(2048) < (4096**2 - 2048**2) / 4
 
 
 def test_even_less_memory_is_refused_by_name(tmp_path, on_disk):
