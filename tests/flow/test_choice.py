@@ -237,7 +237,7 @@ def rms(change):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("width", "sigma", "channels", "fast"), [(0, 4, 1, False), (0, 20, 3, True), (1.0, 12, 3, False)]
+    ("width", "sigma", "channels", "fast"), [(0, 8, 1, False), (0, 20, 3, True), (1.0, 12, 3, False)]
 )
 def test_stronger_changes_images_more(width, sigma, channels, fast):
     clean = photograph(SIZE, contrast=0.08)[..., :channels]

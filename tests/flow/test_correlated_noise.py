@@ -112,8 +112,7 @@ def one_hue(hue, side=192):
     [
         (one_hue((1, 0.7, 0.1)), 92, "4:2:0", 6, 0.15),
         (one_hue((0.1, 0.8, 0.3)), 85, "4:4:4", 10, 0.15),
-        # The coarsest scale has too few tiles to show any.
-        (painting(72), 85, "4:2:0", 20, 0.3),
+        (painting(96), 85, "4:2:0", 20, 0.3),
         (painting(144), 85, "4:2:0", 20, 0.3),
     ],
     ids=["orange", "green", "small", "less small"],

@@ -82,7 +82,7 @@ def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_cov
         SmoothSettings(textures=TextureSettings(alpha="smooth")),
         job=Job(dry_run=True),
     )
-    assert not smoothed.warnings
+    assert not any("--alpha smooth" in warning for warning in smoothed.warnings)
     noise[..., 3] = 255
     (tmp_path / "skin.png").write_bytes(encoded(noise))
     model.write_text(re.sub(r"vt .*", "vt 0.5 0.5", model.read_text()))
