@@ -36,7 +36,7 @@ def require_memory(
     if access.memory is None:
         return
     decoded, working = 0, 0
-    for name, size in _measured(images):
+    for name, size, _ in _measured(images):
         decoded += size.decoded
         working = max(working, pixel_bytes[0] * size.texels + pixel_bytes[1] * size.samples)
         if decoded + working > access.memory:
@@ -64,7 +64,8 @@ def within_memory(
     """Keep large arrays in files, in the folder of `target`, where memory is too small for all of them.
 
     InputError if it is too small even so, for textures of some slots, or for the image that the document is; or if
-    arrays are not to be `in_files`, as for work that makes many in memory.
+    arrays are not to be `in_files`, as for work that makes many in memory. Besides arrays there must be room for one
+    image as it is decoded, and for the new file, about as large as the old one, without and with its metadata.
     """
     if not in_files:
         for images in _files(document, slots, wanted):
@@ -76,8 +77,8 @@ def within_memory(
     left = memory
     for images in _files(document, slots, wanted):
         largest = texels = 0
-        for name, size in _measured(images):
-            largest, texels = max(largest, size.decoded), texels + size.texels
+        for name, size, stored in _measured(images):
+            largest, texels = max(largest, size.decoded + 2 * stored), texels + size.texels
             left = min(left, memory - largest - _MASKS * texels)
             if left < 0:
                 raise _too_large(name, size)
@@ -97,12 +98,12 @@ def _files(
         yield ((texture.name, texture.data) for texture in textures)
 
 
-def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize]]:
-    """Measure images; images that cannot be measured are left to their decoder, which raises the error."""
+def _measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize, int]]:
+    """Measure images and their files; those that fail are left to their decoder, which raises the error."""
     for name, data in images:
         size = measure_image(data, name)
         if size is not None:
-            yield name, size
+            yield name, size, len(data)
 
 
 def _too_large(name: str, size: ImageSize) -> InputError:
