@@ -249,12 +249,6 @@ def blend_share_within(
     share: NDArray[np.float32],
     threads: int,
 ) -> None: ...
-def add_multiple(
-    values: NDArray[np.float32], others: NDArray[np.float32] | NDArray[np.int8], factor: float, threads: int
-) -> None: ...
-def blend(
-    first: NDArray[np.float32], second: NDArray[np.float32], weight: NDArray[np.float32], threads: int
-) -> None: ...
 def collaborate_on_grid(
     kind: NDArray[np.uint8],
     noisy: NDArray[np.float32],

@@ -105,7 +105,7 @@ def blend_with_patches(
     signs = manifold.perturbation()
     size = np.float32(PERTURBATION * np.sqrt(np.mean(np.square(sigma))))
     disturbed = large_arrays.copy_of(noisy)
-    _add(axis, disturbed, signs, size, threads)
+    _add(axis, disturbed, signs, size)
     disturbed = kernel(disturbed)
     geometry.drop_distances()
     if clipped is not None:
@@ -122,7 +122,7 @@ def blend_with_patches(
         return manifold.collaborate(colours, first, second, stage(PASSES[1]), replaces_pilot=True)
 
     after = estimate(noisy, before)
-    with _added(axis, noisy, signs, size, threads):
+    with _added(axis, noisy, signs, size):
         response = estimate(noisy, disturbed)
     # Smoothness counts less or more, as in the choice of parameters.
     counted = np.sqrt(manifold.parameters.strength)
@@ -146,7 +146,7 @@ def _mix(
     responses: tuple[Float32s, Float32s],
 ) -> tuple[float, float]:
     """Blend the second of both with the first, in place; return the sum of the weights, and that of the gain."""
-    from beltrami_cli._native import blend, blend_terms
+    from beltrami_cli._native import blend_terms
 
     geometry, (colours, signs, _, divisors) = manifold.geometry, noisy
     axis, sums = geometry.axis, geometry.planes(2)
@@ -157,8 +157,8 @@ def _mix(
     weights, share, gain = _weigh(geometry, sums, model.variance, _PRIORS["samples"])
     stacks = in_blocks(axis, *results, *responses)
     for (p, q, near_p, near_q), (own,) in zip(stacks, in_blocks(0, weights), strict=True):
-        blend(p, q, own, geometry.threads)
-        blend(near_p, near_q, own, geometry.threads)
+        p += own * (q - p)
+        near_p += own * (near_q - near_p)
     return share, gain
 
 
@@ -233,7 +233,7 @@ def _improve_means(
     mixing = dataclasses.replace(mixing, variances=mixing.variances * level.noise)
     (p, near_p), axis, sums = (level.means(own) for own in colours), level.axis, level.planes(2)
     q = level.collaborate(noisy.colours, p, mixing)
-    with _added(axis, noisy.colours, noisy.probe, np.float32(1), model.threads):
+    with _added(axis, noisy.colours, noisy.probe, np.float32(1)):
         near_q = level.collaborate(noisy.colours, near_p, mixing)
     differences, others = (q, near_q), (noisy.residual, noisy.probe, noisy.within)
     stacks = in_blocks(axis, *differences, p, near_p, *others, np.expand_dims(level.relative, axis))
@@ -333,15 +333,13 @@ def _is_coloured(manifold: Manifold, colours: Float32s) -> bool:
 
 
 @contextlib.contextmanager
-def _added(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: int) -> Iterator[None]:
+def _added(axis: int, stack: Float32s, signs: Array, size: np.float32) -> Iterator[None]:
     """Have multiples of the signs in a stack within this context."""
-    _add(axis, stack, signs, size, threads)
+    _add(axis, stack, signs, size)
     yield
-    _add(axis, stack, signs, -size, threads)
+    _add(axis, stack, signs, -size)
 
 
-def _add(axis: int, stack: Float32s, signs: Array, size: np.float32, threads: int) -> None:
-    from beltrami_cli._native import add_multiple
-
+def _add(axis: int, stack: Float32s, signs: Array, size: np.float32) -> None:
     for own, sign in in_blocks(axis, stack, signs):
-        add_multiple(own, sign, float(size), threads)
+        own += np.multiply(sign, size, dtype=np.float32)

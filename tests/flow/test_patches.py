@@ -61,28 +61,6 @@ def clipped_mean_and_share(true, sigma, clipped):
     return mean, share
 
 
-@pytest.mark.parametrize("probe", [np.int8, np.float32])
-@pytest.mark.parametrize("layout", ["planes", "rows"])
-def test_stacks_are_added_and_blended_sample_by_sample_on_any_number_of_threads(layout, probe):
-    first, second = RANDOM.standard_normal((2, 3, 90, 100)).astype(np.float32)
-    weight, added = (
-        RANDOM.random((1, 90, 100)).astype(np.float32),
-        RANDOM.integers(-1, 2, first.shape).astype(probe),
-    )
-    if layout == "rows":
-        first, second, weight, added = (
-            np.moveaxis(part, 0, 2).copy() for part in (first, second, weight, added)
-        )
-        first, second, weight, added = (np.moveaxis(part, 2, 0) for part in (first, second, weight, added))
-    size = np.float32(0.3)
-    for threads in (1, 3):
-        moved, blended = first.copy(order="K"), first.copy(order="K")
-        _native.add_multiple(moved, added, float(size), threads)
-        _native.blend(blended, second, weight, threads)
-        np.testing.assert_array_equal(moved, first + size * added)
-        np.testing.assert_array_equal(blended, first + weight * (second - first))
-
-
 @pytest.mark.parametrize("in_rows", [False, True])
 def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
     count = 5000  # more than one run, and no multiple of it

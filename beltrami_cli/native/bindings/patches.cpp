@@ -4,6 +4,7 @@
 #include <array>
 #include <vector>
 
+#include "parallel.hpp"
 #include "patches/blending.hpp"
 #include "patches/grid_patches.hpp"
 #include "patches/surface_patches.hpp"
@@ -110,6 +111,13 @@ void collaborate_on_surface(const SurfacePatches& surface, const Matrix<float>& 
   });
 }
 
+// Calls f with ranges of samples, on several threads.
+template <class F>
+void in_ranges(std::size_t count, unsigned threads, F f) {
+  constexpr std::size_t samples_per_chunk = 1 << 12;
+  parallel_chunks(count, samples_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) { f(Range{begin, end}); });
+}
+
 // The noise as Python gives it: a row (variance, sigma, low, high) a channel, tables of a limit, and relative variances.
 class NoiseOfBlend {
  public:
@@ -152,7 +160,9 @@ void write_blend_terms(const Channels<const float>& noisy, const Channels<const 
   const Values z = layout_of(noisy, channels, count), b = layout_of(probe, channels, count);
   const Layout<float> to = layout_of(terms, 2, count);
   const nb::gil_scoped_release unlock;
-  blend_terms(z, b, {values[0], values[1], values[2], values[3]}, own.get(), count, to, threads);
+  const auto write = best_blend_terms();
+  const Estimates both{values[0], values[1], values[2], values[3]};
+  in_ranges(count, threads, [&](const Range& samples) { write(z, b, both, own.get(), samples, to); });
 }
 
 // See blend_residual.
@@ -163,7 +173,8 @@ void write_blend_residual(const Channels<const float>& noisy, const Channels<con
   const Values z = layout_of(noisy, channels, count), p = layout_of(estimate, channels, count);
   const Layout<float> to = layout_of(residual, channels, count);
   const nb::gil_scoped_release unlock;
-  blend_residual(z, p, own.get(), count, to, threads);
+  const auto write = best_blend_residual();
+  in_ranges(count, threads, [&](const Range& samples) { write(z, p, own.get(), samples, to); });
 }
 
 // See blend_share_within.
@@ -174,27 +185,8 @@ void write_blend_share_within(const Channels<const float>& estimate, const nb::t
   const Values p = layout_of(estimate, channels, count);
   const Layout<float> to = layout_of(share, channels, count);
   const nb::gil_scoped_release unlock;
-  blend_share_within(p, own.get(), count, to, threads);
-}
-
-// See blend.
-void blend_stacks(const Channels<float>& first, const Channels<const float>& second, const Channels<const float>& weight,
-                  unsigned threads) {
-  const std::size_t channels = first.shape(0), count = samples_of(first);
-  const Layout<float> to = layout_of(first, channels, count);
-  const Values other = layout_of(second, channels, count), own = layout_of(weight, 1, count);
-  const nb::gil_scoped_release unlock;
-  blend(to, other, own, channels, count, threads);
-}
-
-// See add_multiple.
-template <class Value>
-void add_multiple_to(const Channels<float>& values, const Channels<const Value>& others, float factor, unsigned threads) {
-  const std::size_t channels = values.shape(0), count = samples_of(values);
-  const Layout<float> to = layout_of(values, channels, count);
-  const Layout<const Value> from = layout_of(others, channels, count);
-  const nb::gil_scoped_release unlock;
-  add_multiple(to, from, factor, channels, count, threads);
+  const auto write = best_blend_share_within();
+  in_ranges(count, threads, [&](const Range& samples) { write(p, own.get(), samples, to); });
 }
 
 }  // namespace
@@ -210,10 +202,6 @@ void bind_patches(nb::module_& module) {
   module.def("blend_residual", &write_blend_residual, "noisy"_a, "estimate"_a, "noise"_a, "residual"_a.noconvert(),
              "threads"_a);
   module.def("blend_share_within", &write_blend_share_within, "estimate"_a, "noise"_a, "share"_a.noconvert(), "threads"_a);
-  module.def("add_multiple", &add_multiple_to<float>, "values"_a.noconvert(), "others"_a.noconvert(), "factor"_a, "threads"_a);
-  module.def("add_multiple", &add_multiple_to<std::int8_t>, "values"_a.noconvert(), "others"_a.noconvert(), "factor"_a,
-             "threads"_a);
-  module.def("blend", &blend_stacks, "first"_a.noconvert(), "second"_a, "weight"_a, "threads"_a);
   module.def("collaborate_on_grid", &collaborate_on_grid, "kind"_a, "noisy"_a, "pilot"_a, "mixing"_a,
              "relative"_a.none(), "has_pilot"_a, "estimates"_a, "threads"_a, "progress"_a.none());
   nb::class_<SurfacePatches>(module, "SurfacePatches")

@@ -1,3 +1,4 @@
+// Compiled once for each instruction set, see instruction_set.hpp.
 #include "patches/blending.hpp"
 
 #include <algorithm>
@@ -5,13 +6,11 @@
 #include <cmath>
 #include <cstdint>
 
-#include "parallel.hpp"
-
-namespace beltrami::patches {
+namespace beltrami::patches::BELTRAMI_VARIANT {
 namespace {
 
-// Samples whose values stay in the cache, and that one thread takes at a time.
-constexpr std::size_t run = 256, chunk_of_runs = 16 * run;
+// Samples whose values stay in the cache.
+constexpr std::size_t run = 256;
 
 using Run = std::array<float, run>;
 
@@ -28,7 +27,11 @@ class Channel {
   }
 
   void read(const Values& from, Run& to) const {
-    for (std::size_t i = 0; i < count_; ++i) to[i] = from.at(channel_, first_ + i);
+    const float* const values = &from.at(channel_, first_);
+    if (from.sample_step == 1)  // vectorised
+      std::copy_n(values, count_, to.begin());
+    else
+      for (std::size_t i = 0; i < count_; ++i) to[i] = from.at(channel_, first_ + i);
   }
 
   // Imputed colours as they were.
@@ -66,12 +69,12 @@ class Channel {
     for (const bool is_high : {true, false}) {
       if (!(is_high ? own_.high : own_.low)) continue;
       Run limits;
-      float least = beyond_reach;
+      int within_reach = 0;
       for (std::size_t i = 0; i < count_; ++i) {
         limits[i] = (is_high ? 1 - values[i] : values[i]) / sigma_[i];
-        least = std::min(least, limits[i]);
+        within_reach += limits[i] < beyond_reach ? 1 : 0;
       }
-      for (std::size_t i = 0; least < beyond_reach && i < count_; ++i) f(i, look_up(limits[i], table), is_high ? -1.0F : 1.0F);
+      for (std::size_t i = 0; within_reach > 0 && i < count_; ++i) f(i, look_up(limits[i], table), is_high ? -1.0F : 1.0F);
     }
   }
 
@@ -79,7 +82,7 @@ class Channel {
   float look_up(float limit, std::span<const float> table) const {
     const float furthest = noise_.tables.furthest, steps = static_cast<float>(table.size() - 1) / (2 * furthest);
     const float place = (std::clamp(limit, -furthest, furthest) + furthest) * steps;
-    const std::size_t k = std::min(static_cast<std::size_t>(place), table.size() - 2);
+    const auto k = std::clamp(static_cast<std::int32_t>(place), 0, static_cast<std::int32_t>(table.size()) - 2);
     return table[k] + (place - static_cast<float>(k)) * (table[k + 1] - table[k]);
   }
 
@@ -89,19 +92,17 @@ class Channel {
   Run sigma_;
 };
 
-// Calls f(first sample, count) for runs of samples, on several threads.
+// Calls f(first sample, count) for runs of samples.
 template <class F>
-void each_run(std::size_t count, unsigned threads, F f) {
-  parallel_chunks(count, chunk_of_runs, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    for (std::size_t first = begin; first < end; first += run) f(first, std::min(run, end - first));
-  });
+void each_run(const Range& samples, F f) {
+  for (std::size_t first = samples.begin; first < samples.end; first += run) f(first, std::min(run, samples.end - first));
 }
 
 }  // namespace
 
 void blend_terms(const Values& noisy, const Values& probe, const Estimates& estimates, const BlendNoise& noise,
-                 std::size_t count, const Layout<float>& terms, unsigned threads) {
-  each_run(count, threads, [&](std::size_t first, std::size_t size) {
+                 const Range& samples, const Layout<float>& terms) {
+  each_run(samples, [&](std::size_t first, std::size_t size) {
     Run slope{}, square{}, z, b, p, q, near_p, near_q, middle, variances;
     for (std::size_t k = 0; k < noise.channels.size(); ++k) {
       const Channel channel(noise, k, first, size);
@@ -128,9 +129,9 @@ void blend_terms(const Values& noisy, const Values& probe, const Estimates& esti
   });
 }
 
-void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, std::size_t count,
-                    const Layout<float>& residual, unsigned threads) {
-  each_run(count, threads, [&](std::size_t first, std::size_t size) {
+void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, const Range& samples,
+                    const Layout<float>& residual) {
+  each_run(samples, [&](std::size_t first, std::size_t size) {
     Run z, p;
     for (std::size_t k = 0; k < noise.channels.size(); ++k) {
       const Channel channel(noise, k, first, size);
@@ -143,9 +144,8 @@ void blend_residual(const Values& noisy, const Values& estimate, const BlendNois
   });
 }
 
-void blend_share_within(const Values& estimate, const BlendNoise& noise, std::size_t count, const Layout<float>& share,
-                        unsigned threads) {
-  each_run(count, threads, [&](std::size_t first, std::size_t size) {
+void blend_share_within(const Values& estimate, const BlendNoise& noise, const Range& samples, const Layout<float>& share) {
+  each_run(samples, [&](std::size_t first, std::size_t size) {
     Run p, within;
     for (std::size_t k = 0; k < noise.channels.size(); ++k) {
       const Channel channel(noise, k, first, size);
@@ -156,25 +156,4 @@ void blend_share_within(const Values& estimate, const BlendNoise& noise, std::si
   });
 }
 
-void blend(const Layout<float>& first, const Values& second, const Values& weight, std::size_t channels, std::size_t count,
-           unsigned threads) {
-  each_run(count, threads, [&](std::size_t begin, std::size_t size) {
-    for (std::size_t k = 0; k < channels; ++k)
-      for (std::size_t i = begin; i < begin + size; ++i)
-        first.at(k, i) += weight.at(0, i) * (second.at(k, i) - first.at(k, i));
-  });
-}
-
-template <class Value>
-void add_multiple(const Layout<float>& values, const Layout<const Value>& others, float factor, std::size_t channels,
-                  std::size_t count, unsigned threads) {
-  each_run(count, threads, [&](std::size_t begin, std::size_t size) {
-    for (std::size_t k = 0; k < channels; ++k)
-      for (std::size_t i = begin; i < begin + size; ++i) values.at(k, i) += factor * static_cast<float>(others.at(k, i));
-  });
-}
-
-template void add_multiple(const Layout<float>&, const Layout<const float>&, float, std::size_t, std::size_t, unsigned);
-template void add_multiple(const Layout<float>&, const Layout<const std::int8_t>&, float, std::size_t, std::size_t, unsigned);
-
-}  // namespace beltrami::patches
+}  // namespace beltrami::patches::BELTRAMI_VARIANT

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <span>
 
+#include "instruction_set.hpp"
 #include "layout.hpp"
 
 namespace beltrami::patches {
@@ -36,26 +37,26 @@ struct Estimates {
   Values first, second, near_first, near_second;
 };
 
-// Writes the terms of the numerator and of the denominator of the weight of the second estimate, two channels. `probe`: the
-// perturbation divided by its squared size.
-void blend_terms(const Values& noisy, const Values& probe, const Estimates& estimates, const BlendNoise& noise,
-                 std::size_t count, const Layout<float>& terms, unsigned threads);
+// The samples from `begin` on, before `end`.
+struct Range {
+  std::size_t begin, end;
+};
 
-// Writes the noisy colours, cut off as they were, less what they are on average by an estimate.
-void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, std::size_t count,
-                    const Layout<float>& residual, unsigned threads);
+BELTRAMI_DECLARE_VARIANTS(
+    // Writes the terms of the numerator and of the denominator of the weight of the second estimate, two channels. `probe`:
+    // the perturbation divided by its squared size.
+    void blend_terms(const Values& noisy, const Values& probe, const Estimates& estimates, const BlendNoise& noise,
+                     const Range& samples, const Layout<float>& terms);
 
-// Writes the share of noisy colours that are not cut off, by an estimate of the colours without noise.
-void blend_share_within(const Values& estimate, const BlendNoise& noise, std::size_t count, const Layout<float>& share,
-                        unsigned threads);
+    // Writes the noisy colours, cut off as they were, less what they are on average by an estimate.
+    void blend_residual(const Values& noisy, const Values& estimate, const BlendNoise& noise, const Range& samples,
+                        const Layout<float>& residual);
 
-// Adds a multiple of some values to others.
-template <class Value>
-void add_multiple(const Layout<float>& values, const Layout<const Value>& others, float factor, std::size_t channels,
-                  std::size_t count, unsigned threads);
+    // Writes the share of noisy colours that are not cut off, by an estimate of the colours without noise.
+    void blend_share_within(const Values& estimate, const BlendNoise& noise, const Range& samples, const Layout<float>& share))
 
-// Adds to the first of two estimates its weight of their difference; `weight`: one channel.
-void blend(const Layout<float>& first, const Values& second, const Values& weight, std::size_t channels, std::size_t count,
-           unsigned threads);
+inline auto best_blend_terms() { return BELTRAMI_VARIANT_OF(blend_terms, choose_instruction_set()); }
+inline auto best_blend_residual() { return BELTRAMI_VARIANT_OF(blend_residual, choose_instruction_set()); }
+inline auto best_blend_share_within() { return BELTRAMI_VARIANT_OF(blend_share_within, choose_instruction_set()); }
 
 }  // namespace beltrami::patches
