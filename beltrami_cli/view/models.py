@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, glb_pieces
-from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
+from beltrami_cli.formats.gltf.edit import INDEX_DATA
 from beltrami_cli.formats.gltf.textures import WRAPS
 from beltrami_cli.formats.gltf.writer import Arrays
 from beltrami_cli.formats.image import Picture
@@ -60,9 +60,9 @@ _FULL = 65535
 _FARTHEST = 1e9  # sizes of a model or texture; nothing so far away is visible
 _BYTE = 257  # 16-bit value of one 8-bit step
 _LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
-_FILLED_AT_FIRST = 0.99  # share of the room for pictures; PNG adds at most 1 % to incompressible bytes
-# The same of pictures that are larger than the measured ones: their texels have more noise, and 10 % more bytes.
-_FILLED_AT_LAST = 0.85
+_FILLED = (
+    0.99  # share of the room for pictures that is aimed at; PNG adds at most 1 % to incompressible bytes
+)
 _LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
 
 
@@ -72,7 +72,6 @@ class ModelWriter:
     def __init__(self, *, is_live: bool = False) -> None:
         self._is_live = is_live  # colours will change to any 16-bit value
         self._arrays = Arrays()
-        self._tables: list[tuple[int, int, int]] = []  # offset, length, bytes of an element
         self._tree: dict[str, list[Any]] = {name: [] for name in ("scenes", "nodes", "meshes")}
         self._textures: dict[Any, int] = {}
         self._images: list[Callable[[], ImageBytes]] = []
@@ -101,7 +100,9 @@ class ModelWriter:
             borders = seams[surface.texture_of[seams[:, 0]] == number]
             if pair is not None and len(borders):
                 uv = _finite(_ends(surface.uv, borders)) * (1, -1) + (-0.5, 0.5)
-                flat = self._table(np.column_stack([uv, np.full(len(uv), 0.002)]).astype("<f4"), bounds=True)
+                flat = self._arrays.add(
+                    np.column_stack([uv, np.full(len(uv), 0.002)]).astype("<f4"), bounds=True
+                )
                 nodes.append(self._node({"POSITION": flat}, _LINES, {"textures": pair}))
         if len(seams):
             ends = self._positions(box.shares(_ends(surface.positions[surface.faces], seams)))
@@ -122,21 +123,26 @@ class ModelWriter:
 
     def packed(self, reach: float, limit: float = np.inf) -> tuple[dict[str, Any], float]:
         """Return the file for a page, in about `limit` characters, and the share of their width that pictures keep."""
-        binary = self._arrays.binary
-        data = np.frombuffer(binary, np.uint8).copy()
-        for start, length, stride in self._tables:
-            rows = data[start : start + length].reshape(-1, stride)
+        arrays, tables = self._arrays, []  # offset, length, bytes of an element
+        data = np.frombuffer(arrays.binary, np.uint8).copy()
+        for accessor in arrays.accessors:
+            view = arrays.views[accessor["bufferView"]]
+            start, length, count = view["byteOffset"], view["byteLength"], max(1, accessor["count"])
+            stride = length // count * (3 if view["target"] == INDEX_DATA else 1)  # a triangle, or a vertex
+            rows = data[start : start + length].reshape(-1, max(1, stride))
             rows[1:] -= rows[:-1].copy()
             data[start : start + length] = rows.T.ravel()
-        binary[:] = data.tobytes()
+            tables.append((start, length, stride))
+        arrays.binary[:] = data.tobytes()
         images, share = [image() for image in self._images], 1.0
         room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _LEAST_PICTURES)
-        if _size(images) > room:
-            images, share = _scaled(images, room)
+        while (size := sum(len(content) for _, content in images)) > room:
+            share *= _FILLED * float(np.sqrt(room / size))
+            images = [_resized(image(), share) for image in self._images]
         file = np.frombuffer(self._written(images, reach), np.uint8)
-        first = len(file) - len(binary)
-        tables = [(first + start, length, stride) for start, length, stride in self._tables]
-        return {"tables": tables, "data": packed_array(file, 9)}, share
+        first = len(file) - len(arrays.binary)
+        moved = [(first + start, length, stride) for start, length, stride in tables if length]
+        return {"tables": moved, "data": packed_array(file, 9)}, share
 
     def _written(self, images: list[ImageBytes], reach: float) -> bytes:
         arrays = self._arrays
@@ -185,10 +191,10 @@ class ModelWriter:
             colours = [(each // _BYTE).astype("<u1") for each in colours]
         attributes = {"POSITION": self._positions(box.shares(one.positions[rows]))}
         attributes |= {
-            name: self._table(each) for name, each in zip(("_BEFORE", "_AFTER"), colours, strict=True)
+            name: self._arrays.add(each) for name, each in zip(("_BEFORE", "_AFTER"), colours, strict=True)
         }
         if not np.array_equal(one.positions, other.positions):
-            attributes["_MOVED"] = self._table(box.shares(other.positions[rows]).astype("<f4"))
+            attributes["_MOVED"] = self._arrays.add(box.shares(other.positions[rows]).astype("<f4"))
         node = self._node(attributes, _POINTS if index is None else _TRIANGLES, {"size": size}, index)
         self._scene(VERTICES, [node], middle=box.middle)
 
@@ -205,8 +211,8 @@ class ModelWriter:
         attributes = {"POSITION": self._positions(box.shares(surface.positions[corners[rows]]))}
         if pair is None:
             return self._node(attributes, _TRIANGLES, {}, index)
-        attributes["TEXCOORD_0"] = self._table(_quantised(_finite(uv[rows])))
-        attributes["_CHART"] = self._table(charts[rows, None].astype("<f4"))
+        attributes["TEXCOORD_0"] = self._arrays.add(_quantised(_finite(uv[rows])))
+        attributes["_CHART"] = self._arrays.add(charts[rows, None].astype("<f4"))
         hides = surface.textures[number].alpha_hides
         return self._node(attributes, _TRIANGLES, {"textures": pair, "hides": hides}, index)
 
@@ -221,21 +227,13 @@ class ModelWriter:
         primitive: dict[str, Any] = {"attributes": attributes, "mode": mode}
         if index is not None:
             kind = "<u2" if index.max(initial=0) < _FULL else "<u4"
-            primitive["indices"] = self._table(index.reshape(-1, 1).astype(kind), target=INDEX_DATA)
+            primitive["indices"] = self._arrays.add(index.reshape(-1, 1).astype(kind), target=INDEX_DATA)
         self._tree["meshes"].append({"primitives": [primitive]})
         self._tree["nodes"].append({"mesh": len(self._tree["meshes"]) - 1, "extras": extras})
         return len(self._tree["nodes"]) - 1
 
     def _positions(self, shares: Float64s) -> int:
-        return self._table(_quantised(shares), bounds=True)
-
-    def _table(self, numbers: Array, *, bounds: bool = False, target: int = VERTEX_DATA) -> int:
-        accessor = self._arrays.add(numbers, bounds=bounds, target=target)
-        view = self._arrays.views[-1]
-        stride = view.get("byteStride", numbers.itemsize * numbers.shape[1])
-        stride *= 3 if target == INDEX_DATA else 1  # a triangle
-        self._tables.append((view["byteOffset"], view["byteLength"], stride))
-        return accessor
+        return self._arrays.add(_quantised(shares), bounds=True)
 
 
 class Box:
@@ -298,32 +296,11 @@ def _png(pixels: Uint8s) -> bytes:
     return png_of(pixels[..., :3] if (pixels[..., 3] == 255).all() else pixels)
 
 
-def _size(images: list[ImageBytes]) -> int:
-    return sum(len(content) for _, content in images)
-
-
-def _scaled(images: list[ImageBytes], room: float) -> tuple[list[ImageBytes], float]:
-    """Scale images down until they fit; return also the share of their width that is left."""
-    pictures = [read_image(content, "a picture") for _, content in images]
-    most = float(sum((3 + (each.alpha is not None)) * each.pixels[..., 0].size for each in pictures))
-    fitting, share = images, 0.0
-    # The first guess assumes that nothing can be compressed; averages of texels can.
-    for limit in (_FILLED_AT_FIRST * room, _FILLED_AT_LAST * room):
-        wanted = min(1.0, float(np.sqrt(limit / most)))
-        if wanted <= share:
-            break
-        made = [("image/png", _resized(each, wanted)) for each in pictures]
-        if share and _size(made) > room:
-            break
-        fitting, share, most = made, wanted, _size(made) / wanted**2
-    return fitting, share
-
-
-def _resized(picture: Picture, share: float) -> bytes:
+def _resized(image: ImageBytes, share: float) -> ImageBytes:
     """Return a smaller PNG file, whose sides are a share of the picture's, with averages of display values."""
-    shown = Image.fromarray(displayed_pixels(picture))
+    shown = Image.fromarray(displayed_pixels(read_image(image[1], "a picture")))
     width, height = (max(1, int(share * side)) for side in shown.size)
-    return _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
+    return "image/png", _png(np.asarray(shown.resize((width, height), Image.Resampling.BOX)))
 
 
 def displayed_pixels(picture: Picture, *, is_data: bool = False) -> Uint8s:

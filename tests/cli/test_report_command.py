@@ -11,10 +11,10 @@ import sys
 import numpy as np
 import pytest
 
-from beltrami_cli.jobs.compare.figures import ComparedColours
+from beltrami_cli.jobs.compare.figures import ComparedColours, measure
 from beltrami_cli.view import report
 from beltrami_cli.view.parameters import used_parameters
-from beltrami_cli.view.report import changes_of, histogram
+from beltrami_cli.view.report import histogram
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import encode, textured_square
 
@@ -37,7 +37,7 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
         read=lambda rows: (one[rows], other[rows]),
         space="data",
     )
-    drawn = histogram([changes_of(part)])
+    drawn = histogram([measure(part)], largest)
     (line,) = drawn["lines"]
     heights = [float(point.split(",")[1]) for point in line["points"].split()]
     assert len(set(heights[2:-2])) == 1

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Bools, Float32s, Float64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Space
 from beltrami_cli.jobs.compare.models import ROUNDED_MOVE, Moves
@@ -81,11 +81,6 @@ class ComparedColours:
         for block in large_arrays.blocks(len(self.index), _BLOCK):
             yield block, *self.read(self.index[block])
 
-    def errors(self) -> Float64s:
-        """Return the largest error of each sample in any channel, shape (S,)."""
-        errors = [np.abs(test - reference).max(axis=1) for _, reference, test in self.blocks()]
-        return np.concatenate([np.zeros(0), *errors])
-
     def covered(self) -> Bools:
         """Return which pixels of an image or texture are compared, (H, W)."""
         assert self.size is not None
@@ -101,129 +96,124 @@ class ComparedColours:
         return one.reshape(-1, width, one.shape[1]), other.reshape(-1, width, other.shape[1])
 
 
-class _Sums(NamedTuple):
-    """Sums over samples. Delta E has a weight of its own, since it is undefined for some colours."""
-
-    samples: int = 0
-    weight: float = 0.0
-    squares: float = 0.0  # squared errors, mean over channels
-    seen_weight: float = 0.0
-    delta_e: float = 0.0
-
-    @classmethod
-    def of(cls, squares: Float64s, delta_e: Float64s | None, weights: Float64s) -> _Sums:
-        total = float(weights.sum())
-        seen = (0.0, 0.0) if delta_e is None else (total, float(weights @ delta_e))
-        return cls(len(squares), total, float(weights @ squares), *seen)
-
-    @classmethod
-    def joined(cls, several: Iterable[_Sums]) -> _Sums:
-        return cls(*map(sum, zip(cls(), *several, strict=True)))
-
-    @property
-    def psnr(self) -> float | None:
-        """The peak signal-to-noise ratio in dB for a full scale of 1; None if nothing differs."""
-        return -10 * math.log10(self.squares / self.weight) if self.squares > 0 else None
-
-    @property
-    def mean_delta_e(self) -> float | None:
-        return self.delta_e / self.seen_weight if self.seen_weight > 0 else None
-
-
-_NOTHING = _Sums()
-
-
-@dataclass
+@dataclass(frozen=True)
 class Measured:
-    """What was measured of one part; `figures` joins several."""
+    """How far the samples of one part differ; `figures` joins several."""
 
     part: ComparedColours
-    every: _Sums = _NOTHING
-    near: _Sums = _NOTHING
-    delta_e: Float64s | None = None  # (S,): CIEDE2000 differences; None where the numbers are no colours
-    ssim: float | None = None
-    worst: dict[str, Any] = field(default_factory=dict)  # the sample with the largest error in any channel
+    errors: Float32s  # (S,): the largest in any channel
+    squares: Float64s  # (S,): squared errors, mean over channels
+    delta_e: Float64s  # (S,): CIEDE2000 differences; NaN where the numbers are no colours
+    ssim: float | None
+    change: float  # mean absolute change of the channels
 
     def described(self) -> dict[str, object]:
         part = self.part
         return {"name": part.name, "kind": part.kind, "identical": part.is_identical, **figures([self])}
 
+    def worst(self) -> dict[str, Any]:
+        """Return the sample with the largest error in any channel; there must be one."""
+        part, at = self.part, int(self.errors.argmax())
+        index, delta_e = int(part.index[at]), float(self.delta_e[at])
+        (reference,), (test,) = part.read(part.index[at : at + 1])
+        row, column = divmod(index, part.size[1]) if part.size else (0, 0)
+        return {
+            "part": part.name, **({"x": column, "y": row} if part.size else {"vertex": index}),
+            "error": float(self.errors[at]), "delta_e": None if math.isnan(delta_e) else delta_e,
+            "reference": reference.tolist(), "test": test.tolist(),
+        }  # fmt: skip
+
 
 def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share: None) -> Measured:
     """Go through the samples of a part, and the windows of a picture; `tick` is called with the share that is done."""
-    first = 1.0 if part.size is None else _SAMPLES_SHARE
-    found, largest = Measured(part), -1.0
+    first, samples = 1.0 if part.size is None else _SAMPLES_SHARE, len(part.index)
+    errors: Float32s = large_arrays.empty(samples, np.float32)
+    squares, delta_e = (large_arrays.empty(samples, np.float64) for _ in range(2))
+    total = 0.0
     for block, reference, test in part.blocks():
-        tick(first * block.start / len(part.index))
-        errors = np.abs(test - reference).max(axis=1)
-        squares = np.asarray(np.square(test.astype(np.float64) - reference).mean(axis=1), np.float64)
-        delta_e = colour_differences(reference, test, part.space)
-        weights = np.ones(len(errors)) if part.weights is None else part.weights[block]
-        found.every = _Sums.joined([found.every, _Sums.of(squares, delta_e, weights)])
-        if part.near_seams is not None and (near := part.near_seams[block]).any():
-            own = _Sums.of(squares[near], None if delta_e is None else delta_e[near], weights[near])
-            found.near = _Sums.joined([found.near, own])
-        if delta_e is not None:
-            if found.delta_e is None:
-                found.delta_e = large_arrays.empty(len(part.index), np.float64)
-            found.delta_e[block] = delta_e
-        at = int(errors.argmax())
-        if errors[at] > largest:
-            largest = float(errors[at])
-            found.worst = {
-                "part": part.name, **_place(part, block.start + at), "error": largest,
-                "delta_e": None if delta_e is None else float(delta_e[at]),
-                "reference": reference[at].tolist(), "test": test[at].tolist(),
-            }  # fmt: skip
+        tick(first * block.start / samples)
+        changes = np.abs(test - reference)
+        errors[block], total = (
+            changes.max(axis=1),
+            total + float(changes.mean(axis=1, dtype=np.float64).sum()),
+        )
+        squares[block] = np.square(test.astype(np.float64) - reference).mean(axis=1)
+        delta_e[block] = colour_differences(reference, test, part.space)
+    similarity = None
     if part.size is not None:
-        found.ssim = structural_similarity(
+        similarity = structural_similarity(
             part.read_rows, part.covered(), lambda share: tick(first + (1 - first) * share)
         )
-    return found
+    return Measured(part, errors, squares, delta_e, similarity, total / max(1, samples))
 
 
-def _place(part: ComparedColours, sample: int) -> dict[str, int]:
-    index = int(part.index[sample])
-    if part.size is None:
-        return {"vertex": index}
-    row, column = divmod(index, part.size[1])
-    return {"x": column, "y": row}
-
-
-def figures(measured: Sequence[Measured]) -> dict[str, object]:
+def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     """Compute the figures of one or several parts taken together, in JSON types; None where there are none."""
     parts = [each.part for each in measured]
-    structured = [(each.ssim, each.every.weight) for each in measured if each.ssim is not None]
-    total = sum(weight for _, weight in structured)
-    every, near = _Sums.joined(each.every for each in measured), _Sums.joined(each.near for each in measured)
-    worst = [each.worst for each in measured if each.worst]
+    squares, delta_e = (
+        _joined([each.squares for each in measured]),
+        _joined([each.delta_e for each in measured]),
+    )
+    weights = (
+        None if all(part.weights is None for part in parts) else _joined([_weights(part) for part in parts])
+    )
+    near = (
+        _joined([_whole(part, False) if part.near_seams is None else part.near_seams for part in parts]) > 0
+    )
+    structured = [(each.ssim, _weights(each.part).sum()) for each in measured if each.ssim is not None]
+    worst = [each.worst() for each in measured if len(each.errors)]
+    weights_near = None if weights is None else weights[near]
     return {
-        "samples": every.samples,
-        "psnr": every.psnr,
-        "ssim": sum(value * weight for value, weight in structured) / total if total else None,
-        "delta_e": _spread([each for each in measured if each.delta_e is not None], every.mean_delta_e),
+        "samples": len(squares),
+        "psnr": _psnr(squares, weights),
+        "ssim": _mean(*np.array(structured).T) if structured else None,
+        "delta_e": _spread(delta_e, weights),
         "worst": max(worst, key=lambda found: float(found["error"]), default=None),
-        "near_seams": {"samples": near.samples, "psnr": near.psnr, "delta_e": near.mean_delta_e}
-        if near.samples
-        else None,
+        "near_seams": {
+            "samples": int(near.sum()), "psnr": _psnr(squares[near], weights_near),
+            "delta_e": _mean(delta_e[near], weights_near),
+        } if near.any() else None,
         "seam_jump": _jumps([part.jumps for part in parts if part.jumps is not None]),
         "around_charts": _around([part.around for part in parts if part.around is not None]),
-    }
+    }  # fmt: skip
 
 
-def _spread(measured: Sequence[Measured], mean: float | None) -> dict[str, float] | None:
+def _joined(arrays: Sequence[Array]) -> Array:
+    return arrays[0] if len(arrays) == 1 else np.concatenate([np.zeros(0), *arrays])
+
+
+def _whole(part: ComparedColours, value: float) -> Array:
+    return np.broadcast_to(value, len(part.index))
+
+
+def _weights(part: ComparedColours) -> Float64s:
+    return _whole(part, 1.0) if part.weights is None else part.weights
+
+
+def _known(values: Float64s, weights: Float64s | None) -> tuple[Float64s, Float64s | None]:
+    known = ~np.isnan(values)
+    return (values, weights) if known.all() else (values[known], None if weights is None else weights[known])
+
+
+def _mean(values: Float64s, weights: Float64s | None) -> float | None:
+    """Return the mean of the values that are known; None without any."""
+    values, weights = _known(values, weights)
+    is_weighed = values.size and (weights is None or weights.any())
+    return float(np.average(values, weights=weights)) if is_weighed else None
+
+
+def _psnr(squares: Float64s, weights: Float64s | None) -> float | None:
+    """Return the peak signal-to-noise ratio in dB for a full scale of 1; None if nothing differs."""
+    mean = _mean(squares, weights)
+    return -10 * math.log10(mean) if mean else None
+
+
+def _spread(delta_e: Float64s, weights: Float64s | None) -> dict[str, float] | None:
     """Return mean, weighted 95th percentile, and maximum of the Delta E of all samples."""
+    mean, (values, weights) = _mean(delta_e, weights), _known(delta_e, weights)
     if mean is None:
         return None
-    every = [each.delta_e for each in measured if each.delta_e is not None]
-    values = every[0] if len(every) == 1 else np.concatenate(every)
-    parts = [each.part for each in measured]
-    if all(part.weights is None for part in parts):
-        p95 = np.quantile(values, 0.95, method="inverted_cdf")
-    else:
-        weights = np.concatenate([np.ones(len(p.index)) if p.weights is None else p.weights for p in parts])
-        order = np.argsort(values)
-        p95 = values[order[np.searchsorted(np.cumsum(weights[order]), 0.95 * weights.sum())]]
+    p95 = np.quantile(values, 0.95, weights=weights, method="inverted_cdf")
     return {"mean": mean, "p95": float(p95), "worst": float(values.max())}
 
 
@@ -232,12 +222,13 @@ def _around(pairs: Sequence[Pair]) -> dict[str, object] | None:
     errors = [np.abs(test.astype(np.float64) - reference) for reference, test in pairs if len(reference)]
     if not errors:
         return None
-    sums = _Sums.joined(_Sums.of(np.square(each).mean(axis=1), None, np.ones(len(each))) for each in errors)
-    return {"samples": sums.samples, "psnr": sums.psnr, "worst": max(float(each.max()) for each in errors)}
+    squares = np.concatenate([np.square(each).mean(axis=1) for each in errors])
+    worst = max(float(each.max()) for each in errors)
+    return {"samples": len(squares), "psnr": _psnr(squares, None), "worst": worst}
 
 
 def _jumps(jumps: Sequence[tuple[Float64s, Float64s]]) -> dict[str, object] | None:
-    reference, test = (np.concatenate([np.zeros(0), *(pair[k] for pair in jumps)]) for k in (0, 1))
+    reference, test = (_joined([pair[k] for pair in jumps]) for k in (0, 1))
     if not reference.size:
         return None
     means = {"reference": float(reference.mean()), "test": float(test.mean())}
@@ -299,12 +290,13 @@ def cie_lab(linear: NDArray[np.floating]) -> Float64s:
 def delta_e_2000(one: Float64s, other: Float64s) -> Float64s:
     """Compute the CIEDE2000 difference of pairs of colours [1]_, with k_L = k_C = k_H = 1."""
     (l1, c1, h1), (l2, c2, h2) = _with_hue(one, other)
-    dl, dc = l2 - l1, c2 - c1  # eqs. (8), (9)
-    turn = np.where(np.abs(h2 - h1) <= _OPPOSITE, h2 - h1, h2 - h1 - 360 * np.sign(h2 - h1))
-    turn = np.where(c1 * c2 == 0, 0.0, turn)  # eq. (10)
+    dl, dc, is_grey = l2 - l1, c2 - c1, c1 * c2 == 0  # eqs. (8), (9)
+    turn = h2 - h1
+    turn = np.where(np.abs(turn) <= _OPPOSITE, turn, turn - 360 * np.sign(turn))
+    turn = np.where(is_grey, 0.0, turn)  # eq. (10)
     dh = 2 * np.sqrt(c1 * c2) * np.sin(np.radians(turn) / 2)  # eq. (11)
     lightness, chroma = (l1 + l2) / 2, (c1 + c2) / 2  # eqs. (12), (13)
-    hue = np.where(c1 * c2 == 0, h1 + h2, _mean_hue(h1, h2))
+    hue = np.where(is_grey, h1 + h2, (h1 + turn / 2) % 360)  # eq. (14)
     t = (
         1
         - 0.17 * np.cos(np.radians(hue - 30))
@@ -346,17 +338,10 @@ def _near_grey(chroma: Float64s) -> Float64s:
     return np.asarray(np.sqrt(seventh / (seventh + _25_TO_7)))
 
 
-def _mean_hue(h1: Float64s, h2: Float64s) -> Float64s:
-    """Return the mean of two hues on the shorter way around, eq. (14)."""
-    total = h1 + h2
-    around = np.where(total < 360, total + 360, total - 360)
-    return np.asarray(np.where(np.abs(h1 - h2) <= _OPPOSITE, total, around) / 2, np.float64)
-
-
-def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s | None:
-    """Compute how different colours look, shape (S,); None if they are no colours."""
+def colour_differences(reference: Float32s, test: Float32s, space: Space) -> Float64s:
+    """Compute how different colours look, shape (S,); NaN if they are no colours."""
     if space not in ("srgb", "linear") or reference.shape[1] not in (1, 3):
-        return None
+        return np.full(len(reference), np.nan)
     light = (srgb_to_linear(each) if space == "srgb" else each for each in (reference, test))
     return delta_e_2000(*(cie_lab(np.broadcast_to(each, (len(each), 3))) for each in light))
 

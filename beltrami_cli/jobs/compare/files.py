@@ -232,13 +232,11 @@ def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[W
         form = "vertices is drawn as .ply" if on_vertices else "images and textures is drawn as .png"
         raise UsageError(f"{target}: the map of {form}; end its name so")
     shown = parts[:1] if on_vertices else images
-    errors = [each.part.errors() for each in shown]
     # Delta E, or the error in per cent where Delta E is undefined.
-    pairs = zip(shown, errors, strict=True)
-    amounts = [100 * error if each.delta_e is None else each.delta_e for each, error in pairs]
+    amounts = [np.where(np.isnan(each.delta_e), 100 * each.errors, each.delta_e) for each in shown]
     scale = max(_LEAST, *(float(each.max(initial=0)) for each in amounts))
     if on_vertices:
-        return _draw_vertices(shown[0], errors[0], amounts[0], scale, model), scale
+        return _draw_vertices(shown[0], amounts[0], scale, model), scale
     panels = [_image_of(each.part, values / scale) for each, values in zip(shown, amounts, strict=True)]
     width = sum(panel.shape[1] + _GAP for panel in panels) - _GAP
     pixels, left = np.full((max(map(len, panels)), width, 3), 255, np.uint8), 0
@@ -248,19 +246,14 @@ def draw_map(parts: Sequence[Measured], model: Document, target: str) -> tuple[W
     return Written([write_image(new_picture(pixels, target), pixels, suffix=suffix).data]), scale
 
 
-def _draw_vertices(
-    measured: Measured, errors: Float64s, amounts: Float64s, scale: float, document: Document
-) -> Written:
+def _draw_vertices(measured: Measured, amounts: Float64s, scale: float, document: Document) -> Written:
     """Draw the differences of vertices as a mesh, with delta_e and error (NaN where nothing is compared)."""
-    painted, tables = document.painted(), []
-    for values in (amounts, errors):
-        tables.append(np.full(len(painted.positions), np.nan, np.float32))
-        tables[-1][measured.part.index] = values
-    grey = np.ones((len(tables[0]), 3), np.float32)
-    shades = as_bytes(colour_by_value(tables[0] / np.float32(scale), grey, np.isfinite(tables[0])))
-    scalars = dict(zip(("delta_e", "error"), tables, strict=True))
-    if measured.delta_e is None:
-        del scalars["delta_e"]
+    painted = document.painted()
+    drawn, delta_e, error = np.full((3, len(painted.positions)), np.nan, np.float32)
+    for table, values in ((drawn, amounts / scale), (delta_e, measured.delta_e), (error, measured.errors)):
+        table[measured.part.index] = values
+    shades = as_bytes(colour_by_value(drawn, np.ones((len(drawn), 3), np.float32), np.isfinite(drawn)))
+    scalars = {"error": error} if np.isnan(delta_e).all() else {"delta_e": delta_e, "error": error}
     return write_scalars_as_ply(np.nan_to_num(painted.positions), painted.faces, shades, scalars)
 
 
