@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import most_unpacked
-from beltrami_cli.surface.worker_process import Message, serve, working
+from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
 _PATIENCE = 60  # seconds
 _MISSING, _EXHAUSTED = 77, 78  # exit codes where a package is not installed, and where memory is used up
@@ -39,17 +38,15 @@ class ForeignLibrary:
         """
         seconds, most = _PATIENCE + self.per_mebibyte * (size >> 20), _COPIES * most_unpacked(size)
         allowed = most if memory is None else min(most, memory)
-        with working(self.module, question, seconds, allowed) as worker:
-            try:
-                worker.process.wait(seconds)
-            except subprocess.TimeoutExpired:
-                raise InputError(name, f"it could not be read within {seconds} s", self.advice) from None
-            if (cause := worker.failure()) is not None:
-                install = f"install it with: pip install 'beltrami-cli[{self.extra}]'"
-                exhausted = "raise --max-memory" if allowed < most else self.advice
-                remedies = {_MISSING: install, _EXHAUSTED: exhausted}
-                raise InputError(name, cause[:300], remedies.get(worker.process.returncode, self.advice))
-            return worker.answer()
+        try:
+            return ask(self.module, question, seconds, allowed, seconds=seconds)
+        except TimeoutError:
+            raise InputError(name, f"it could not be read within {seconds} s", self.advice) from None
+        except WorkerError as error:
+            install = f"install it with: pip install 'beltrami-cli[{self.extra}]'"
+            exhausted = "raise --max-memory" if allowed < most else self.advice
+            remedies = {_MISSING: install, _EXHAUSTED: exhausted}
+            raise InputError(name, str(error)[:300], remedies.get(error.code, self.advice)) from error
 
 
 def serve_files(answer: Callable[[Any, dict[str, Array]], Message], files: str, package: str) -> None:

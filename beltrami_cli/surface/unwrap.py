@@ -1,5 +1,8 @@
 """A new texture atlas for a mesh that has none: charts by xatlas, in a process that can be ended.
 
+xatlas reports nothing while it works, cannot be interrupted, and hangs on some meshes. The process runs this module:
+asked with a mesh, it answers with texture coordinates.
+
 References
 ----------
 .. [1] J. Young, "xatlas", https://github.com/jpcy/xatlas: charts grown over the surface, flattened by least squares
@@ -8,21 +11,20 @@ References
 
 from __future__ import annotations
 
-import contextlib
-import subprocess
-import time
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float64s, Int32s
+from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import require_finite
-from beltrami_cli.surface.worker_process import Message, working
+from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
 
 Progress = Callable[[int, int], None] | None
 
@@ -62,8 +64,8 @@ def unwrap(
     triangles = place_of[rows[whole]].astype(np.uint32)
     sizes = [side - 2 * padding for side in (_SIDES if size is None else [size])]
     job = {"sizes": sizes, "texels": texels, "padding": padding}
-    corners, inner, charts = ask_worker((job, {"positions": scaled, "faces": triangles}), progress)
-    size = inner + 2 * padding
+    (inner, charts), answer = _ask_worker((job, {"positions": scaled, "faces": triangles}), progress)
+    corners, size = answer["corners"], inner + 2 * padding
     if not np.isfinite(corners).all():
         raise ProcessingError(f"{name}: no texture coordinates can be found for it; repair the mesh first")
     largest = corners.reshape(-1, 2).max(axis=0)
@@ -122,8 +124,7 @@ def _collapse_others(uv: Float64s, faces: Int32s, whole: NDArray[np.intp], verti
     uv[others] = place[chosen]
 
 
-WORKER = "beltrami_cli.surface.unwrap_worker"
-_POLL = 0.1  # seconds between looks at whether it is done or the user wants to stop
+WORKER = "beltrami_cli.surface.unwrap"
 # Measured: 16 thousand triangles take 7 s, 82 thousand 109 s.
 _SECONDS, _FACES, _GROWTH = 160.0, 100_000, 1.7
 _PATIENCE = 10  # times as long as expected; beyond that it hangs
@@ -135,27 +136,94 @@ def expected_seconds(faces: int) -> float:
     return float(_SECONDS * (faces / _FACES) ** _GROWTH)
 
 
-def ask_worker(mesh: Message, progress: Progress) -> tuple[Float64s, int, int]:
-    """Have a mesh unwrapped; return corners in texels, shape (F, 3, 2), the side without margin, and charts."""
+def _ask_worker(mesh: Message, progress: Progress) -> Message:
     expected = expected_seconds(len(mesh[1]["faces"]))
-    patience = max(LEAST_PATIENCE, _PATIENCE * expected)
-    with working(WORKER, mesh, int(patience) + 10) as worker:
-        _wait(worker.process, patience, expected, progress)
-        if (cause := worker.failure()) is not None:
-            raise ProcessingError(f"xatlas could not unwrap the mesh ({cause}); repair or simplify it")
-        (size, charts), arrays = worker.answer()
-        return arrays["corners"], size, charts
+    patience, total = max(LEAST_PATIENCE, _PATIENCE * expected), max(1, int(10 * expected))
 
-
-def _wait(worker: subprocess.Popen[bytes], patience: float, expected: float, progress: Progress) -> None:
-    start, total, is_done = time.monotonic(), max(1, int(10 * expected)), False
-    while not is_done:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            worker.wait(_POLL)
-            is_done = True
-        gone = time.monotonic() - start
-        if not is_done and gone > patience:
-            cause = f"unwrapping did not end within {patience:.0f} s, though {expected:.0f} s are usual"
-            raise ProcessingError(f"{cause}; repair or simplify the mesh")
+    def tick(gone: float) -> None:
         if progress is not None:
-            progress(total if is_done else min(int(10 * gone), total), total)
+            progress(min(int(10 * gone), total), total)
+
+    try:
+        answer = ask(WORKER, mesh, int(patience) + 10, seconds=patience, tick=tick)
+    except TimeoutError:
+        cause = f"unwrapping did not end within {patience:.0f} s, though {expected:.0f} s are usual"
+        raise ProcessingError(f"{cause}; repair or simplify the mesh") from None
+    except WorkerError as error:
+        raise ProcessingError(f"xatlas could not unwrap the mesh ({error}); repair or simplify it") from error
+    tick(expected + 1)
+    return answer
+
+
+_COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
+_ENOUGH = 0.92  # of the side of the texture that charts should fill
+_TRIES = 8
+
+
+def unwrapped(
+    positions: Float32s, faces: NDArray[np.uint32], sizes: list[int], wanted: float, padding: int
+) -> tuple[Float64s, int, int]:
+    """Cut a mesh into charts and pack them; return corners in texels, shape (F, 3, 2), size and charts."""
+    # `sizes` are longest sides, ascending: a single one is filled; of several the first is taken that is large enough
+    # for as many texels as wanted, or else the last is filled. If charts do not fit even when tiny, corners
+    # reach beyond the size.
+    texels, corners, charts = _generated(
+        "add_mesh", (positions, faces), padding, resolution=max(8, int(_COVERAGE * sizes[0]))
+    )
+
+    def packed(scale: float) -> tuple[Float64s, float]:
+        mesh = texels.astype(np.float32), corners
+        places, theirs, _ = _generated("add_uv_mesh", mesh, padding, texels_per_unit=scale)
+        return places[theirs], max(1.0, float(places.max()))
+
+    scale, size = 1.0, sizes[-1]
+    if len(sizes) > 1:
+        possible = min(max(wanted, 1.0), float(size) ** 2)
+        one, two = (texels[corners[:, k]] - texels[corners[:, 0]] for k in (1, 2))
+        area = float(np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum() / 2)
+        scale = float(np.sqrt(possible / max(area, 1.0)))
+        places, side = packed(scale)
+        if side <= size:
+            return places, next(size for size in sizes if size >= side), charts
+    return _filling(packed, scale, size), size, charts
+
+
+def _filling(packed: Callable[[float], tuple[Float64s, float]], scale: float, size: int) -> Float64s:
+    """Return the packing, of a few scales tried, that fills a side best and fits, or else the last."""
+    best: tuple[Float64s, float] | None = None
+    tried = packed(scale)
+    for _ in range(_TRIES):
+        if tried[1] <= size and (best is None or tried[1] > best[1]):
+            best = tried
+        if _ENOUGH * size <= tried[1] <= size:
+            break
+        # Packing is not monotonic: aim a little lower than what would fit exactly.
+        scale *= 0.98 * size / tried[1]
+        tried = packed(scale)
+    return (best or tried)[0]
+
+
+def _generated(
+    add: str, mesh: tuple[Array, Array], padding: int, **packing: float
+) -> tuple[Float64s, NDArray[np.uint32], int]:
+    """Cut a mesh into charts, or take those of texture coordinates, and pack them; return texels, faces and charts."""
+    import xatlas
+
+    atlas, options = xatlas.Atlas(), xatlas.PackOptions()
+    getattr(atlas, add)(*mesh)
+    options.padding, options.bilinear = padding, True
+    for name, value in packing.items():
+        setattr(options, name, value)
+    atlas.generate(xatlas.ChartOptions(), options)
+    _, faces, uv = atlas.get_mesh(0)
+    return uv.astype(np.float64) * [atlas.width, atlas.height], faces, int(atlas.chart_count)
+
+
+def _answer(job: dict[str, Any], mesh: dict[str, Array]) -> Message:
+    sizes, texels, padding = job["sizes"], job["texels"], job["padding"]
+    corners, size, charts = unwrapped(mesh["positions"], mesh["faces"], sizes, texels, padding)
+    return (size, charts), {"corners": corners}
+
+
+if __name__ == "__main__":
+    serve(_answer, int(sys.argv[1]))

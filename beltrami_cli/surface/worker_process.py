@@ -1,20 +1,21 @@
 """A module of this package in a process of its own, which can be ended whatever the libraries that it uses do.
 
-It is asked on its standard input, and answers on its standard output; both are files.
+It is asked on its standard input, and answers on its standard output. Also the folders for temporary files.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,15 @@ from beltrami_cli.import_path import safe_environment
 Message = tuple[Any, dict[str, Array]]
 """Words, as JSON has them, and arrays by name."""
 
-_NO_ROOM = 74  # exit code of a process that cannot write its answer: EX_IOERR of sysexits.h
+_POLL = 0.1  # seconds between looks at whether a process is done or the user wants to stop
+
+
+class WorkerError(Exception):
+    """Why a process failed, in a line, and its exit code."""
+
+    def __init__(self, cause: str, code: int) -> None:
+        super().__init__(cause)
+        self.code = code
 
 
 @contextmanager
@@ -55,56 +64,41 @@ def unwritable(cause: str) -> ProcessingError:
     )
 
 
-@dataclass(frozen=True)
-class Worker:
-    """A process at work."""
+def ask(
+    module: str, question: Message, *arguments: int, seconds: float, tick: Callable[[float], None] = lambda gone: None
+) -> Message:  # fmt: skip
+    """Run a module that calls `serve`, with some arguments, and return its answer.
 
-    process: subprocess.Popen[bytes]  # to wait for
-    _written: IO[bytes]  # to its standard output
-    _said: IO[bytes]  # on its standard error
-
-    def failure(self) -> str | None:
-        """Return in a line why it failed, or None; it must have ended. ProcessingError if its disk was full."""
-        if self.process.returncode == _NO_ROOM:
-            raise unwritable("there is no room for the result of a process")
-        self._said.seek(0)
-        if not self.process.returncode:
-            return None
-        lines = self._said.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else f"it ended with code {self.process.returncode}"
-
-    def answer(self) -> Message:
-        """Return its answer; it must have ended without failure."""
-        self._written.seek(0)
-        return _receive(self._written)
-
-
-@contextmanager
-def working(module: str, question: Message, *arguments: int) -> Iterator[Worker]:
-    """Run a module that calls `serve`, with some arguments, and end it at last."""
-    from tempfile import TemporaryFile
-
-    # Files without a name, which are gone with the last process that has them open; pipes would fill up and stall.
-    with ExitStack() as stack:
-        with writing_temporary_files(), ExitStack() as files:  # which also write when they are closed
-            job, written, said = (files.enter_context(TemporaryFile()) for _ in range(3))
-            _send(job, question)
-            job.seek(0)
-            stack.enter_context(files.pop_all())
-        # In a session of its own the process does not see Ctrl-C, which is for this one.
-        process = subprocess.Popen(
-            [sys.executable, "-m", module, *map(str, arguments)],
-            stdin=job,
-            stdout=written,
-            stderr=said,
-            start_new_session=True,
-            env=safe_environment(),
-        )
+    `tick` is called several times a second with the seconds that are gone. WorkerError if the process fails,
+    TimeoutError if it has not ended after some seconds.
+    """
+    sent: bytes | None = _packed(question)
+    start = time.monotonic()
+    with subprocess.Popen(
+        [sys.executable, "-m", module, *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,  # so that it does not see Ctrl-C, which is for this process
+        env=safe_environment(),
+    ) as process:
         try:
-            yield Worker(process, written, said)
+            while True:
+                try:
+                    answer, said = process.communicate(sent, _POLL)
+                    break
+                except subprocess.TimeoutExpired:
+                    sent, gone = None, time.monotonic() - start  # the rest of what is sent follows by itself
+                if gone > seconds:
+                    raise TimeoutError
+                tick(gone)
         finally:
             process.kill()
-            process.wait()
+    if process.returncode:
+        lines = said.decode(errors="replace").strip().splitlines()
+        cause = lines[-1] if lines else f"it ended with code {process.returncode}"
+        raise WorkerError(cause, process.returncode)
+    return _unpacked(answer)
 
 
 def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> None:
@@ -114,20 +108,18 @@ def serve(answer: Callable[[Any, dict[str, Array]], Message], seconds: int) -> N
     # What a library prints must not come between the numbers.
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    answered = answer(*_receive(sys.stdin.buffer))
-    try:
-        with out:
-            _send(out, answered)
-    except OSError:
-        os._exit(_NO_ROOM)
+    with out:
+        out.write(_packed(answer(*_unpacked(sys.stdin.buffer.read()))))
 
 
-def _send(file: IO[bytes], message: Message) -> None:
+def _packed(message: Message) -> bytes:
     everything: dict[str, Any] = {"words": np.array(json.dumps(message[0])), **message[1]}
+    file = io.BytesIO()
     np.savez(file, **everything)
+    return file.getvalue()
 
 
-def _receive(file: IO[bytes]) -> Message:
-    with np.load(file, allow_pickle=False) as made:
+def _unpacked(data: bytes) -> Message:
+    with np.load(io.BytesIO(data), allow_pickle=False) as made:
         arrays = {name: made[name] for name in made.files if name != "words"}
         return json.loads(str(made["words"])), arrays

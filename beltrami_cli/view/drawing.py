@@ -194,7 +194,9 @@ def draw_views(
     if not settings.side_by_side and settings.turntable:  # the turns of a model below each other
         panels = [panel for turn in range(turns) for panel in panels[turn::turns]]
     across, down = (turns, len(views)) if settings.turntable else (len(views), 1)
-    return arranged(panels, across if settings.side_by_side else down, background_of(settings, panels))
+    return arranged(
+        panels, across if settings.side_by_side else down, background_of(fixed_looks(settings, *panels))
+    )
 
 
 def draw_turns(
@@ -202,7 +204,7 @@ def draw_turns(
 ) -> list[Uint8s]:
     """Draw all views at each turn of a turntable, as pictures of one size."""
     panels = draw_panels(views, labels, settings, progress)
-    background = background_of(settings, panels)
+    background = background_of(fixed_looks(settings, *panels))
     turns = settings.turntable
     named = [dataclasses.replace(panel, label=labels[at // turns]) for at, panel in enumerate(panels)]
     across = len(views) if settings.side_by_side else 1
@@ -236,19 +238,19 @@ def draw_panels(
     return panels
 
 
-def with_fixed_crops(settings: RenderSettings, panel: Panel) -> RenderSettings:
-    """Return settings whose details are where they are in a panel."""
-    centres = [((left + right) / 2, (upper + lower) / 2) for left, upper, right, lower in panel.windows]
-    pairs = zip(settings.crops, centres, strict=True)
-    crops = tuple(dataclasses.replace(crop, centre=centre) for crop, centre in pairs)
-    return dataclasses.replace(settings, crops=crops)
+def fixed_looks(settings: RenderSettings, *panels: Panel) -> RenderSettings:
+    """Return settings with details where they are in the first panel, and a background that suits all."""
+    crops = []
+    for crop, (left, upper, right, lower) in zip(settings.crops, panels[0].windows, strict=True):
+        crops.append(dataclasses.replace(crop, centre=((left + right) / 2, (upper + lower) / 2)))
+    background = settings.background
+    if background == "auto":
+        background = "grey" if is_lost_on_white([panel.view for panel in panels]) else "white"
+    return dataclasses.replace(settings, crops=tuple(crops), background=background)
 
 
-def background_of(settings: RenderSettings, panels: Sequence[Panel]) -> Background:
-    """Choose the background of the panels."""
-    if settings.background == "auto":
-        lost = is_lost_on_white([panel.view for panel in panels])
-        settings = dataclasses.replace(settings, background="grey" if lost else "white")
+def background_of(settings: RenderSettings) -> Background:
+    """Return the background of settings that name one."""
     colour = settings.background_colour()
     return Background(opacity=0.0) if colour is None else Background(colour)
 

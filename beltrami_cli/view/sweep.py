@@ -8,7 +8,8 @@ import dataclasses
 import io
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -24,16 +25,9 @@ from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import one_of
 from beltrami_cli.jobs.recolour import recolour_in_memory
-from beltrami_cli.jobs.smooth import Smoothing
+from beltrami_cli.jobs.smooth import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
-from beltrami_cli.view.drawing import (
-    Background,
-    Panel,
-    arranged,
-    background_of,
-    draw_panels,
-    with_fixed_crops,
-)
+from beltrami_cli.view.drawing import Panel, arranged, background_of, draw_panels, fixed_looks
 from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
@@ -73,38 +67,39 @@ def sweep_file(
     known = [name for name in (source, reference) if name is not None]
     output = Output(target, overwrite=job.overwrite, is_text=kind is not None, what="sheet", reads=known)
     job = Job(output.files.watching(job.access), job.progress)
-    opened = _opened(source, reference, trials[0][1], job)
+    settings = trials[0][1]
+    if reference is None:
+        opened = {"before": open_input(source, settings, job.access)}
+    else:
+        opened = dict(
+            zip(("reference", "before"), open_both((reference, source), settings, job), strict=True)
+        )
     labels = [Trial(parameters, {}).label for parameters, _ in trials]
-    sheet = (
-        None if kind else _Sheet(f"Sweep of {Path(source).name}", labels, looks, output if is_page else None)
-    )
-    if sheet is not None:
+    if kind is None:
         require_memory_to_draw([*opened.values()], looks, job.access)
     done: list[Trial] = []
-    kept = [file for each in opened.values() for file in image_files(each)]
-    with sheet or contextlib.nullcontext(), pictures_kept(kept):
-        if sheet is not None:
-            for label, shown in opened.items():
-                sheet.add(label, shown)
+    with (
+        pictures_kept([file for each in opened.values() for file in image_files(each)]),
+        ExitStack() as stack,
+    ):
+        sheet = None
+        if kind is None:
+            page = output if is_page else None
+            sheet = stack.enter_context(_Sheet(f"Sweep of {Path(source).name}", labels, looks, page, opened))
         for (parameters, settings), progress in one_of(trials, "trials", job.progress):
             own = Job(job.access, progress)
-            trial, result = _tried(opened["before"], opened.get("reference"), parameters, settings, own)
-            done.append(trial)
+            result, painted = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), own)
+            figures = _estimates(painted)
+            if reference is not None:
+                figures = _figures(opened["reference"], result, settings, own) | figures
+            done.append(Trial(parameters, figures))
             if sheet is not None:
-                sheet.add_trial(trial, result, progress)
+                sheet.add_trial(done[-1], result, progress)
     if sheet is None:
         output.write(Written(main=[_table(done, kind).encode()]))
     elif not is_page:
         output.write(encoded(sheet.picture(columns), target, suffix))
     return done
-
-
-def _opened(source: str, reference: str | None, settings: SmoothSettings, job: Job) -> dict[str, Document]:
-    """Return the documents that are shown besides the trials, by their labels."""
-    if reference is None:
-        return {"before": open_input(source, settings, job.access)}
-    truth, document = open_both((reference, source), settings, job)
-    return {"reference": truth, "before": document}
 
 
 def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
@@ -116,19 +111,13 @@ def _check(name: str, trials: int, looks: RenderSettings | None) -> None:
         raise UsageError(f"{cause}; give fewer values, or lower --size")
 
 
-def _tried(
-    document: Document, truth: Document | None, parameters: dict[str, float], settings: SmoothSettings, job: Job
-) -> tuple[Trial, Document]:  # fmt: skip
-    result, painted = recolour_in_memory(document, settings, Smoothing.of(settings), job)
-    found = {} if truth is None else _figures(truth, result, settings, job)
-    for choice in [done.report.choice for done in painted][:1]:
-        if choice is not None:
-            found |= {"estimated_psnr": choice["psnr"], "estimated_gain": choice["gain"]}
-    known = {key: float(value) for key, value in found.items() if isinstance(value, (int, float))}
-    return Trial(parameters, known), result
+def _estimates(painted: Sequence[Smoothed]) -> dict[str, float]:
+    choice = painted[0].report.choice if painted else None
+    found = {} if choice is None else {"estimated_psnr": choice["psnr"], "estimated_gain": choice["gain"]}
+    return {key: float(value) for key, value in found.items() if value is not None}  # type: ignore[arg-type]
 
 
-def _figures(truth: Document, result: Document, settings: SmoothSettings, job: Job) -> dict[str, object]:
+def _figures(truth: Document, result: Document, settings: SmoothSettings, job: Job) -> dict[str, float]:
     chosen = dataclasses.replace(
         settings, level_set=LevelSetSettings(), kernel=KernelParameters(threads=settings.kernel.threads),
         space=settings.space if settings.space == "data" else "srgb",
@@ -136,12 +125,13 @@ def _figures(truth: Document, result: Document, settings: SmoothSettings, job: J
     compared = compare_documents((truth, result), chosen, "uniform", Job(job.access))
     require_samples(compared.parts, truth.name)
     overall = compared.overall()
-    return {
+    found = {
         "psnr": overall["psnr"],
         "psnr_near_seams": (overall["near_seams"] or {}).get("psnr"),
         "ssim": overall["ssim"],
         "delta_e": (overall["delta_e"] or {}).get("mean"),
     }
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def _table(trials: Sequence[Trial], kind: FigureFormat | None) -> str:
@@ -186,12 +176,17 @@ class _Sheet:
     As a context it sees that all is on the page at its end, or what there is if it ends early.
     """
 
-    def __init__(self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None) -> None:
+    def __init__(
+        self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None,
+        inputs: Mapping[str, Document],
+    ) -> None:  # fmt: skip
         self._title, self._labels, self._looks, self._page = title, labels, looks, page
         self._trials: list[Trial] = []
         self._panels: list[Panel] = []  # of trials the last ones
-        self._pictures: dict[tuple[int, Background], tuple[int, int, str]] = {}
+        self._pictures: list[tuple[int, int, str]] = []  # width, height and address of each panel on the page
         self._next = 0.0  # when the page is written again, so that writing takes little of the time
+        for label, document in inputs.items():
+            self._add(label, document)
 
     def __enter__(self) -> _Sheet:
         return self
@@ -203,13 +198,17 @@ class _Sheet:
             with contextlib.suppress(OutputError):  # what ended it is said
                 self._write("not tried")
 
-    def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
-        """Draw a document; details lie where there is most to see in the first."""
-        self._panels += draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
-        self._looks = with_fixed_crops(self._looks, self._panels[0])
+    def _add(self, label: str, document: Document, progress: Progress | None = None) -> None:
+        """Draw a document; the first says where details lie, and what background it is seen on."""
+        (panel,) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
+        self._looks = fixed_looks(self._looks, panel)
+        self._panels.append(panel)
+        if self._page is not None:
+            picture = arranged([dataclasses.replace(panel, label="")], 1, background_of(self._looks))
+            self._pictures.append((picture.shape[1], picture.shape[0], data_address(picture)))
 
     def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
-        self.add(trial.label, result, progress)
+        self._add(trial.label, result, progress)
         self._trials.append(trial)
         is_due = len(self._trials) < len(self._labels) and time.monotonic() >= self._next
         if is_due and self._page is not None and not self._page.is_device:
@@ -221,16 +220,15 @@ class _Sheet:
         """Arrange the views in a picture, in which the trials after the default begin in a row of their own."""
         first = len(self._panels) - len(self._trials) + 1
         placed = [*self._panels[:first], *[None] * (-first % columns), *self._panels[first:]]
-        return arranged(placed, columns, background_of(self._looks, self._panels))
+        return arranged(placed, columns, background_of(self._looks))
 
     def _write(self, others: str) -> None:
         """Write the page; `others` is the state of trials without a result."""
         if self._page is None:
             return
         parameters, found = columns_of(self._trials)
-        trials, background = self._trials, background_of(self._looks, self._panels)
-        first, best = len(self._panels) - len(trials), best_of(trials)
-        pictures = [self._picture(number, background) for number in range(len(self._panels))]
+        trials, best = self._trials, best_of(self._trials)
+        first = len(self._panels) - len(trials)
         labels = [panel.label for panel in self._panels[:first]]
         page = page_from(
             "sweep.html",
@@ -242,16 +240,8 @@ class _Sheet:
             swept=parameters,
             sorts={key: FIGURES[key] for key in found},
             best=None if best is None else trials[best],
-            inputs=zip(labels, pictures, strict=False),
-            results=[*zip(trials, pictures[first:], strict=True)],
+            inputs=zip(labels, self._pictures, strict=False),
+            results=[*zip(trials, self._pictures[first:], strict=True)],
             missing=self._labels[len(trials) :],
         )
         self._page.write(Written(main=[page]))
-
-    def _picture(self, number: int, background: Background) -> tuple[int, int, str]:
-        """Return the width, height and address of a view, which is encoded once."""
-        if (number, background) not in self._pictures:
-            panel = self._panels[number]
-            picture = arranged([dataclasses.replace(panel, label="")], 1, background)
-            self._pictures[number, background] = picture.shape[1], picture.shape[0], data_address(picture)
-        return self._pictures[number, background]

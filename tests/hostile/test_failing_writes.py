@@ -222,7 +222,6 @@ def test_a_folder_that_must_not_be_written_to(tmp_path):
         "smooth -n 1 -t 1 --beta 9 photo.png out.jp2",
         "smooth -n 1 -t 1 --beta 9 --dry-run --max-memory 2M photo.png out.png",
         "smooth -n 1 -t 1 --beta 9 model.ply out.usdc",
-        "bake --to texture model.ply out.glb",
     ],
 )
 def test_without_a_folder_for_temporary_files(words, tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ import pytest
 import beltrami_cli
 from batch.batches import QUICK
 from beltrami_cli.import_path import safe_environment, secure_imports
-from beltrami_cli.surface.worker_process import working
+from beltrami_cli.surface.worker_process import WorkerError, ask
 from cli.commands import COMMAND, SAMPLES
 from hostile.textured_models import write_model
 
@@ -112,9 +112,8 @@ def test_a_process_that_the_library_starts_has_no_working_folder_on_its_path(mon
     monkeypatch.chdir(tmp_path / "probe")
     for given, said in (("", "No module named asked"), (str(tmp_path / "probe"), "loaded")):
         monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["", ".", given]))
-        with working("asked", ({}, {})) as worker:
-            worker.process.wait(timeout=60)
-            assert said in worker.failure()
+        with pytest.raises(WorkerError, match=said):
+            ask("asked", ({}, {}), seconds=60)
 
 
 @pytest.mark.parametrize("spelling", ["", ".", "{cwd}", "{cwd}/", "{link}"])
