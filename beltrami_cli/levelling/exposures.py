@@ -90,7 +90,7 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
     if not len(steps.seams):
         return found
     used, lengths = may_be_exposure(steps), np.bincount(steps.seams, steps.counts)[steps.seams]
-    trust, order = steps.counts / np.maximum(STRETCH, lengths / PARTS), _order_of_elimination(steps)
+    trust = steps.counts / np.maximum(STRETCH, lengths / PARTS)
     for number, scale in enumerate(SCALES):
         is_settled = 3 * number >= 2 * len(SCALES)
         sides = found.sides(steps)
@@ -106,7 +106,7 @@ def fit_exposures(steps: Steps, spread: tuple[float, ...], fixed: Bools | None =
             used &= ~Exposures(found.terms, weights).is_painted(steps)
             weights *= used
         by_channel = (weights * trust / np.square(noise))[:, None] * known
-        found = Exposures(_solved(steps, found, by_channel, spread, fixed, order), weights)
+        found = Exposures(_solved(steps, found, by_channel, spread, fixed), weights)
     return found
 
 
@@ -134,24 +134,12 @@ def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
     return np.asarray(np.mean([np.square(steps.means(each, units)) for each in step.T], axis=0))
 
 
-def _order_of_elimination(steps: Steps) -> Int64s:
-    """Return the place of each chart in an order in which factors stay sparse; of charts it is sooner found."""
-    from scipy.sparse import coo_array, eye_array
-    from scipy.sparse.linalg import splu
-
-    pairs = steps.ends[steps.between]
-    graph = coo_array((np.full(len(pairs), 1 / max(1, len(pairs))), pairs.T), shape=(steps.charts,) * 2)
-    matrix = (graph + graph.T + 3 * eye_array(steps.charts)).tocsc()
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).perm_c.astype(np.int64)
-
-
 def _solved(
     steps: Steps,
     found: Exposures,
     weights: Float64s,
     spread: tuple[float, ...],
     fixed: Bools | None,
-    order: Int64s,
 ) -> Float64s:
     """Return the terms, shape (N, charts, terms), that explain steps of weights of shape (K, N).
 
@@ -172,15 +160,15 @@ def _solved(
     rows[:, :, 0] *= -1
     if fixed is not None:
         rows *= ~fixed[steps.ends][:, None, :, None]
-    columns = (order[steps.ends][:, None, :, None] * unknowns + own[:, None]).ravel()
+    columns = (steps.ends[:, None, :, None] * unknowns + own[:, None]).ravel()
     starts, shape = np.arange(0, rows.size + 1, 2 * terms), (len(colours) * channels, charts * unknowns)
     weighted = rows * weights[:, :, None, None]
     system, by_weight = (csr_array((each.ravel(), columns, starts), shape) for each in (rows, weighted))
     drawn = np.tile(np.r_[np.tile(spread[:2], channels), spread[2:]], charts) ** -2.0
     matrix = (system.T @ by_weight + diags_array(drawn)).tocsc()
-    factors = splu(matrix, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     solved = factors.solve(by_weight.T @ (steps.colours[:, 1] - steps.colours[:, 0]).ravel())
-    return np.asarray(solved.reshape(charts, unknowns)[order][:, own].transpose(1, 0, 2))
+    return np.asarray(solved.reshape(charts, unknowns)[:, own].transpose(1, 0, 2))
 
 
 @dataclass(frozen=True)

@@ -345,50 +345,30 @@ def _ears(points: Float64s) -> NDArray[np.intp]:
     """Cut a counter-clockwise polygon, shape (n, 2), into triangles, shape (n - 2, 3), by taking ears off."""
     # Only the two neighbours of an ear can become ears, or cease to be any, when it is taken off. So the
     # work grows with the square of n, whatever the polygon is like.
-    ring = _Ring(points)
-    ears = [ring.is_ear(tip) for tip in range(len(points))]
-    triangles, at = [], 0
-    for left in range(len(points), 3, -1):
-        tip = at
-        for _ in range(left):
-            if ears[tip]:
-                break
-            tip = ring.after[tip]
-        else:  # The polygon crosses itself.
-            tip = at
-        before, at = ring.before[tip], ring.after[tip]  # Going on behind the gap spreads the corners.
-        triangles.append((before, tip, at))
-        ring.take_off(tip)
-        ears[before], ears[at] = ring.is_ear(before), ring.is_ear(at)
-    triangles.append((ring.before[at], at, ring.after[at]))
+    left, is_left, triangles, at = [*range(len(points))], np.ones(len(points), bool), [], 0
+    axes = np.ascontiguousarray(points.T)
+    ears = [_is_ear(axes, left, tip, is_left) for tip in left]
+    while len(left) > 3:
+        # Where the polygon crosses itself, there may be none.
+        tip = next((tip for tip in (*range(at, len(left)), *range(at)) if ears[tip]), at)
+        triangles.append((left[tip - 1], left[tip], left[(tip + 1) % len(left)]))
+        is_left[left[tip]] = False
+        del left[tip], ears[tip]
+        at = tip % len(left)  # going on behind the gap spreads the corners
+        for neighbour in (at - 1, at):
+            ears[neighbour] = _is_ear(axes, left, neighbour, is_left)
+    triangles.append((left[at - 1], left[at], left[(at + 1) % 3]))
     return np.array(triangles, np.intp)
 
 
-class _Ring:
-    """The remaining corners of a polygon: the previous and next of each, and which remain."""
-
-    def __init__(self, points: Float64s) -> None:
-        count = len(points)
-        self._x, self._y = points.T
-        self._left = np.ones(count, bool)
-        self.before, self.after = [count - 1, *range(count - 1)], [*range(1, count), 0]
-
-    def take_off(self, tip: int) -> None:
-        """Join the neighbours of a corner."""
-        before, after = self.before[tip], self.after[tip]
-        self.after[before], self.before[after] = after, before
-        self._left[tip] = False
-
-    def is_ear(self, tip: int) -> bool:
-        """Return whether a corner and its neighbours form a triangle that looks up and holds no other."""
-        corners = self.before[tip], tip, self.after[tip]
-        (ax, ay), (bx, by), (cx, cy) = ((float(self._x[i]), float(self._y[i])) for i in corners)
-        if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) <= 0:
-            return False
-        x, y = self._x, self._y
-        inside = self._left & ((bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0)
-        inside &= (cx - bx) * (y - by) - (cy - by) * (x - bx) >= 0
-        inside &= (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= 0
-        for px, py in ((ax, ay), (bx, by), (cx, cy)):
-            inside &= (x != px) | (y != py)
-        return not inside.any()
+def _is_ear(axes: Float64s, left: list[int], tip: int, is_left: Bools) -> bool:
+    """Return whether a corner and its neighbours form a triangle that looks up and holds no other corner."""
+    x, y = axes
+    (ax, bx, cx), (ay, by, cy) = axes[:, [left[tip - 1], left[tip], left[(tip + 1) % len(left)]]].tolist()
+    if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) <= 0:
+        return False
+    inside = is_left.copy()
+    for sx, sy, ex, ey in ((ax, ay, bx, by), (bx, by, cx, cy), (cx, cy, ax, ay)):
+        inside &= (ex - sx) * (y - sy) - (ey - sy) * (x - sx) >= 0
+        inside &= (x != sx) | (y != sy)
+    return not inside.any()

@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -139,15 +139,6 @@ _FACE_BYTES = 100  # that Embree takes, besides its threads
 _STEP = 1e-5  # behind a transparent surface the ray goes on, in sizes of the model
 
 
-class Hits(NamedTuple):
-    """Which rays hit, (K,), and the faces, barycentric weights, (K, 3), and distances of these places."""
-
-    rays: Int64s
-    faces: Int32s
-    weights: Float32s
-    distances: Float64s
-
-
 def require_embree() -> tuple[Any, Any]:
     """Import the two modules that cast rays."""
     about = "embreex", "render", "to draw surfaces"
@@ -181,17 +172,15 @@ class SurfaceView:
             self._mesh = meshes.TriangleMesh(self._scene, self._normalised(self.positions), self.faces)
             self._cast(positions[:1], np.array([[0.0, 0.0, 1.0]]))  # now the tree is built
 
-    def _cast(self, starts: Float64s, directions: Float64s) -> Hits:
-        """Return what rays along unit directions hit first."""
+    def _cast(self, starts: Float64s, directions: Float64s) -> tuple[Int64s, Int32s, Float32s, Float64s]:
+        """Return which rays hit, (K,), and the faces, barycentric weights, (K, 3), and distances of these places."""
         # Rays from an eye have one start, which is normalised once.
         origins = self._normalised(starts if starts.strides[0] else starts[:1])
         origins = np.ascontiguousarray(np.broadcast_to(origins, starts.shape))
         found = self._scene.run(origins, np.ascontiguousarray(directions, np.float32), output=1)
-        faces = found["primID"]
-        rays = np.flatnonzero(faces >= 0)
-        u, v = found["u"][rays], found["v"][rays]
-        weights = np.stack([1 - u - v, u, v], axis=1)
-        return Hits(rays, faces[rays], weights, found["tfar"][rays].astype(np.float64) * self._size)
+        rays = np.flatnonzero(found["primID"] >= 0)
+        faces, u, v, distances = (found[name][rays] for name in ("primID", "u", "v", "tfar"))
+        return rays, faces, np.stack([1 - u - v, u, v], axis=1), distances.astype(np.float64) * self._size
 
     def _normalised(self, positions: Float64s) -> Float32s:
         return np.ascontiguousarray((positions - self._middle) / self._size, np.float32)
@@ -200,7 +189,8 @@ class SurfaceView:
         """Draw a window of a view, `size` = (width, height) pixels: linear light times opacity, and opacity."""
         width, height = size
         image = np.zeros((height, width, 4), np.float32)
-        x, y = (_places(window[k], window[k + 2], size[k]) for k in (0, 1))
+        shares = [(np.arange(side * SAMPLES) + 0.5) / (side * SAMPLES) for side in size]
+        x, y = (window[k] + (window[k + 2] - window[k]) * share for k, share in enumerate(shares))
         for rows in blocks(height, max(1, _BLOCK // width)):
             # One ray through each pixel at a time, so that sums go over whole blocks.
             down, sums = y[rows.start * SAMPLES : rows.stop * SAMPLES, None], image[rows].reshape(-1, 4)
@@ -218,35 +208,27 @@ class SurfaceView:
         active = np.arange(len(starts))
         travelled = np.zeros(len(starts))
         for _ in range(1 if self._paint.is_opaque else _LAYERS):
-            hits = self._cast(starts, directions)
-            active = active[hits.rays]
-            travelled = travelled[hits.rays] + hits.distances
-            seen_from = hits._replace(distances=travelled)
-            colours = self._colours(camera, seen_from, directions, pixel, lit=lit)
+            rays, faces, weights, distances = self._cast(starts, directions)
+            starts, directions, active = starts[rays], directions[rays], active[rays]
+            travelled = travelled[rays] + distances
+            colours = self._paint(faces, weights, (camera.breadth(travelled) * pixel) ** 2)
+            if lit:
+                colours[:, :3] *= self._light(camera, faces, weights, directions)[:, None]
             total = seen[active]
             total += (1 - total[:, 3:]) * colours
             seen[active] = total
             on = np.flatnonzero(total[:, 3] < _ALL)
             if not len(on):
                 break
-            step, rays = _STEP * self._size, hits.rays[on]
-            directions = directions[rays]
-            starts = starts[rays] + (hits.distances[on] + step)[:, None] * directions
-            active, travelled = active[on], travelled[on] + step
+            step = _STEP * self._size
+            starts = starts[on] + (distances[on] + step)[:, None] * directions[on]
+            directions, active, travelled = directions[on], active[on], travelled[on] + step
         return seen
 
-    def _colours(
-        self, camera: Camera, hits: Hits, directions: Float64s, pixel: float, *, lit: bool
-    ) -> Float32s:
-        colours = self._paint(hits.faces, hits.weights, (camera.breadth(hits.distances) * pixel) ** 2)
-        if lit:
-            colours[:, :3] *= self._light(camera, hits, directions[hits.rays])[:, None]
-        return colours
-
-    def _light(self, camera: Camera, hits: Hits, directions: Float64s) -> Float32s:
-        normals = np.einsum("kc,kcx->kx", hits.weights, self._corner_normals[hits.faces])
+    def _light(self, camera: Camera, faces: Int32s, weights: Float32s, directions: Float64s) -> Float32s:
+        normals = np.einsum("kc,kcx->kx", weights, self._corner_normals[faces])
         normals /= np.maximum(np.sqrt(np.einsum("kx,kx->k", normals, normals)), 1e-30)[:, None]
-        away = np.einsum("kx,kx->k", self._face_normals[hits.faces], directions) > 0
+        away = np.einsum("kx,kx->k", self._face_normals[faces], directions) > 0
         towards = normals @ (LAMP @ camera.rotation).astype(np.float32)
         lambert = np.maximum(np.where(away, -towards, towards), 0)
         return np.asarray(AMBIENT + (1 - AMBIENT) * lambert, np.float32)
@@ -265,9 +247,3 @@ class SurfaceView:
         flat = self._face_normals[:, None, :]
         creased = (smooth * flat).sum(axis=2, keepdims=True) < _CREASE
         return np.asarray(np.where(creased, flat, smooth), np.float32)
-
-
-def _places(first: float, last: float, pixels: int) -> Float64s:
-    """Return where rays go through along one side of a window."""
-    count = pixels * SAMPLES
-    return np.asarray(first + (last - first) * (np.arange(count) + 0.5) / count, np.float64)
