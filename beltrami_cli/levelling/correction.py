@@ -19,7 +19,6 @@ from beltrami_cli.levelling.steps import (
     RIDGE,
     ChartPlaces,
     Steps,
-    joined,
     positions_of,
     steps_over_edges,
     steps_over_seams,
@@ -27,6 +26,7 @@ from beltrami_cli.levelling.steps import (
 )
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import OWNED, ROWS, Atlas, Indices, refresh_halo, within
+from beltrami_cli.surface.grouping import connected
 from beltrami_cli.surface.records import limits_of
 
 Samples = Callable[[Int64s], tuple[Float32s, Indices, Float64s]]
@@ -67,7 +67,7 @@ def find_exposures(steps: Steps, strength: float, fixed: Bools | None = None) ->
     found = fit_exposures(steps, verdict.spread, fixed)
     if not verdict.is_sure:
         return Levelled(verdict, None, _facts(steps, found, 0.0), np.arange(steps.charts))
-    groups = joined(steps.charts, steps.ends[found.weights > 0])[1]
+    groups = connected(steps.charts, steps.ends[found.weights > 0])
     return Levelled(verdict, found, _facts(steps, found, strength), groups)
 
 

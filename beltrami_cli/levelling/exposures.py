@@ -31,8 +31,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Bools, Float64s, Int64s
 from beltrami_cli.fields import BYTE_STEP
-from beltrami_cli.levelling.steps import PARTS, STRETCH, Steps, deviations, joined, weighted_median
+from beltrami_cli.levelling.steps import PARTS, STRETCH, Steps, deviations, weighted_median
 from beltrami_cli.surface.atlas import Indices
+from beltrami_cli.surface.grouping import connected
 
 # Expected deviations of the gains and offsets of cameras; and, where gains change linearly over charts, also of tilts.
 SPREADS = {"plain": (0.1, 0.03), "tilted": (0.05, 0.02, 0.06, 0.06)}
@@ -221,7 +222,7 @@ class _HeldOut:
         between, inflation = steps.between, 2.0
         seams, first, number = np.unique(steps.seams, return_index=True, return_inverse=True)
         pairs = steps.ends[first][between[first]]
-        if len(pairs) - steps.charts + joined(steps.charts, pairs)[0] < FEWEST_LOOPS:
+        if len(pairs) - steps.charts + connected(steps.charts, pairs).max(initial=-1) + 1 < FEWEST_LOOPS:
             units, inflation = steps.parts(), inflation * PARTS
             folds = units % PARTS
         else:

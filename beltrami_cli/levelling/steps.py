@@ -11,6 +11,7 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.fields import BYTE_STEP
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Atlas, Indices, at_seam, lines_over_seams, refresh_halo
+from beltrami_cli.surface.grouping import connected, edges_of
 from beltrami_cli.surface.records import limits_of
 
 # Side of the blocks of cells whose steps are averaged, which is doubled until there are few enough stretches.
@@ -204,16 +205,6 @@ def weighted_median(values: Float64s, weights: Float64s) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)]) if len(order) else 0.0
 
 
-def joined(count: int, pairs: Int64s) -> tuple[int, Indices]:
-    """Return the number of groups that pairs of nodes join, and the group of each node."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    groups, group_of = connected_components(graph, directed=False)
-    return int(groups), group_of
-
-
 def steps_over_edges(
     positions: Float64s, faces: Int32s, colours: Float64s, photographs: Int64s
 ) -> tuple[Steps, Indices, Float64s]:
@@ -221,10 +212,10 @@ def steps_over_edges(
 
     A chart is what edges join of one photograph.
     """
-    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges = np.unique(pairs, axis=0).astype(np.int64)
+    edges = np.unique(np.sort(edges_of(faces), axis=1), axis=0).astype(np.int64)
     inside = edges[photographs[edges[:, 0]] == photographs[edges[:, 1]]]
-    count, charts = joined(len(positions), inside)
+    charts = connected(len(positions), inside)
+    count = int(charts.max(initial=-1)) + 1
     # Places on the plane of the two directions in which all is longest, in mean lengths of edges.
     spacing = float(np.linalg.norm(np.diff(positions[edges], axis=1), axis=2).mean()) or 1.0
     centred = (positions - positions.mean(axis=0)) / spacing

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,12 +144,8 @@ def _near(points: Float64s, tolerance: float, further: Sequence[Array]) -> Int64
 
 def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> tuple[Int32s, Int32s]:
     """Join places that pairs connect, except where an edge joins two places that would become one."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     every, count = np.arange(len(first), dtype=np.int32), len(first)
-    graph = coo_array((np.ones(len(pairs), bool), pairs.T), (count, count))
-    _, label = connected_components(graph, directed=False)
+    label = connected(count, pairs)
     _, least = np.unique(label, return_index=True)
     joined = least[label].astype(np.int32)  # the first place of each
     ends = joined[corners]
@@ -159,6 +156,27 @@ def _joined(place_of: Int32s, first: Int32s, corners: Int32s, pairs: Int64s) -> 
     kept = joined == every
     number = (np.cumsum(kept) - 1).astype(np.int32)
     return number[joined][place_of], first[kept]
+
+
+def connected(count: int, pairs: NDArray[np.integer[Any]]) -> Int32s:
+    """Return the group of each of `count` nodes, numbered from 0, that pairs, (K, 2), connect."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs), bool), pairs.T), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int32)
+
+
+def edges_of(faces: Int32s) -> Int32s:
+    """Return the edges of triangles, (3 F, 2): of all the first, then the second and the third."""
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def without_unused(positions: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
+    """Return the vertices that faces use, and the faces in their numbers."""
+    used = np.zeros(len(positions), bool)
+    used[faces] = True
+    return positions[used], (np.cumsum(used, dtype=np.int32) - 1)[faces]
 
 
 def _as_words(column: Array) -> NDArray[np.uint64]:
@@ -220,7 +238,7 @@ def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     if not shared.any():
         return np.empty((0, 3), np.int32)
     # Distinct edges of samples that may have a copy, both ends in order of place.
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges_of(faces)
     edges = edges[shared[place_of[edges]].any(axis=1)]
     places = place_of[edges]
     edges = np.where((places[:, 0] > places[:, 1])[:, None], edges[:, ::-1], edges)

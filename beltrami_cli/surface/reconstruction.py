@@ -35,7 +35,7 @@ from itertools import product
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
-from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.grouping import connected, edges_of, group_places, without_unused
 from beltrami_cli.surface.records import Encoding, PaintedVertices
 
 # In units of the change of values across the surface: nearer to the level than that is outside by that
@@ -252,26 +252,20 @@ def _prepared(values: Array, level: float, scale: float, known: Bools | None) ->
 
 def compacted(vertices: Float64s, faces: Int32s) -> tuple[Float64s, Int32s]:
     """Put together vertices that edges join and whose nearest grid point is the same, in the middle of them."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges_of(faces)
     nearest = np.rint(vertices)
     edges = edges[(nearest[edges[:, 0]] == nearest[edges[:, 1]]).all(axis=1)]
-    joins = coo_array((np.ones(len(edges), bool), edges.T), shape=(len(vertices), len(vertices)))
-    count, group_of = connected_components(joins, directed=False)
-    members = np.bincount(group_of, minlength=count)
-    middles = np.column_stack([np.bincount(group_of, column, count) / members for column in vertices.T])
+    group_of = connected(len(vertices), edges)
+    members = np.bincount(group_of)
+    middles = np.column_stack([np.bincount(group_of, column) / members for column in vertices.T])
     # Left out are triangles that have collapsed, pairs of opposite ones, which bound nothing, and then loose vertices.
-    faces = group_of[faces].astype(np.int32)
+    faces = group_of[faces]
     ordered = np.sort(faces, axis=1)
     proper = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
     faces, ordered = faces[proper], ordered[proper]
     _, first, uses = np.unique(ordered, axis=0, return_index=True, return_counts=True)
     faces = faces[np.sort(first[uses % 2 == 1])]
-    used = np.zeros(count, bool)
-    used[faces] = True
-    return middles[used], (np.cumsum(used, dtype=np.int32) - 1)[faces].astype(np.int32)
+    return without_unused(middles, faces)
 
 
 # Nearest neighbours asked for, until there are enough to know a point's triangles: usually the first number

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import takewhile
+from os.path import commonprefix
 from pathlib import PurePath, PurePosixPath
 
 import numpy as np
@@ -57,18 +57,12 @@ def distinct_labels(paths: Sequence[str]) -> list[str]:
     labels = []
     for own in parts:
         folders_of = [other[:-1] for other in parts if other[-1:] == own[-1:]]
-        first = _shared(folders_of)
-        last = _shared([folders[first:][::-1] for folders in folders_of])
+        first = len(commonprefix(folders_of))  # noqa: RUF071 - of tuples
+        last = len(commonprefix([folders[first:][::-1] for folders in folders_of]))  # noqa: RUF071
         differing = own[first : len(own) - 1 - last]
         between = ("...",) if last and differing else ()
         labels.append(str(PurePosixPath(*differing, *between, *own[-1:])))
     return labels
-
-
-def _shared(rows: Sequence[Sequence[str]]) -> int:
-    """Return how many words all rows begin with."""
-    columns = zip(*rows, strict=False)  # as long as the shortest
-    return len([*takewhile(lambda column: len({*column}) == 1, columns)])
 
 
 def is_lost_on_white(views: Sequence[Float32s]) -> bool:
@@ -85,21 +79,21 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
     return white > _LOST * outline
 
 
-def arranged(panels: Sequence[Panel | None], columns: int, background: Background) -> Uint8s:
-    """Arrange panels of one size in rows and columns, as sRGB (H, W, 3), or (H, W, 4) without background."""
-    shown = [panel for panel in panels if panel is not None]
+def arranged(rows: Sequence[Sequence[Panel | None]], background: Background) -> Uint8s:
+    """Arrange panels of one size in rows, as sRGB (H, W, 3), or (H, W, 4) without background."""
+    shown = [panel for row in rows for panel in row if panel is not None]
     height, width = shown[0].view.shape[:2]
-    gap, columns = _gap(width), min(columns, len(panels))
+    gap = _gap(width)
     strip = round(1.8 * _letters(width)) if any(panel.label for panel in shown) else 0
     below = gap + len(shown[0].details[0]) if shown[0].details else 0
     across, down = width + gap, strip + height + below + gap
-    size = columns * across - gap, -(-len(panels) // columns) * down - gap
+    size = len(rows[0]) * across - gap, len(rows) * down - gap
     ground = as_bytes(np.array([*background.colour, background.opacity]))
     sheet = Image.new("RGBA", size, tuple(ground.tolist()))
-    for number, panel in enumerate(panels):
+    for number, panel in np.ndenumerate(np.array(rows, object)):
         if panel is None:
             continue
-        left, top = number % columns * across, number // columns * down
+        top, left = number[0] * down, number[1] * across
         if panel.label:
             _draw_label(sheet, (left, top, width, strip), panel.label, background)
         view, thickness = _image_of(panel.view, background), max(2, width // 250)
@@ -115,11 +109,6 @@ def arranged(panels: Sequence[Panel | None], columns: int, background: Backgroun
             left += detail.width + gap
     pixels = np.asarray(sheet)
     return pixels if background.opacity == 0 else np.ascontiguousarray(pixels[..., :3])
-
-
-def detail_size(width: int, count: int) -> int:
-    """Return the side in pixels of details that stand below a view of a width."""
-    return int((width - (count - 1) * _gap(width)) // max(count, 2))
 
 
 def displayed(view: Float32s, background: Background) -> Float64s:
@@ -190,13 +179,8 @@ def draw_views(
 ) -> Uint8s:  # fmt: skip
     """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
-    turns = max(1, settings.turntable)
-    if not settings.side_by_side and settings.turntable:  # the turns of a model below each other
-        panels = [panel for turn in range(turns) for panel in panels[turn::turns]]
-    across, down = (turns, len(views)) if settings.turntable else (len(views), 1)
-    return arranged(
-        panels, across if settings.side_by_side else down, background_of(fixed_looks(settings, *panels))
-    )
+    rows = panels if settings.turntable else [*zip(*panels, strict=True)]
+    return _placed(rows, settings, _background_behind(panels, settings))
 
 
 def draw_turns(
@@ -204,17 +188,28 @@ def draw_turns(
 ) -> list[Uint8s]:
     """Draw all views at each turn of a turntable, as pictures of one size."""
     panels = draw_panels(views, labels, settings, progress)
-    background = background_of(fixed_looks(settings, *panels))
-    turns = settings.turntable
-    named = [dataclasses.replace(panel, label=labels[at // turns]) for at, panel in enumerate(panels)]
-    across = len(views) if settings.side_by_side else 1
-    return [arranged(named[turn::turns], across, background) for turn in range(turns)]
+    background = _background_behind(panels, settings)
+    frames = []
+    for turn in zip(*panels, strict=True):
+        row = [dataclasses.replace(panel, label=label) for panel, label in zip(turn, labels, strict=True)]
+        frames.append(_placed([row], settings, background))
+    return frames
+
+
+def _placed(
+    rows: Sequence[Sequence[Panel]], settings: RenderSettings, background: Background
+) -> Uint8s:  # fmt: skip
+    return arranged(rows if settings.side_by_side else [*zip(*rows, strict=True)], background)
+
+
+def _background_behind(panels: Sequence[Sequence[Panel]], settings: RenderSettings) -> Background:
+    return background_of(fixed_looks(settings, *[panel for row in panels for panel in row]))
 
 
 def draw_panels(
     views: Sequence[Drawable], labels: Sequence[str], settings: RenderSettings, progress: Progress | None = None
-) -> list[Panel]:  # fmt: skip
-    """Draw all views with their details: of every model one after the other all its turns."""
+) -> list[list[Panel]]:  # fmt: skip
+    """Draw all views with their details; return the turns of each."""
     turns = max(1, settings.turntable)
     nowhere = np.zeros((0, 3))
     frames = [
@@ -229,12 +224,13 @@ def draw_panels(
     for draw in tracked(drawers, "drawing", progress):
         drawn.append(draw(settings.size, whole))
     windows = _detail_windows(drawn[len(views) - 1], settings)
-    side = detail_size(settings.size[0], len(windows))
-    panels = []
-    for number, turn in np.ndindex(len(views), turns):
-        at = turn * len(views) + number
-        details = [drawers[at]((side, side), part_of(whole, window)) for window in windows]
-        panels.append(Panel(drawn[at], labels[number] if turn == 0 else "", details, windows))
+    width, count = settings.size[0], len(windows)
+    side = int((width - (count - 1) * _gap(width)) // max(count, 2))
+    panels: list[list[Panel]] = [[] for _ in views]
+    for at, (draw, view) in enumerate(zip(drawers, drawn, strict=True)):
+        turn, number = divmod(at, len(views))
+        details = [draw((side, side), part_of(whole, window)) for window in windows]
+        panels[number].append(Panel(view, labels[number] if turn == 0 else "", details, windows))
     return panels
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s, Uint8s
 from beltrami_cli.formats.document import Document
@@ -37,7 +37,7 @@ from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import is_associated
 from beltrami_cli.formats.image.reading import read_image, read_texture
 from beltrami_cli.layers.settings import COLOUR_SLOTS
-from beltrami_cli.surface.grouping import group_equal_rows, group_places
+from beltrami_cli.surface.grouping import connected, edges_of, group_equal_rows, group_places
 from beltrami_cli.surface.records import (
     VIRIDIS,
     PaintedVertices,
@@ -263,9 +263,9 @@ def _quantised(values: Float64s) -> Array:
     return values.astype("<f4")
 
 
-def _sorted(faces: NDArray[np.integer[Any]], count: int) -> tuple[Int64s, Int64s]:
+def _sorted(faces: Int32s, count: int) -> tuple[Int64s, Int64s]:
     """Return vertices in an order in which neighbours are near, and the triangles of these, in order, too."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    sides = edges_of(faces)
     ends = np.concatenate([sides, sides[:, ::-1]]).T
     graph = coo_array((np.ones(ends.shape[1], np.int8), (ends[0], ends[1])), (count, count)).tocsr()
     order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
@@ -329,7 +329,6 @@ def displayed_colours(painted: PaintedVertices) -> NDArray[np.uint16]:
 
 def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     """Return the chart of each triangle, and the seams, (K, 2), as triangles and the corners they begin at."""
-    count = len(surface.faces)
     place_of, _ = group_places(surface.positions, surface.space_of, surface.faces)
     starts = place_of[surface.faces]
     ends = np.roll(starts, -1, axis=1)
@@ -342,10 +341,10 @@ def charts_of(surface: TexturedSurface) -> tuple[Int32s, Int64s]:
     here, there = order[:-1][equal], order[1:][equal]
     same = surface.texture_of[here // 3] == surface.texture_of[there // 3]
     same &= (uv[here] == uv[there]).all(axis=(1, 2))
-    joined = coo_array((np.ones(int(same.sum())), (here[same] // 3, there[same] // 3)), (count, count))
+    chart_of = connected(len(surface.faces), np.stack([here[same] // 3, there[same] // 3], axis=1))
     cut = np.concatenate([here[~same], there[~same]])
     cut = cut[surface.texture_of[cut // 3] >= 0]
-    return connected_components(joined, directed=False)[1], np.stack([cut // 3, cut % 3], axis=1)
+    return chart_of, np.stack([cut // 3, cut % 3], axis=1)
 
 
 def _ends(corners: Float64s, edges: Int64s) -> Float64s:

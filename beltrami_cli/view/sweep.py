@@ -200,11 +200,11 @@ class _Sheet:
 
     def _add(self, label: str, document: Document, progress: Progress | None = None) -> None:
         """Draw a document; the first says where details lie, and what background it is seen on."""
-        (panel,) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
+        ((panel,),) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
         self._looks = fixed_looks(self._looks, panel)
         self._panels.append(panel)
         if self._page is not None:
-            picture = arranged([dataclasses.replace(panel, label="")], 1, background_of(self._looks))
+            picture = arranged([[dataclasses.replace(panel, label="")]], background_of(self._looks))
             self._pictures.append((picture.shape[1], picture.shape[0], data_address(picture)))
 
     def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
@@ -220,7 +220,9 @@ class _Sheet:
         """Arrange the views in a picture, in which the trials after the default begin in a row of their own."""
         first = len(self._panels) - len(self._trials) + 1
         placed = [*self._panels[:first], *[None] * (-first % columns), *self._panels[first:]]
-        return arranged(placed, columns, background_of(self._looks))
+        placed += [None] * (-len(placed) % columns)
+        rows = [placed[at : at + columns] for at in range(0, len(placed), columns)]
+        return arranged(rows, background_of(self._looks))
 
     def _write(self, others: str) -> None:
         """Write the page; `others` is the state of trials without a result."""

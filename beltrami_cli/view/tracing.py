@@ -21,7 +21,7 @@ from beltrami_cli.errors import ProcessingError
 from beltrami_cli.jobs.job import memory_reserved
 from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.geometry import unit_vectors, vertex_normals
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import group_equal_rows, without_unused
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import TexturedSurface, Wrap
 from beltrami_cli.view.camera import Camera, Window, size_between
@@ -160,9 +160,7 @@ class SurfaceView:
 
     def __init__(self, positions: Float64s, faces: Int32s, paint: Paint) -> None:
         scenes, meshes = require_embree()
-        used = np.zeros(len(positions), bool)
-        used[faces] = True
-        self.positions, self.faces = positions[used], (np.cumsum(used, dtype=np.int32) - 1)[faces]
+        self.positions, self.faces = without_unused(positions, faces)
         self._paint = paint
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         # Embree computes in single precision: around the middle and of unit size, large coordinates lose no digits.

@@ -19,7 +19,7 @@ from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.layers.settings import COLOUR_SLOTS, DEFAULTS, SLOTS, SmoothSettings
 from beltrami_cli.surface.baking import expanded, runs_of
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
-from beltrami_cli.surface.grouping import group_equal_rows
+from beltrami_cli.surface.grouping import connected, group_equal_rows
 from beltrami_cli.surface.records import PaintedVertices, Slot, srgb_to_linear
 from beltrami_cli.view.camera import Camera, Window
 from beltrami_cli.view.settings import RenderSettings
@@ -224,22 +224,14 @@ def framed(positions: Float64s, faces: Int32s) -> Float64s:
     )
     reach = _MIN_OUTLIER_GAP * (high - low).max()
     is_near = is_finite & ((places >= low - reach) & (places <= high + reach)).all(axis=1)
-    if len(faces) and not is_near.all():  # parts that are connected to the rest are framed
-        part_of = _parts(places, faces)
+    if (
+        len(faces) and not is_near.all()
+    ):  # parts that are connected to the rest, at places of vertices, are framed
+        place_of, _ = group_equal_rows(*np.nan_to_num(places).T)
+        corners = place_of[faces]
+        part_of = connected(len(places), np.concatenate([corners[:, :2], corners[:, 1:]]))[place_of]
         is_near = is_finite & np.isin(part_of, part_of[is_near & (weights > 0)])
     return np.asarray(positions[is_near])
-
-
-def _parts(positions: Float64s, faces: Int32s) -> Int32s:
-    """Return the connected part of the surface of each vertex; vertices in one place are connected."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    place_of, _ = group_equal_rows(*np.nan_to_num(positions).T)
-    corners = place_of[faces]
-    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
-    graph = coo_array((np.ones(links.shape[1], np.int8), (links[0], links[1])), (len(positions),) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1][place_of])
 
 
 def disc_radii(positions: Float64s) -> Float64s:

@@ -139,7 +139,7 @@ def test_half_covered_pixels_are_mixed_in_light_and_whole_ones_keep_every_byte()
     greys = np.arange(256) / 255
     light = np.where(greys <= 0.04045, greys / 12.92, ((greys + 0.055) / 1.055) ** 2.4)
     view = np.dstack([np.tile(light, (4, 1))] * 3 + [np.ones((4, 256))]).astype(np.float32)
-    shown = arranged([Panel(view)], 1, Background())
+    shown = arranged([[Panel(view)]], Background())
     assert (shown == np.tile(np.arange(256)[None, :, None], (4, 1, 3))).all()
     half = np.zeros((1, 1, 4), np.float32)
     half[..., 3] = 0.5
