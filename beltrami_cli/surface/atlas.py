@@ -182,17 +182,12 @@ def build_atlas(
     build = partial(_build, surface, sizes, margin, threads)
     made = build()
     lengths = large_arrays.Droppable(made.pop("squared_lengths"), lambda: build()["squared_lengths"])
-    made["chart_of"] = _narrowed(made["chart_of"], made["charts"])
+    numbers = made["chart_of"]  # kept in as few bytes as they need
+    made["chart_of"] = large_arrays.empty(len(numbers), np.min_scalar_type(-made["charts"] - 1))
+    for block in large_arrays.blocks(len(numbers)):
+        made["chart_of"][block] = numbers[block]
     texels = np.array([width * height for width, height in sizes], np.int64)
     return Atlas(texture_offsets=np.concatenate([[0], np.cumsum(texels)]), lengths=lengths, **made)
-
-
-def _narrowed(numbers: Int32s, count: int) -> Indices:
-    """Keep numbers from 0 to a count in as few bytes as they need."""
-    kept = large_arrays.empty(len(numbers), np.min_scalar_type(-count - 1))
-    for block in large_arrays.blocks(len(numbers)):
-        kept[block] = numbers[block]
-    return kept
 
 
 def _build(surface: TexturedSurface, sizes: Sequence[tuple[int, int]], margin: int, threads: int) -> Any:

@@ -311,7 +311,10 @@ def _cut(positions: Float64s, polygons: Int32s) -> Int32s:
         if size > _MOST_EARS:
             cause = f"a polygon of {size} corners is not convex; up to {_MOST_EARS} are cut into triangles"
             raise InputError("the mesh", cause, "triangulate it first")
-        cut[bad] = polygons[bad][_ears(_flatten(points[bad], normals[bad]))]
+        # The axis that the normal is closest to is dropped, and the polygon stays counter-clockwise.
+        axis = int(np.argmax(np.abs(normals[bad])))
+        axes = [(axis + 1) % 3, (axis + 2) % 3][:: -1 if normals[bad, axis] < 0 else 1]
+        cut[bad] = polygons[bad][_ears(points[bad][:, axes])]
     return cut
 
 
@@ -330,15 +333,6 @@ def _cut_quads(points: Float64s, quads: Int32s) -> Int32s:
         fine.append((areas > 0).all(axis=1))
     take_other = np.where(fine[0] == fine[1], lengths[1] < lengths[0], fine[1])
     return np.where(take_other[:, None, None], quads[:, other], quads[:, one])
-
-
-def _flatten(points: Float64s, normal: Float64s) -> Float64s:
-    """Drop the axis that the normal is closest to, keeping the polygon counter-clockwise."""
-    axis = int(np.argmax(np.abs(normal)))
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    if normal[axis] < 0:
-        first, second = second, first
-    return points[:, [first, second]]
 
 
 def _ears(points: Float64s) -> NDArray[np.intp]:

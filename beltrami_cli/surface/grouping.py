@@ -30,7 +30,12 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 def group_equal_rows(*columns: Array) -> tuple[Int32s, Int32s]:
     """Find the distinct rows of a table, numbered by their first row: each row's number, and first rows."""
     # Columns are of any integer or floating type, without NaN; -0.0 equals 0.0.
-    words = [_as_words(column) for column in columns]
+    words = []
+    for column in columns:
+        is_float = column.dtype.kind == "f"
+        words.append(
+            (column.astype(np.float64) + 0.0 if is_float else column.astype(np.int64)).view(np.uint64)
+        )
     hashed = np.zeros(len(words[0]), np.uint64)
     for word in words:
         hashed = mix_bits(hashed ^ word)
@@ -179,12 +184,6 @@ def without_unused(positions: Float64s, faces: Int32s) -> tuple[Float64s, Int32s
     return positions[used], (np.cumsum(used, dtype=np.int32) - 1)[faces]
 
 
-def _as_words(column: Array) -> NDArray[np.uint64]:
-    if column.dtype.kind == "f":
-        return (column.astype(np.float64) + 0.0).view(np.uint64)
-    return column.astype(np.int64).view(np.uint64)
-
-
 def mix_bits(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Scatter the bits of words, each to another word."""
     word = word + _INCREMENT
@@ -250,12 +249,8 @@ def build_bridges(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     order = np.lexsort([*by_colour, places[:, 1], places[:, 0]])
     copies, places = copies[order], places[order]
     joined = np.all(places[1:] == places[:-1], axis=1)
-    return _wall_triangles(copies[:-1][joined], copies[1:][joined])
-
-
-def _wall_triangles(one: Int32s, other: Int32s) -> Int32s:
-    """Make the triangles between copies one = (a, b) and other = (c, d) of edges, both diagonals laid."""
-    a, b, c, d = one[:, 0], one[:, 1], other[:, 0], other[:, 1]
+    # Both diagonals are laid between the copies (a, b) and (c, d) of an edge.
+    (a, b), (c, d) = copies[:-1][joined].T, copies[1:][joined].T
     corners = (a, b, c), (a, b, d), (c, d, a), (c, d, b)
     triangles = np.concatenate([np.stack(three, axis=1) for three in corners])
     # Where the copies share an end, two of the four repeat a corner; the others are equal and count once.

@@ -279,7 +279,13 @@ def faces_of_points(painted: PaintedVertices, threads: int) -> Int32s:
     # Coincident points are each a corner of the triangles that their place has.
     place_of, first = group_places(painted.positions, painted.space_of)
     spaces = None if painted.space_of is None else painted.space_of[first]
-    faces = _triangulate_spaces(painted.positions[first], spaces, threads)
+    places = painted.positions[first]
+    if spaces is None:
+        faces = triangulate_points(places, threads)
+    else:  # distances between spaces are undefined
+        members = [np.flatnonzero(spaces == space).astype(np.int32) for space in np.unique(spaces)]
+        parts = (rows[triangulate_points(places[rows], threads)] for rows in members)
+        faces = np.concatenate([np.empty((0, 3), np.int32), *parts])
     return first[faces] if len(first) == len(place_of) else _with_copies(faces, place_of, painted.colours)
 
 
@@ -315,17 +321,6 @@ def _centred(positions: Float64s) -> Float64s:
     points[:, : positions.shape[1]] = positions / 2 - (low / 2 + high / 2) / 2
     extent = float(np.abs(points).max())
     return np.ldexp(points, -int(np.frexp(extent)[1])) if extent > 0 else points
-
-
-def _triangulate_spaces(places: Float64s, spaces: Int32s | None, threads: int) -> Int32s:
-    """Triangulate the points of each space; distances between spaces are undefined."""
-    if spaces is None:
-        return triangulate_points(places, threads)
-    parts = [np.empty((0, 3), np.int32)]
-    for space in np.unique(spaces):
-        members = np.flatnonzero(spaces == space).astype(np.int32)
-        parts.append(members[triangulate_points(places[members], threads)])
-    return np.concatenate(parts)
 
 
 def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:

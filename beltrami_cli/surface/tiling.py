@@ -72,7 +72,12 @@ def _cut(surface: TexturedSurface, name: str) -> TexturedSurface:
         along = np.where(ends[:, :, 0] < ends[:, :, 1], at[number], 1 - at[number])
         rows = np.where(is_cut, len(surface.positions) + number, -1)
         low, high = (first[part] for part in np.divmod(cut, len(first)))
-        surface = _split(_with_vertices(surface, low, high, at), rows, along)
+        start, stop, space_of = surface.positions[low], surface.positions[high], surface.space_of
+        if space_of is not None:
+            space_of = np.concatenate([space_of, space_of[low]])
+        positions = np.concatenate([surface.positions, start + at[:, None] * (stop - start)])
+        surface = dataclasses.replace(surface, positions=positions, space_of=space_of)
+        surface = _split(surface, rows, along)
         if len(surface.faces) > most:
             cause = "its triangles repeat their texture more often than any real model does"
             raise InputError(name, cause, "check its texture coordinates")
@@ -95,15 +100,6 @@ def _crossings(uv: Float64s, ends: Int32s) -> Float64s:
         at[~((at > _NEAR) & (at < 1 - _NEAR))] = np.nan
         found = np.where(np.isnan(found), at, found)
     return found
-
-
-def _with_vertices(surface: TexturedSurface, low: Int32s, high: Int32s, at: Float64s) -> TexturedSurface:
-    start, stop = surface.positions[low], surface.positions[high]
-    positions = np.concatenate([surface.positions, start + at[:, None] * (stop - start)])
-    space_of = surface.space_of
-    if space_of is not None:
-        space_of = np.concatenate([space_of, space_of[low]])
-    return dataclasses.replace(surface, positions=positions, space_of=space_of)
 
 
 def _split(surface: TexturedSurface, new_of: Int64s, before: Float64s) -> TexturedSurface:

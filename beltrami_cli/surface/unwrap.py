@@ -55,7 +55,10 @@ def unwrap(
     require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
     unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
-    whole = _with_area(unit, rows)
+    edges = unit[rows] - unit[np.roll(rows, -1, axis=1)]
+    longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
+    distinct = (rows != np.roll(rows, -1, axis=1)).all(axis=1)
+    whole = np.flatnonzero(distinct & (triangle_areas(unit, rows) > _FLAT * longest))
     if not len(whole):
         raise InputError(name, "it has no triangle with an area", "nothing in it can be unwrapped")
     place_of, first = group_places(positions[used], None if space_of is None else space_of[used], rows)
@@ -96,13 +99,6 @@ def _of_unit_size(positions: Float64s) -> Float64s:
     low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
     extent = float((high - low).max())
     return np.asarray((positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0))
-
-
-def _with_area(positions: Float64s, faces: Int32s) -> NDArray[np.intp]:
-    edges = positions[faces] - positions[np.roll(faces, -1, axis=1)]
-    longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
-    distinct = (faces != np.roll(faces, -1, axis=1)).all(axis=1)
-    return np.flatnonzero(distinct & (triangle_areas(positions, faces) > _FLAT * longest))
 
 
 def _side(needed: float, size: int) -> int:
@@ -156,7 +152,6 @@ def _ask_worker(mesh: Message, progress: Progress) -> Message:
 
 
 _COVERAGE = 0.75  # that xatlas expects of its packing when it is given a resolution
-_ENOUGH = 0.92  # of the side of the texture that charts should fill
 _TRIES = 8
 
 
@@ -185,22 +180,15 @@ def unwrapped(
         places, side = packed(scale)
         if side <= size:
             return places, next(size for size in sizes if size >= side), charts
-    return _filling(packed, scale, size), size, charts
-
-
-def _filling(packed: Callable[[float], tuple[Float64s, float]], scale: float, size: int) -> Float64s:
-    """Return the packing, of a few scales tried, that fills a side best and fits, or else the last."""
-    best: tuple[Float64s, float] | None = None
-    tried = packed(scale)
+    else:
+        side = max(1.0, float(texels.max()))
     for _ in range(_TRIES):
-        if tried[1] <= size and (best is None or tried[1] > best[1]):
-            best = tried
-        if _ENOUGH * size <= tried[1] <= size:
-            break
         # Packing is not monotonic: aim a little lower than what would fit exactly.
-        scale *= 0.98 * size / tried[1]
-        tried = packed(scale)
-    return (best or tried)[0]
+        scale *= 0.98 * size / side
+        places, side = packed(scale)
+        if side <= size:
+            break
+    return places, size, charts
 
 
 def _generated(

@@ -223,8 +223,13 @@ def draw_panels(
     drawn = []
     for draw in tracked(drawers, "drawing", progress):
         drawn.append(draw(settings.size, whole))
-    windows = _detail_windows(drawn[len(views) - 1], settings)
-    width, count = settings.size[0], len(windows)
+    (width, height), count, windows = settings.size, len(settings.crops), list[Window]()
+    for crop in settings.crops:
+        if crop.centre is None:  # automatic ones are chosen in the view of the last file
+            windows.append(richest_window(drawn[len(views) - 1], crop.side))
+            continue
+        (x, y), half = crop.centre, crop.side * min(width, height) / 2
+        windows.append((x - half / width, y - half / height, x + half / width, y + half / height))
     side = int((width - (count - 1) * _gap(width)) // max(count, 2))
     panels: list[list[Panel]] = [[] for _ in views]
     for at, (draw, view) in enumerate(zip(drawers, drawn, strict=True)):
@@ -293,17 +298,3 @@ def _drawers(views: Sequence[Drawable], frames: Sequence[Float64s], settings: Re
             camera = shared[0]
         drawers.append(partial(view.draw, camera, lit=settings.lit))
     return drawers
-
-
-def _detail_windows(view: Float32s, settings: RenderSettings) -> list[Window]:
-    """Return where details are; automatic ones are chosen in the view of the last file."""
-    width, height = settings.size
-    shorter = min(width, height)
-    windows = []
-    for crop in settings.crops:
-        if crop.centre is None:
-            windows.append(richest_window(view, crop.side))
-            continue
-        (x, y), half = crop.centre, crop.side * shorter / 2
-        windows.append((x - half / width, y - half / height, x + half / width, y + half / height))
-    return windows

@@ -152,9 +152,16 @@ class Live:
 
     def _preview(self, change: _Change) -> None:
         """Smooth the part in view: by the kernel at once, then with patches if the whole has these."""
-        settings = change.settings
+        settings, slot = change.settings, self._layers.slots[change.layer]
         try:
-            previewer, at_once = self._previewer(change), self._at_once(change)
+            selection = select(self._document, settings)
+            if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
+                raise NoPreviewError("the colours in view are not smoothed")
+            if not settings.kernel.iterations:
+                raise NoPreviewError("no iteration is wanted, so nothing changes")
+            if change.layer not in self._previewers:
+                self._previewers[change.layer] = Previewer(self._document, slot, self._job.access)
+            previewer, at_once = self._previewers[change.layer], self._at_once(change)
             self._preview_part(previewer, change, at_once, "")
             if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
                 self._preview_part(previewer, change, override(at_once, patches="on"), _WITH_PATCHES)
@@ -164,16 +171,6 @@ class Live:
             change.request.send(kind="none", reason=str(error))
         except Exception:  # the error of the whole, which follows, is reported
             change.request.send(kind="none", reason="the part in view cannot be smoothed alone")
-
-    def _previewer(self, change: _Change) -> Previewer:
-        slot, selection = self._layers.slots[change.layer], select(self._document, change.settings)
-        if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
-            raise NoPreviewError("the colours in view are not smoothed")
-        if not change.settings.kernel.iterations:
-            raise NoPreviewError("no iteration is wanted, so nothing changes")
-        if change.layer not in self._previewers:
-            self._previewers[change.layer] = Previewer(self._document, slot, self._job.access)
-        return self._previewers[change.layer]
 
     def _preview_part(
         self, previewer: Previewer, change: _Change, settings: SmoothSettings, stage: str

@@ -81,7 +81,12 @@ class ModelWriter:
     def add(self, documents: Pair, slot: Slot | None) -> None:
         """Add the textures of a slot, the vertex colours, or the image of two documents that differ in colours."""
         if documents[0].kind == "image":
-            self._add_image(documents)
+            images = [
+                self._texture(texture, partial(image_of, texture, "baseColor", each.picture))
+                for each in documents
+                for texture in textures_of(each, None)
+            ]
+            self._scene("image", [], middle=[0, 0, 0], pairs=[images], flatOnly=True)
             return
         if slot is None:
             self._add_painted(*(document.painted() for document in documents))
@@ -108,14 +113,6 @@ class ModelWriter:
             ends = self._positions(box.shares(_ends(surface.positions[surface.faces], seams)))
             nodes.append(self._node({"POSITION": ends}, _LINES, {}))
         self._scene(f"{slot} textures", nodes, middle=box.middle, pairs=pairs)
-
-    def _add_image(self, documents: Pair) -> None:
-        pair = [
-            self._texture(texture, partial(image_of, texture, "baseColor", each.picture))
-            for each in documents
-            for texture in textures_of(each, None)
-        ]
-        self._scene("image", [], middle=[0, 0, 0], pairs=[pair], flatOnly=True)
 
     def glb(self, reach: float) -> bytes:
         """Return the file; `reach`: the change in 255ths that is shown brightest."""

@@ -52,7 +52,12 @@ def render_file(
     """Draw models, points and images side by side, write the picture, and return its width and height."""
     names, path = [os.fspath(source) for source in sources], os.fspath(target)
     suffix = _suffix_of(path, settings)
-    labels = _labels(names, settings)
+    labels = [*(settings.labels or [])]
+    if settings.labels is None and len(names) > 1:
+        labels = distinct_labels(names)
+    if labels and len(labels) != len(names):
+        raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
+    labels = labels or [""] * len(names)
     pixels = len(names) * max(1, settings.turntable) * settings.size[0] * settings.size[1]
     if pixels > MOST_PIXELS:
         cause = f"all views have {pixels} pixels together, but at most {MOST_PIXELS} are drawn"
@@ -136,15 +141,6 @@ def encoded(picture: Uint8s, target: str, suffix: str) -> Written:
     """Return a picture as the file that it is written as."""
     file = write_image(new_picture(picture, target), picture, suffix=suffix, small=True)
     return Written(main=[file.data])
-
-
-def _labels(names: Sequence[str], settings: RenderSettings) -> list[str]:
-    labels = settings.labels
-    if labels is None:
-        return distinct_labels(names) if len(names) > 1 else [""]
-    if labels and len(labels) != len(names):
-        raise UsageError(f"there are {len(labels)} labels for {len(names)} files; give one --label for each")
-    return list(labels) or [""] * len(names)
 
 
 def _by_pillow(frames: Frames, rate: int, kind: str, **options: Any) -> bytes:

@@ -78,7 +78,9 @@ def _page(
     """Return the page and its notices."""
     short = distinct_labels(names)
     differing = compared.differing()
-    reach = _reach(differing)
+    errors = np.concatenate([np.zeros(0), *(each.errors for each in differing)])
+    # The change in 255ths that nearly all samples stay within.
+    reach = 255 * float(np.quantile(errors, _NEARLY_ALL, method="inverted_cdf")) if len(errors) else 0.0
     values: dict[str, Any] = {
         "title": f"{short[0]} and {short[1]}", "names": names, "figures": _figures(differing),
         "identical": [pair.name for pair in compared.parts if pair.is_identical],
@@ -99,12 +101,6 @@ def _page(
     models, share = writer.packed(reach, limit)
     notices += [_SCALED.format(100 * share)] if share < 1 else []
     return page_with({"models": models}, notices), notices
-
-
-def _reach(measured: Sequence[Measured]) -> float:
-    """Return the change in 255ths that nearly all samples stay within."""
-    errors = np.concatenate([np.zeros(0), *(each.errors for each in measured)])
-    return 255 * float(np.quantile(errors, _NEARLY_ALL, method="inverted_cdf")) if len(errors) else 0.0
 
 
 def _parameters(path: str, access: Access) -> dict[str, Any]:
@@ -135,7 +131,9 @@ def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
 
     Of parts with different channels, those with the most are drawn; nearly all changes are within `reach`, in 255ths.
     """
-    bins, step = _bins(reach)
+    reach = max(1.0, reach)
+    step = -(-2 * reach // _STEPS) // 2 * 2 + 1 if reach > _FEW else 2 * reach / _STEPS
+    bins = 2 * int(reach // step) + 1
     counts = np.zeros((1, bins), np.int64)
     for each in measured:
         for _, reference, test in each.part.blocks():
@@ -154,13 +152,6 @@ def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
         ink = f"var(--{name})" if name else "currentColor"
         lines.append({"name": name, "ink": ink, "dash": _DASHES[number % 3], "points": points})
     return {"size": (_WIDTH, _HEIGHT), "lines": lines, "reach": step * bins / 2}
-
-
-def _bins(largest: float) -> tuple[int, float]:
-    """Return the number of bins of a histogram of changes in 255ths, and their width."""
-    largest = max(1.0, largest)
-    step = -(-2 * largest // _STEPS) // 2 * 2 + 1 if largest > _FEW else 2 * largest / _STEPS
-    return 2 * int(largest // step) + 1, step
 
 
 def seam_map(measured: Measured) -> dict[str, Any] | None:

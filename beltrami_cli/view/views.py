@@ -166,8 +166,17 @@ def image_files(document: Document, slots: Collection[str] = SLOTS) -> list[tupl
 def sheet_of(picture: Picture, *, is_data: bool = False) -> Float32s:
     """Return an image in linear light with opacity, (H, W, 4); data are shown as if they were display values."""
     channels = picture.colour if len(picture.colour) == 3 else picture.colour[:1] * 3
-    if picture.pixels.dtype.kind == "u" and not is_associated(picture):
-        return _sheet_of_levels(picture, channels)
+    pixels = picture.pixels
+    if pixels.dtype.kind == "u" and not is_associated(picture):
+        # Each level of integers is turned into linear light once.
+        levels = full_scale_one(np.arange(np.iinfo(pixels.dtype).max + 1, dtype=pixels.dtype))
+        light = srgb_to_linear(levels).astype(np.float32)
+        sheet = np.ones((*pixels.shape[:2], 4), np.float32)
+        for number, channel in enumerate(channels):
+            sheet[..., number] = light.take(pixels[..., channel])
+        if picture.alpha is not None:
+            sheet[..., 3] = levels.take(pixels[..., picture.alpha])
+        return sheet
     # Floats are clipped to the visible range, and transparent if not finite.
     values = to_float(picture) if is_data else without_alpha(picture, to_float(picture))
     colours = values[..., channels]
@@ -177,19 +186,6 @@ def sheet_of(picture: Picture, *, is_data: bool = False) -> Float32s:
     opacity = np.clip(values[..., picture.alpha], 0, 1)[..., None] if picture.alpha is not None else 1.0
     opacity = np.where(seen, opacity, 0).astype(np.float32)
     return np.concatenate([light, np.nan_to_num(opacity)], axis=2).astype(np.float32)
-
-
-def _sheet_of_levels(picture: Picture, channels: tuple[int, ...]) -> Float32s:
-    """Return an image of integers as `sheet_of` does: each of their levels is turned into linear light once."""
-    pixels = picture.pixels
-    levels = full_scale_one(np.arange(np.iinfo(pixels.dtype).max + 1, dtype=pixels.dtype))
-    light = srgb_to_linear(levels).astype(np.float32)
-    sheet = np.ones((*pixels.shape[:2], 4), np.float32)
-    for number, channel in enumerate(channels):
-        sheet[..., number] = light.take(pixels[..., channel])
-    if picture.alpha is not None:
-        sheet[..., 3] = levels.take(pixels[..., picture.alpha])
-    return sheet
 
 
 def light_of(painted: PaintedVertices) -> Float64s:
