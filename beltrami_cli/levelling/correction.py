@@ -55,14 +55,10 @@ class Levelled:
     groups: Indices  # (charts,): charts that are joined by seams without paint
 
 
-def _without_seams(charts: int) -> Levelled:
-    return Levelled(None, None, SeamFacts(), np.arange(charts))
-
-
 def find_exposures(steps: Steps, strength: float, fixed: Bools | None = None) -> Levelled:
     """Decide whether the charts differ in exposure, and find how; `fixed` charts stay as they are."""
     if not steps.between.any():
-        return _without_seams(steps.charts)
+        return Levelled(None, None, SeamFacts(), np.arange(steps.charts))
     verdict = judge(steps, fixed)
     found = fit_exposures(steps, verdict.spread, fixed)
     if not verdict.is_sure:
@@ -140,8 +136,6 @@ def level_canvas(
 
     `spans`: on how many texels, at most, a stored colour of each texture is; brightness has one for each.
     """
-    if not atlas.seams:
-        return _without_seams(atlas.charts), 0.0
     places, flat = ChartPlaces.of(atlas), planes.reshape(len(planes), -1)
     found = find_exposures(steps_over_seams(atlas, planes, places), strength, fixed)
     # Hues continued over more texels are less sure: whether there are exposures at all, mixed ones must tell, too.

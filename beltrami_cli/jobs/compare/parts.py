@@ -41,7 +41,7 @@ from beltrami_cli.surface.atlas import (
 )
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot, Texture
+from beltrami_cli.surface.records import PaintedVertices, Slot
 
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4
@@ -213,7 +213,9 @@ def compare_textures(
     surface = reference.textured(slot)
     textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
     olds = choose_textures(surface, settings.textures).textures
-    names = _names(slot, olds)
+    count = Counter(texture.name for texture in olds)
+    # Of textures with equal names also what the files know them by.
+    names = [f"{slot} {each.name if count[each.name] == 1 else each.key}" for each in olds]
     if is_extra and [texture.data for texture in olds] == [texture.data for texture in textures]:
         nothing = np.zeros((0, 3), np.float32)
         return [
@@ -245,9 +247,14 @@ def _parts(
         seam_steps(atlas, partial(texel_colours, each.colours, each.pictures, atlas)) for each in (one, other)
     )
     texture_of = np.searchsorted(atlas.texture_offsets, atlas.owned_texels[cells], side="right") - 1
-    owned = _by_texture(atlas, atlas.owned_texels)
-    around = _by_texture(atlas, np.concatenate([atlas.border_texels, atlas.lone_texels]))
-    for index, ((inside, texels), (_, beyond)) in enumerate(zip(owned, around, strict=True)):
+    shown = atlas.owned_texels, np.concatenate([atlas.border_texels, atlas.lone_texels])
+    owned, around = (
+        {index: (inside, own) for index, inside, own in texels_by_texture(atlas.texture_offsets, texels)}
+        for texels in shown
+    )
+    nothing = slice(0), np.zeros(0, np.int64)
+    for index in range(len(names)):
+        (inside, texels), (_, beyond) = owned.get(index, nothing), around.get(index, nothing)
         old, new, hides = one.pictures[index], other.pictures[index], one.surface.textures[index].alpha_hides
         read = partial(_both_colours, (one.colours, old), (other.colours, new))
         if hides:
@@ -266,25 +273,10 @@ def _parts(
     return parts
 
 
-def _by_texture(atlas: Atlas, texels: Indices) -> list[tuple[Bools | slice, Indices]]:
-    """Return for each texture which of the texels are of it, and these counted from its first."""
-    textures = len(atlas.texture_offsets) - 1
-    found: list[tuple[Bools | slice, Indices]] = [(slice(0), np.zeros(0, np.int64))] * textures
-    for index, inside, own in texels_by_texture(atlas.texture_offsets, texels):
-        found[index] = inside, own
-    return found
-
-
 def _both_colours(
     one: tuple[PictureColours, Picture], other: tuple[PictureColours, Picture], pixels: Indices
 ) -> Pair:
     return one[0].working(one[1], pixels), other[0].working(other[1], pixels)
-
-
-def _names(slot: Slot, textures: Sequence[Texture]) -> list[str]:
-    """Return the names of parts; of textures with equal names also what the files know them by."""
-    count = Counter(texture.name for texture in textures)
-    return [f"{slot} {texture.name if count[texture.name] == 1 else texture.key}" for texture in textures]
 
 
 def _require_same_size(old: Picture, new: Picture, name: str) -> None:
