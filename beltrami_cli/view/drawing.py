@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +19,7 @@ from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.surface.records import as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
-from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.settings import Colour, RenderSettings
 from beltrami_cli.view.views import Drawable, ImageView, framed
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).
@@ -31,14 +32,6 @@ _LOST = (
 )
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains
-
-
-@dataclass(frozen=True)
-class Background:
-    """Display values from 0 to 1 behind models; an opacity of 0 makes a picture with an alpha channel."""
-
-    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    opacity: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +72,7 @@ def is_lost_on_white(views: Sequence[Float32s]) -> bool:
     return white > _LOST * outline
 
 
-def arranged(rows: Sequence[Sequence[Panel | None]], background: Background) -> Uint8s:
+def arranged(rows: Sequence[Sequence[Panel | None]], background: Colour) -> Uint8s:
     """Arrange panels of one size in rows, as sRGB (H, W, 3), or (H, W, 4) without background."""
     shown = [panel for row in rows for panel in row if panel is not None]
     height, width = shown[0].view.shape[:2]
@@ -88,7 +81,7 @@ def arranged(rows: Sequence[Sequence[Panel | None]], background: Background) -> 
     below = gap + len(shown[0].details[0]) if shown[0].details else 0
     across, down = width + gap, strip + height + below + gap
     size = len(rows[0]) * across - gap, len(rows) * down - gap
-    ground = as_bytes(np.array([*background.colour, background.opacity]))
+    ground = as_bytes(np.array(background))
     sheet = Image.new("RGBA", size, tuple(ground.tolist()))
     for number, panel in np.ndenumerate(np.array(rows, object)):
         if panel is None:
@@ -108,17 +101,17 @@ def arranged(rows: Sequence[Sequence[Panel | None]], background: Background) -> 
             sheet.paste(detail, (left, top + strip + height + gap))
             left += detail.width + gap
     pixels = np.asarray(sheet)
-    return pixels if background.opacity == 0 else np.ascontiguousarray(pixels[..., :3])
+    return pixels if background[3] == 0 else np.ascontiguousarray(pixels[..., :3])
 
 
-def displayed(view: Float32s, background: Background) -> Float64s:
+def displayed(view: Float32s, background: Colour) -> Float64s:
     """Return a view in front of a background as display values with opacity, (H, W, 4)."""
     light, opacity = view[..., :3].astype(np.float64), view[..., 3:].astype(np.float64)
-    if background.opacity == 0:
+    if background[3] == 0:
         light = np.divide(light, opacity, out=np.zeros_like(light), where=opacity > 0)
         return np.concatenate([linear_to_srgb(np.clip(light, 0, 1)), opacity], axis=2)
     # Partly covered pixels are mixed with the background in linear light, as the eye does.
-    behind = np.asarray(srgb_to_linear(np.array(background.colour)), np.float64)
+    behind = np.asarray(srgb_to_linear(np.array(background[:3])), np.float64)
     mixed = linear_to_srgb(np.clip(light + (1 - opacity) * behind, 0, 1))
     return np.concatenate([mixed, np.ones_like(opacity)], axis=2)
 
@@ -127,7 +120,7 @@ def _gap(width: int) -> int:
     return max(2, width // 80)
 
 
-def _image_of(view: Float32s, background: Background) -> Image.Image:
+def _image_of(view: Float32s, background: Colour) -> Image.Image:
     return Image.fromarray(as_bytes(np.clip(displayed(view, background), 0, 1)))
 
 
@@ -145,9 +138,7 @@ def _letters(width: int) -> int:
     return max(11, round(min(width, 900) / 26))
 
 
-def _draw_label(
-    sheet: Image.Image, strip: tuple[int, int, int, int], text: str, background: Background
-) -> None:
+def _draw_label(sheet: Image.Image, strip: tuple[int, int, int, int], text: str, background: Colour) -> None:
     """Write a line of text, or its end, into the middle of a strip: left, top, width and height."""
     import OpenImageIO
 
@@ -162,7 +153,7 @@ def _draw_label(
     y = round(depth / 2 + 0.36 * height)  # the base line; small letters and capitals look centred
     if not OpenImageIO.ImageBufAlgo.render_text(cover, x, y, words, height, _FONT, (1.0,)):
         raise ProcessingError(f"labels cannot be drawn ({error_of(cover)}); use --no-labels")
-    is_light = background.opacity == 0 or np.dot(background.colour, LUMINANCE) > _LIGHT_GROUND
+    is_light = background[3] == 0 or np.dot(background[:3], LUMINANCE) > _LIGHT_GROUND
     mask = Image.fromarray(np.asarray(cover.get_pixels(OpenImageIO.UINT8))[..., 0])
     sheet.paste((*[_DARK if is_light else _LIGHT] * 3, 255), (left, top), mask)
 
@@ -180,7 +171,7 @@ def draw_views(
     """Draw all views, each with a label that may be empty, and arrange them: sRGB, with opacity on no background."""
     panels = draw_panels(views, labels, settings, progress)
     rows = panels if settings.turntable else [*zip(*panels, strict=True)]
-    return _placed(rows, settings, _background_behind(panels, settings))
+    return _placed(rows, fixed_looks(settings, *itertools.chain(*panels)))
 
 
 def draw_turns(
@@ -188,22 +179,16 @@ def draw_turns(
 ) -> list[Uint8s]:
     """Draw all views at each turn of a turntable, as pictures of one size."""
     panels = draw_panels(views, labels, settings, progress)
-    background = _background_behind(panels, settings)
-    frames = []
+    settings, frames = fixed_looks(settings, *itertools.chain(*panels)), []
     for turn in zip(*panels, strict=True):
         row = [dataclasses.replace(panel, label=label) for panel, label in zip(turn, labels, strict=True)]
-        frames.append(_placed([row], settings, background))
+        frames.append(_placed([row], settings))
     return frames
 
 
-def _placed(
-    rows: Sequence[Sequence[Panel]], settings: RenderSettings, background: Background
-) -> Uint8s:  # fmt: skip
-    return arranged(rows if settings.side_by_side else [*zip(*rows, strict=True)], background)
-
-
-def _background_behind(panels: Sequence[Sequence[Panel]], settings: RenderSettings) -> Background:
-    return background_of(fixed_looks(settings, *[panel for row in panels for panel in row]))
+def _placed(rows: Sequence[Sequence[Panel]], settings: RenderSettings) -> Uint8s:
+    placed = rows if settings.side_by_side else [*zip(*rows, strict=True)]
+    return arranged(placed, settings.background_colour())
 
 
 def draw_panels(
@@ -248,12 +233,6 @@ def fixed_looks(settings: RenderSettings, *panels: Panel) -> RenderSettings:
     if background == "auto":
         background = "grey" if is_lost_on_white([panel.view for panel in panels]) else "white"
     return dataclasses.replace(settings, crops=tuple(crops), background=background)
-
-
-def background_of(settings: RenderSettings) -> Background:
-    """Return the background of settings that name one."""
-    colour = settings.background_colour()
-    return Background(opacity=0.0) if colour is None else Background(colour)
 
 
 def richest_window(view: Float32s, side: float) -> Window:

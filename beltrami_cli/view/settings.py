@@ -11,6 +11,7 @@ from beltrami_cli.fields import check, parameter
 from beltrami_cli.layers.settings import SLOTS
 
 Axis = Literal["x", "y", "z"]
+Colour = tuple[float, float, float, float]  # display values and opacity from 0 to 1
 
 # Degrees to the right of the front, and upwards.
 VIEWS = {
@@ -147,15 +148,16 @@ class RenderSettings:
             elevation if self.elevation is None else self.elevation,
         )
 
-    def background_colour(self) -> tuple[float, float, float] | None:
-        """Return the background as display values, 0 to 1; None: transparent, or what suits the models."""
-        if self.background in ("auto", "transparent"):
-            return None
-        digits = re.fullmatch(r"#([0-9a-fA-F]{6})", BACKGROUNDS.get(self.background, self.background))
+    def background_colour(self) -> Colour:
+        """Return the background; "auto" is white until a picture is drawn."""
+        if self.background == "transparent":
+            return 1.0, 1.0, 1.0, 0.0
+        name = "white" if self.background == "auto" else self.background
+        digits = re.fullmatch(r"#([0-9a-fA-F]{6})", BACKGROUNDS.get(name, name))
         if digits is None:
             raise UsageError(f"background is {self.background}, but must be {_BACKGROUND}")
         red, green, blue = bytes.fromhex(digits[1])
-        return red / 255, green / 255, blue / 255
+        return red / 255, green / 255, blue / 255, 1.0
 
 
 DEFAULT_RENDER = RenderSettings()

@@ -27,7 +27,7 @@ from beltrami_cli.jobs.progress import one_of
 from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
-from beltrami_cli.view.drawing import Panel, arranged, background_of, draw_panels, fixed_looks
+from beltrami_cli.view.drawing import Panel, arranged, draw_panels, fixed_looks
 from beltrami_cli.view.pages import PAGES, data_address, page_from
 from beltrami_cli.view.render import encoded, picture_suffix
 from beltrami_cli.view.settings import MOST_PIXELS, RenderSettings
@@ -204,7 +204,7 @@ class _Sheet:
         self._looks = fixed_looks(self._looks, panel)
         self._panels.append(panel)
         if self._page is not None:
-            picture = arranged([[dataclasses.replace(panel, label="")]], background_of(self._looks))
+            picture = arranged([[dataclasses.replace(panel, label="")]], self._looks.background_colour())
             self._pictures.append((picture.shape[1], picture.shape[0], data_address(picture)))
 
     def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
@@ -222,7 +222,7 @@ class _Sheet:
         placed = [*self._panels[:first], *[None] * (-first % columns), *self._panels[first:]]
         placed += [None] * (-len(placed) % columns)
         rows = [placed[at : at + columns] for at in range(0, len(placed), columns)]
-        return arranged(rows, background_of(self._looks))
+        return arranged(rows, self._looks.background_colour())
 
     def _write(self, others: str) -> None:
         """Write the page; `others` is the state of trials without a result."""

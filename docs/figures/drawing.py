@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from beltrami_cli.surface.records import srgb_to_linear
 from beltrami_cli.view.camera import fitted, orientation
-from beltrami_cli.view.drawing import Background, displayed
+from beltrami_cli.view.drawing import displayed
+from beltrami_cli.view.settings import DEFAULT_RENDER
 from beltrami_cli.view.tracing import SurfaceView, VertexPaint
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def view(
     drawn = surface.draw(camera, (size, size), (0.0, 0.0, 1.0, 1.0), lit=shade)
     seen = drawn[..., 3] > 0
     inside = np.ix_(np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0)))
-    return displayed(drawn[inside], Background())[..., :3].astype(np.float32)
+    return displayed(drawn[inside], DEFAULT_RENDER.background_colour())[..., :3].astype(np.float32)
 
 
 def save(made: Any, path: Path) -> None:

@@ -11,7 +11,6 @@ from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface, linear_to_srgb
 from beltrami_cli.view.camera import fitted, orientation
 from beltrami_cli.view.drawing import (
-    Background,
     Panel,
     arranged,
     displayed,
@@ -20,7 +19,7 @@ from beltrami_cli.view.drawing import (
     is_lost_on_white,
     richest_window,
 )
-from beltrami_cli.view.settings import RenderSettings
+from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
 from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView, TexturePaint, VertexPaint
 from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
 from oracles import surfaces
@@ -139,12 +138,12 @@ def test_half_covered_pixels_are_mixed_in_light_and_whole_ones_keep_every_byte()
     greys = np.arange(256) / 255
     light = np.where(greys <= 0.04045, greys / 12.92, ((greys + 0.055) / 1.055) ** 2.4)
     view = np.dstack([np.tile(light, (4, 1))] * 3 + [np.ones((4, 256))]).astype(np.float32)
-    shown = arranged([[Panel(view)]], Background())
+    shown = arranged([[Panel(view)]], DEFAULT_RENDER.background_colour())
     assert (shown == np.tile(np.arange(256)[None, :, None], (4, 1, 3))).all()
     half = np.zeros((1, 1, 4), np.float32)
     half[..., 3] = 0.5
-    assert displayed(half, Background())[0, 0, 0] == pytest.approx(linear_to_srgb(0.5))
-    clear = displayed(half, Background(opacity=0.0))
+    assert displayed(half, DEFAULT_RENDER.background_colour())[0, 0, 0] == pytest.approx(linear_to_srgb(0.5))
+    clear = displayed(half, (1.0, 1.0, 1.0, 0.0))
     assert clear[0, 0].tolist() == [0, 0, 0, 0.5]
 
 
