@@ -31,6 +31,8 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothed, Smoothing, smooth_file, smooth_report
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.surface.records import Slot
+from beltrami_cli.view.models import ModelWriter
 from beltrami_cli.view.pages import page_with_models, rendered
 from beltrami_cli.view.parameters import (
     CONTROLS,
@@ -40,7 +42,7 @@ from beltrami_cli.view.parameters import (
     settings_from,
     used_parameters,
 )
-from beltrami_cli.view.preview import Focus, Layers, NoPreviewError, Previewer
+from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
 from beltrami_cli.view.server import GoneError, MalformedError, PageRequest
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import image_files, require_memory_to_draw
@@ -64,7 +66,7 @@ class _Change:
     """What a page asks for, and the request that it waits for."""
 
     settings: SmoothSettings
-    layer: int
+    layer: LayerView
     focus: Focus
     request: PageRequest
 
@@ -80,17 +82,24 @@ class Live:
         self._document = open_input(source, settings, job.access)
         select(self._document, settings)  # raises if nothing is coloured
         require_memory_to_draw([self._document], RenderSettings(), job.access)
-        self._layers = Layers(self._document)
-        self._previewers: dict[int, Previewer] = {}
+        slots: list[Slot | None] = [*self._document.slots()] if self._document.kind != "image" else [None]
+        if slots != [None] and self._document.has_vertex_colours():
+            slots.append(None)
+        self._layers = [
+            LayerView(self._document, slot, job.access, number) for number, slot in enumerate(slots)
+        ]
         self._rates = {"": _FIRST_RATE, _WITH_PATCHES: _FIRST_RATE / 5}
         # The values that were chosen last, by the strength and the noise that they were chosen for.
         self._chosen: dict[tuple[float, str | None], dict[str, float]] = {}
         self._previewing, self._smoothing, self._saving = (threading.Lock() for _ in range(3))
         with pictures_kept(image_files(self._document)):
             self._with_pictures = contextvars.copy_context()
+        writer = ModelWriter(is_live=True)
+        for layer in self._layers:
+            layer.add_to(writer)
         self.files = {
             "": ("text/html; charset=utf-8", self._page(settings)),
-            "model.glb": ("model/gltf-binary", self._layers.glb(_REACH)),
+            "model.glb": ("model/gltf-binary", writer.glb(_REACH)),
         }
 
     def close(self) -> bool:
@@ -126,7 +135,7 @@ class Live:
         request.send(written=report.written, warnings=report.warnings, command=command)
 
     def _page(self, settings: SmoothSettings) -> bytes:
-        slots = [slot for slot in self._layers.slots if slot is not None]
+        slots = [layer.slot for layer in self._layers if layer.slot is not None]
         target = _target(self._source)
         start = {"values": given_values(settings), "target": target}
         return page_with_models(
@@ -139,9 +148,9 @@ class Live:
     ) -> None:
         """Smooth the part in view, then the whole, and wait until the page asks for something else."""
         layer, focus = _part(asked, "layer", int), _focus(asked)
-        if not 0 <= layer < len(self._layers.slots):
+        if not 0 <= layer < len(self._layers):
             raise MalformedError
-        change = _Change(settings, layer, focus, request)
+        change = _Change(settings, self._layers[layer], focus, request)
         request.send(kind="accepted", command=command)
         with self._previewing:
             self._preview(change)
@@ -152,19 +161,17 @@ class Live:
 
     def _preview(self, change: _Change) -> None:
         """Smooth the part in view: by the kernel at once, then with patches if the whole has these."""
-        settings, slot = change.settings, self._layers.slots[change.layer]
+        settings, slot = change.settings, change.layer.slot
         try:
             selection = select(self._document, settings)
             if not (selection.image or (selection.vertices if slot is None else slot in selection.slots)):
                 raise NoPreviewError("the colours in view are not smoothed")
             if not settings.kernel.iterations:
                 raise NoPreviewError("no iteration is wanted, so nothing changes")
-            if change.layer not in self._previewers:
-                self._previewers[change.layer] = Previewer(self._document, slot, self._job.access)
-            previewer, at_once = self._previewers[change.layer], self._at_once(change)
-            self._preview_part(previewer, change, at_once, "")
+            at_once = self._at_once(change)
+            self._preview_part(change, at_once, "")
             if settings.kernel.takes_patches and not settings.embedding.smooth_geometry:
-                self._preview_part(previewer, change, override(at_once, patches="on"), _WITH_PATCHES)
+                self._preview_part(change, override(at_once, patches="on"), _WITH_PATCHES)
         except GoneError:
             raise
         except NoPreviewError as error:
@@ -172,19 +179,16 @@ class Live:
         except Exception:  # the error of the whole, which follows, is reported
             change.request.send(kind="none", reason="the part in view cannot be smoothed alone")
 
-    def _preview_part(
-        self, previewer: Previewer, change: _Change, settings: SmoothSettings, stage: str
-    ) -> None:
+    def _preview_part(self, change: _Change, settings: SmoothSettings, stage: str) -> None:
         iterations, began = max(1, settings.kernel.iterations), time.perf_counter()
         budget = int(np.clip(_WANTED * self._rates[stage] / iterations, _LEAST, _MOST))
-        focus = self._layers.in_space(change.focus, change.layer)
-        patches = previewer.smooth(settings, focus, budget, lambda *_: change.request.check())
+        patches, samples = change.layer.preview(
+            settings, change.focus, budget, lambda *_: change.request.check()
+        )
         spent = time.perf_counter() - began
-        samples = sum(len(patch.rows) for patch in patches)
         self._rates[stage] = 0.5 * self._rates[stage] + 0.5 * samples * iterations / max(spent, 1e-3)
         change.request.check()
-        shown = [self._layers.patched(change.layer, patch) for patch in patches]
-        change.request.send(kind="preview", patches=shown, stage=stage, seconds=spent, samples=samples)
+        change.request.send(kind="preview", patches=patches, stage=stage, seconds=spent, samples=samples)
 
     def _at_once(self, change: _Change) -> SmoothSettings:
         """Return settings without a search: free parameters are as they were chosen last, or by the rule."""
@@ -221,7 +225,7 @@ class Live:
             chosen = dict(choices[0]["chosen"]) if choices else {}  # type: ignore[call-overload]
             self._chosen[settings.kernel.strength, settings.kernel.noise] = chosen
             request.send(
-                kind="whole", patches=self._layers.whole(result), chosen=chosen,
+                kind="whole", patches=[patch for layer in self._layers for patch in layer.whole(result)], chosen=chosen,
                 used=rendered("parameters.html", used=used), notices=[*dict.fromkeys([*self._document.notices, *said])],
                 noise=None if settings.kernel.noise or not levels else f"{255 * np.mean(levels):.1f}/255",
             )  # fmt: skip

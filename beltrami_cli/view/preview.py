@@ -6,6 +6,7 @@ import base64
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ _PIECE = 320  # texels of a triangle at most, so that enough of them fit
 _MOST_PIECES = 100_000  # in a whole texture, even if they are larger then
 _MOST_SPLITS = 24  # each halves the longest sides
 _NO_FACES = np.zeros((0, 3), np.int32)
+_QUICK = 1  # of zlib
 _NEAR = 0.05  # of the model's size: triangles so near to the line of sight are looked at
 
 
@@ -70,27 +72,57 @@ class Patch:
     places: Float64s | None = None  # positions of vertices, (K, 3), if they moved
 
 
-class Previewer:
-    """Smooths parts of one layer of a document; `slot`: of its textures, None: its vertices or its pixels."""
+class LayerView:
+    """A coloured part of a document on pages: `slot` of its textures, or None: its vertices or its pixels."""
 
-    def __init__(self, document: Document, slot: Slot | None, access: Access = EVERYTHING_INSIDE) -> None:
-        self._document, self._slot, self._access = document, slot, access
-        self._painted: PaintedVertices | None = None
-        self._surface: TexturedSurface | None = None
+    def __init__(
+        self, document: Document, slot: Slot | None, access: Access = EVERYTHING_INSIDE, number: int = 0
+    ) -> None:
+        self.slot, self._document, self._access, self._number = slot, document, access, number
+        self._is_image = document.kind == "image"
+        self._row_of: Int64s | None = None
+        self._box: Box | None = None
+        self._can_move = False  # whether vertices have moved, on any page
+        # The last pixels that were sent, by texture, where they differ from the document.
+        self._shown: dict[int, Uint8s] = {}
         self._pixels: ImageLayer | None = None
         self._order: tuple[bytes, Int64s] | None = None  # of triangles or points, by the last focus
-        if document.kind == "image":
-            return
-        if slot is None:
-            self._painted = document.painted()
-            corners, faces = self._painted.positions, self._painted.faces
-            self._centres = corners[faces].mean(axis=1) if len(faces) else corners
-        else:
-            surface = document.textured(slot)
-            sizes = [read_texture(texture).pixels.shape[1::-1] for texture in surface.textures]
-            self._surface, self._texels = _pieces(surface, np.array(sizes, np.float64))
-            self._centres = self._surface.positions[self._surface.faces].mean(axis=1)
-            self._flat = np.column_stack([self._surface.uv.mean(axis=1), 1e3 * self._surface.texture_of])
+
+    @cached_property
+    def _painted(self) -> PaintedVertices:
+        return self._document.painted()
+
+    @cached_property
+    def _pieces(self) -> tuple[TexturedSurface, Float64s]:
+        """The triangles of the textures in pieces, and how many texels each covers."""
+        surface = self._document.textured(self._textures)
+        sizes = [read_texture(texture).pixels.shape[1::-1] for texture in surface.textures]
+        return _cut_in_pieces(surface, np.array(sizes, np.float64))
+
+    @cached_property
+    def _centres(self) -> Float64s:
+        model = self._painted if self.slot is None else self._pieces[0]
+        return model.positions[model.faces].mean(axis=1) if len(model.faces) else model.positions
+
+    @property
+    def _textures(self) -> Slot:
+        assert self.slot is not None
+        return self.slot
+
+    def add_to(self, writer: ModelWriter) -> None:
+        """Put the part in a model for the viewer, with the same before and after."""
+        writer.add((self._document, self._document), self.slot)
+        if not self._is_image:
+            self._box, self._row_of = writer.boxes[-1], writer.row_of
+
+    def preview(
+        self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
+    ) -> tuple[list[dict[str, Any]], int]:
+        """Smooth about `budget` samples around the focus, in the box of the model; return patches and samples."""
+        if focus.direction is not None and self._box is not None:
+            focus = Focus(self._box.low + self._box.size * focus.origin, focus.direction)
+        patches = self.smooth(settings, focus, budget, progress)
+        return [self._patched(patch) for patch in patches], sum(len(patch.rows) for patch in patches)
 
     def smooth(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
@@ -100,9 +132,9 @@ class Previewer:
             raise NoPreviewError("exposure steps are levelled over the whole model")
         if settings.embedding.guides:
             raise NoPreviewError("guides are read for the whole model")
-        if self._document.kind == "image":
-            return self._of_image(settings, focus, budget, progress)
-        of_part = self._of_textures if self._painted is None else self._of_vertices
+        of_part = self._of_vertices if self.slot is None else self._of_textures
+        if self._is_image:
+            of_part = self._of_image
         return of_part(settings, focus, budget, progress)
 
     def _of_image(
@@ -124,7 +156,6 @@ class Previewer:
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
         painted, grid, order = self._painted, self._document.grid(), self._around(focus)
-        assert painted is not None
         is_mesh = len(painted.faces) > 0
         layer: PaintedLayer
         if grid is not None:
@@ -150,18 +181,15 @@ class Previewer:
     def _of_textures(
         self, settings: SmoothSettings, focus: Focus, budget: int, progress: Progress | None
     ) -> list[Patch]:
-        surface = self._surface
-        assert surface is not None
-        assert self._slot is not None
-        order = self._around(focus)
-        order = order[: max(1, int(np.searchsorted(np.cumsum(self._texels[order]), budget)))]
+        (surface, covered), order = self._pieces, self._around(focus)
+        order = order[: max(1, int(np.searchsorted(np.cumsum(covered[order]), budget)))]
         rows, corners = np.unique(surface.faces[order], return_inverse=True)
         part = dataclasses.replace(
             surface, positions=surface.positions[rows], faces=corners.reshape(-1, 3).astype(np.int32),
             uv=surface.uv[order], texture_of=surface.texture_of[order],
             space_of=None if surface.space_of is None else surface.space_of[rows],
         )  # fmt: skip
-        layer = TextureLayer.read(part, self._slot, settings, guided=(self._document, self._access))
+        layer = TextureLayer.read(part, self._textures, settings, guided=(self._document, self._access))
         new, painter = _smooth(layer, progress), painter_of(layer, gutter=None)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
@@ -180,10 +208,58 @@ class Previewer:
         """Return triangles or points in the order in which they are nearest; it is kept until the camera moves."""
         key = focus.origin.tobytes() + (b"" if focus.direction is None else focus.direction.tobytes())
         if self._order is None or self._order[0] != key:
-            is_flat = focus.direction is None and self._surface is not None
-            centres = self._flat if is_flat else self._centres
-            self._order = key, _nearest(centres, Focus(focus.origin * (1, 1, 1e3)) if is_flat else focus)
+            centres = self._centres
+            if focus.direction is None and self.slot is not None:
+                surface, focus = self._pieces[0], Focus(focus.origin * (1, 1, 1e3))
+                centres = np.column_stack([surface.uv.mean(axis=1), 1e3 * surface.texture_of])
+            self._order = key, _nearest(centres, focus)
         return self._order[1]
+
+    def _patched(self, patch: Patch) -> dict[str, Any]:
+        """Return a patch for the viewer, and keep what a texture looks like with it."""
+        if patch.texture < 0:
+            assert self._row_of is not None
+            assert self._box is not None
+            rows = self._row_of[patch.rows]
+            drawn = rows >= 0  # points that are nowhere are not
+            kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
+            if patch.places is not None:
+                kept["places"] = self._box.shares(patch.places).astype(np.float32)
+            packed = {name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}
+            return {"layer": self._number, **packed}
+        if patch.texture not in self._shown:
+            texture = textures_of(self._document, self.slot)[patch.texture]
+            self._shown[patch.texture] = self._displayed(texture)
+        pixels = self._shown[patch.texture]
+        pixels[patch.rows, patch.columns] = patch.colours
+        top, left = int(patch.rows.min()), int(patch.columns.min())
+        part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
+        return {
+            "layer": self._number, "texture": patch.texture, "x": left, "y": top,
+            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
+        }  # fmt: skip
+
+    def _displayed(self, texture: Texture) -> Uint8s:
+        return displayed_pixels(read_image(texture.data, texture.name, finite=not self._is_image))
+
+    def whole(self, result: Document) -> list[dict[str, Any]]:
+        """Return the patches that show the part as it is in a result."""
+        self._shown.clear()
+        if self.slot is None and not self._is_image:
+            painted = result.painted()
+            rows = np.arange(len(painted.positions))
+            self._can_move |= not np.array_equal(painted.positions, self._painted.positions, equal_nan=True)
+            places = painted.positions if self._can_move else None
+            return [self._patched(Patch(-1, rows, rows, displayed_colours(painted), places))]
+        old, new = textures_of(self._document, self.slot), textures_of(result, self.slot)
+        found = []
+        for index, (before, after) in enumerate(zip(old, new, strict=True)):
+            if after.data != before.data:
+                self._shown[index] = self._displayed(after)
+            mime, data = image_of(after, self.slot or "baseColor")
+            source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
+            found.append({"layer": self._number, "texture": index, "source": source})
+        return found
 
 
 def _smooth(layer: Layer, progress: Progress | None) -> NewColours:
@@ -229,7 +305,7 @@ def _nearest(centres: Float64s, focus: Focus) -> Int64s:
     return np.asarray(np.argsort(np.einsum("ij,ij->i", centres - middle, centres - middle)), np.int64)
 
 
-def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface, Float64s]:
+def _cut_in_pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface, Float64s]:
     """Cut textured triangles into pieces of few texels; return also how many texels each piece covers.
 
     `sizes`: width and height of each texture, shape (T, 2).
@@ -258,87 +334,3 @@ def _pieces(surface: TexturedSurface, sizes: Float64s) -> tuple[TexturedSurface,
         space_of=None if surface.space_of is None else np.rint(cut[:, 8]).astype(surface.space_of.dtype),
     )  # fmt: skip
     return made, triangle_areas(cut[:, :3], made.faces)
-
-
-_QUICK = 1  # of zlib
-
-
-class Layers:
-    """The coloured parts of a document: `slots` of its textures, and None for vertex colours or an image."""
-
-    def __init__(self, document: Document) -> None:
-        self.document = document
-        self._is_image = document.kind == "image"
-        slots: list[Slot | None] = [] if self._is_image else [*document.slots()]
-        self.slots = [*slots, None] if self._is_image or document.has_vertex_colours() else slots
-        self._row_of: Int64s | None = None
-        self._can_move = False  # whether vertices have moved, on any page
-        self._boxes: list[Box] = []
-        # The last pixels that were sent, by layer and texture, where they differ from the document.
-        self._shown: dict[tuple[int, int], Uint8s] = {}
-
-    def glb(self, reach: float) -> bytes:
-        """Return the document for the viewer, with the same before and after."""
-        writer = ModelWriter(is_live=True)
-        for slot in self.slots:
-            writer.add((self.document, self.document), slot)
-        self._row_of, self._boxes = writer.row_of, writer.boxes
-        return writer.glb(reach)
-
-    def in_space(self, focus: Focus, layer: int) -> Focus:
-        """Return a focus in the space of the document, where its page has it in the box of the model."""
-        if focus.direction is None:
-            return focus
-        box = self._boxes[layer]
-        return Focus(box.low + box.size * focus.origin, focus.direction)
-
-    def patched(self, layer: int, patch: Patch) -> dict[str, Any]:
-        """Return a patch for the viewer, and keep what a texture looks like with it."""
-        if patch.texture < 0:
-            assert self._row_of is not None
-            rows = self._row_of[patch.rows]
-            drawn = rows >= 0  # points that are nowhere are not
-            kept = {"rows": rows.astype(np.uint32), "colours": patch.colours}
-            if patch.places is not None:
-                kept["places"] = self._boxes[layer].shares(patch.places).astype(np.float32)
-            return {"layer": layer, **{name: packed_array(own[drawn], _QUICK) for name, own in kept.items()}}
-        pixels = self._pixels(layer, patch.texture)
-        pixels[patch.rows, patch.columns] = patch.colours
-        top, left = int(patch.rows.min()), int(patch.columns.min())
-        part = pixels[top : int(patch.rows.max()) + 1, left : int(patch.columns.max()) + 1]
-        return {
-            "layer": layer, "texture": patch.texture, "x": left, "y": top,
-            "width": part.shape[1], "height": part.shape[0], "pixels": packed_array(part, _QUICK),
-        }  # fmt: skip
-
-    def _pixels(self, layer: int, texture: int) -> Uint8s:
-        key = layer, texture
-        if key not in self._shown:
-            self._shown[key] = self._displayed(textures_of(self.document, self.slots[layer])[texture])
-        return self._shown[key]
-
-    def _displayed(self, texture: Texture) -> Uint8s:
-        return displayed_pixels(read_image(texture.data, texture.name, finite=not self._is_image))
-
-    def whole(self, result: Document) -> list[dict[str, Any]]:
-        self._shown.clear()
-        return [patch for layer in range(len(self.slots)) for patch in self._smoothed(result, layer)]
-
-    def _smoothed(self, result: Document, layer: int) -> list[dict[str, Any]]:
-        slot = self.slots[layer]
-        if slot is None and not self._is_image:
-            painted = result.painted()
-            rows = np.arange(len(painted.positions))
-            unmoved = self.document.painted().positions
-            self._can_move |= not np.array_equal(painted.positions, unmoved, equal_nan=True)
-            places = painted.positions if self._can_move else None
-            return [self.patched(layer, Patch(-1, rows, rows, displayed_colours(painted), places))]
-        old, new = textures_of(self.document, slot), textures_of(result, slot)
-        found = []
-        for index, (before, after) in enumerate(zip(old, new, strict=True)):
-            if after.data != before.data:
-                self._shown[layer, index] = self._displayed(after)
-            mime, data = image_of(after, slot or "baseColor")
-            source = f"data:{mime};base64,{base64.b64encode(data).decode()}"
-            found.append({"layer": layer, "texture": index, "source": source})
-        return found

@@ -21,9 +21,9 @@ from beltrami_cli.jobs.recolour import recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothing
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import PaintedVertices
-from beltrami_cli.view.models import displayed_colours, displayed_pixels
+from beltrami_cli.view.models import ModelWriter, displayed_colours, displayed_pixels
 from beltrami_cli.view.parameters import given_values, plain_settings, settings_from
-from beltrami_cli.view.preview import Focus, Layers, NoPreviewError, Previewer
+from beltrami_cli.view.preview import Focus, LayerView, NoPreviewError
 from cli.commands import SAMPLES
 from cli.pictures import encode
 from small_models import textured_squares
@@ -73,11 +73,11 @@ def test_moved_vertices_go_back_on_every_page():
         )
         for shown in (painted, replace(painted, positions=painted.positions + 0.1))
     )
-    layers = Layers(still)
-    layers.glb(8)
-    layers.whole(moved)
+    layer = LayerView(still, None)
+    layer.add_to(ModelWriter(is_live=True))
+    layer.whole(moved)
     for _ in range(2):  # two pages
-        (patch,) = layers.whole(still)
+        (patch,) = layer.whole(still)
         assert "places" in patch
 
 
@@ -127,8 +127,8 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
     kernel = KernelParameters(iterations=2, t=1.0, beta=8.0, metric_steps=1)
     settings = override(replace(DEFAULTS, kernel=kernel), **{**more, **texts})
     document = open_input(str(SAMPLES / name.format(inputs)), settings, EVERYTHING_INSIDE)
-    previewer = Previewer(document, None if slot == "image" else slot)
-    patches = previewer.smooth(settings, middle(slot, document), budget, None)
+    layer = LayerView(document, None if slot == "image" else slot)
+    patches = layer.smooth(settings, middle(slot, document), budget, None)
     assert budget / 4 < sum(len(patch.rows) for patch in patches) < 2 * budget
     whole, _ = recolour_in_memory(document, settings, Smoothing.of(settings), PLAIN_JOB)
     for patch in patches:
@@ -153,7 +153,7 @@ def test_most_of_a_preview_is_what_the_whole_becomes(inputs, name, slot, budget,
 @pytest.mark.parametrize(("name", "slot"), [("knot-noisy.ply", None), ("torus-two-noisy.gltf", "baseColor")])
 def test_guides_have_no_preview(name, slot):
     document = open_input(str(SAMPLES / name), DEFAULTS, EVERYTHING_INSIDE)
-    guided, previewer = override(DEFAULTS, guides=("x",)), Previewer(document, slot)
+    guided, layer = override(DEFAULTS, guides=("x",)), LayerView(document, slot)
     focus = middle(slot, document)
     with pytest.raises(NoPreviewError, match="guides are read"):
-        previewer.smooth(guided, focus, 100, None)
+        layer.smooth(guided, focus, 100, None)
