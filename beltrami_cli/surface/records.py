@@ -315,26 +315,21 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
     """Turn display values into linear light, in double precision; float32 stays float32."""
-    given, size = _magnitude(values)
+    size = np.abs(np.asarray(values, np.float64))
     curve = ((size + _OFFSET) / (1 + _OFFSET)) ** _EXPONENT
-    return _signed(np.where(size <= _KNEE_SRGB, size / _SLOPE, curve), given)
+    return _signed(np.where(size <= _KNEE_SRGB, size / _SLOPE, curve), values)
 
 
 def linear_to_srgb(values: ArrayLike) -> NDArray[np.floating[Any]]:
     """Turn linear light into display values, in double precision; float32 stays float32."""
-    given, size = _magnitude(values)
+    size = np.abs(np.asarray(values, np.float64))
     curve = (1 + _OFFSET) * size ** (1 / _EXPONENT) - _OFFSET
-    return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), given)
+    return _signed(np.where(size <= _KNEE_LINEAR, size * _SLOPE, curve), values)
 
 
-def _magnitude(values: ArrayLike) -> tuple[Array, Float64s]:
-    given = np.asarray(values)
-    return given, np.abs(given.astype(np.float64))
-
-
-def _signed(size: Float64s, given: Array) -> NDArray[np.floating[Any]]:
+def _signed(size: Float64s, given: ArrayLike) -> NDArray[np.floating[Any]]:
     values: Float64s = np.copysign(size, given)
-    return values.astype(np.float32) if given.dtype == np.float32 else values
+    return values.astype(np.float32) if np.asarray(given).dtype == np.float32 else values
 
 
 def limits_of(colours: Array) -> tuple[float, float]:

@@ -8,8 +8,7 @@ import dataclasses
 import io
 import json
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -71,21 +70,19 @@ def sweep_file(
     if reference is None:
         opened = {"before": open_input(source, settings, job.access)}
     else:
-        opened = dict(
-            zip(("reference", "before"), open_both((reference, source), settings, job), strict=True)
-        )
-    labels = [Trial(parameters, {}).label for parameters, _ in trials]
+        truth, document = open_both((reference, source), settings, job)
+        opened = {"reference": truth, "before": document}
+    sheet = None
     if kind is None:
         require_memory_to_draw([*opened.values()], looks, job.access)
+        labels = [Trial(parameters, {}).label for parameters, _ in trials]
+        sheet = _Sheet(f"Sweep of {Path(source).name}", labels, looks, output if is_page else None)
     done: list[Trial] = []
-    with (
-        pictures_kept([file for each in opened.values() for file in image_files(each)]),
-        ExitStack() as stack,
-    ):
-        sheet = None
-        if kind is None:
-            page = output if is_page else None
-            sheet = stack.enter_context(_Sheet(f"Sweep of {Path(source).name}", labels, looks, page, opened))
+    kept = [file for each in opened.values() for file in image_files(each)]
+    with sheet or contextlib.nullcontext(), pictures_kept(kept):
+        if sheet is not None:
+            for label, shown in opened.items():
+                sheet.add(label, shown)
         for (parameters, settings), progress in one_of(trials, "trials", job.progress):
             own = Job(job.access, progress)
             result, painted = recolour_in_memory(opened["before"], settings, Smoothing.of(settings), own)
@@ -176,17 +173,12 @@ class _Sheet:
     As a context it sees that all is on the page at its end, or what there is if it ends early.
     """
 
-    def __init__(
-        self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None,
-        inputs: Mapping[str, Document],
-    ) -> None:  # fmt: skip
+    def __init__(self, title: str, labels: Sequence[str], looks: RenderSettings, page: Output | None) -> None:
         self._title, self._labels, self._looks, self._page = title, labels, looks, page
         self._trials: list[Trial] = []
         self._panels: list[Panel] = []  # of trials the last ones
         self._pictures: list[tuple[int, int, str]] = []  # width, height and address of each panel on the page
         self._next = 0.0  # when the page is written again, so that writing takes little of the time
-        for label, document in inputs.items():
-            self._add(label, document)
 
     def __enter__(self) -> _Sheet:
         return self
@@ -198,7 +190,7 @@ class _Sheet:
             with contextlib.suppress(OutputError):  # what ended it is said
                 self._write("not tried")
 
-    def _add(self, label: str, document: Document, progress: Progress | None = None) -> None:
+    def add(self, label: str, document: Document, progress: Progress | None = None) -> None:
         """Draw a document; the first says where details lie, and what background it is seen on."""
         ((panel,),) = draw_panels([view_of(document, self._looks)], [label], self._looks, progress)
         self._looks = fixed_looks(self._looks, panel)
@@ -208,7 +200,7 @@ class _Sheet:
             self._pictures.append((picture.shape[1], picture.shape[0], data_address(picture)))
 
     def add_trial(self, trial: Trial, result: Document, progress: Progress | None) -> None:
-        self._add(trial.label, result, progress)
+        self.add(trial.label, result, progress)
         self._trials.append(trial)
         is_due = len(self._trials) < len(self._labels) and time.monotonic() >= self._next
         if is_due and self._page is not None and not self._page.is_device:
