@@ -14,8 +14,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import REPORT, Access, parse_json, read_source, text_in
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.jobs.compare.figures import Measured, figures
-from beltrami_cli.jobs.compare.files import Compared, compare_documents, open_both
-from beltrami_cli.jobs.compare.models import EVERYTHING
+from beltrami_cli.jobs.compare.files import EVERYTHING, Compared, compare_documents, open_both
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress, tracked
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import Space
-from beltrami_cli.jobs.compare.models import ROUNDED_MOVE, Moves
 from beltrami_cli.jobs.job import Limits
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import Indices, within
@@ -269,14 +268,6 @@ def check_limits(
             verdicts.append(Verdict(limit, part["name"], allowed, measured, kept))
     seamless = limits.max_seam_jump is not None and all(part["near_seams"] is None for part in held)
     return verdicts, ["--max-seam-jump is kept, because there is no seam"] if seamless else []
-
-
-def check_moves(moves: Moves, limits: Limits) -> list[Verdict]:
-    """Hold the geometry to its limit; where there is none, but others, to what rounding explains."""
-    if all(allowed is None for allowed in vars(limits).values()):
-        return []
-    allowed = ROUNDED_MOVE if limits.max_move is None else limits.max_move
-    return [Verdict("max_move", "geometry", allowed, moves.largest, moves.largest <= allowed)]
 
 
 def cie_lab(linear: NDArray[np.floating]) -> Float64s:

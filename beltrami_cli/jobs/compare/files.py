@@ -27,21 +27,28 @@ from beltrami_cli.jobs.compare.figures import (
     Measured,
     Verdict,
     check_limits,
-    check_moves,
     figures,
     measure,
 )
-from beltrami_cli.jobs.compare.models import EVERYTHING, Moves, choose_parts, moves_between
-from beltrami_cli.jobs.compare.parts import compare_images, compare_textures, compare_vertices
+from beltrami_cli.jobs.compare.parts import (
+    ROUNDED_MOVE,
+    compare_images,
+    compare_textures,
+    compare_vertices,
+    moves_of,
+)
 from beltrami_cli.jobs.file_job import open_any, require_level_set
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.selection import count_samples
-from beltrami_cli.layers.settings import IMAGE_SUFFIXES, SmoothSettings
+from beltrami_cli.layers.selection import Selection, count_samples, select
+from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
+
+EVERYTHING = dataclasses.replace(DEFAULTS, textures=dataclasses.replace(DEFAULTS.textures, slots=()))
+"""Settings of a comparison of all that is coloured: where no slots are named, all are compared."""
 
 _UNLIMITED = Limits()
 # The brightest colour stands for this Delta E 2000 at least: 1 can hardly be seen.
@@ -50,6 +57,19 @@ _GAP = 8  # pixels between images
 _ROWS = 256  # of an image, drawn at a time
 _SCALAR = b"\nproperty uchar blue\nproperty float "  # of the header, where the numbers follow the colours
 _SUFFIXES = (".ply", *IMAGE_SUFFIXES)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """How far vertices are from their places in the reference, in longest sides of its bounding box."""
+
+    largest: float
+    mean: float
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether the rounding of text explains them."""
+        return self.largest <= ROUNDED_MOVE
 
 
 @dataclass(frozen=True)
@@ -131,6 +151,97 @@ def require_samples(parts: Sequence[ComparedColours], name: str) -> None:
         if len(part.index) and part.weights is not None and not part.weights.sum() > 0:
             cause = f"{part.name}: the surface has no area that samples could stand for"
             raise InputError(name, cause, "use --weights uniform")
+
+
+def choose_parts(
+    documents: tuple[Document, Document], settings: SmoothSettings
+) -> tuple[Selection, list[str]]:
+    """Choose the compared parts, by default all coloured ones; return notices on all others."""
+    kinds = ["an image" if document.kind == "image" else "a model" for document in documents]
+    if kinds[0] != kinds[1]:
+        cause = f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}"
+        raise InputError(documents[1].name, cause, "compare two files of one kind")
+    if documents[0].kind == "image":
+        return Selection(image=True), []
+    notices: list[str] = []
+    chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
+    selection = select(documents[0], chosen)
+    notices += [notice for notice in selection.notices if notice.startswith("it has no ")]
+    others = [f"{slot} textures" for slot in _slots_of(documents) if slot not in selection.slots]
+    if not selection.vertices and any(document.has_vertex_colours() for document in documents):
+        others.insert(0, "vertex colours")
+    if settings.textures.names or settings.textures.materials:
+        others.append("textures that --texture and --material leave out")
+    if settings.channels is not None:
+        others.append("other channels")
+    return selection, [*notices, *([f"not compared: {', '.join(others)}"] if others else [])]
+
+
+def _slots_of(documents: tuple[Document, Document]) -> tuple[Slot, ...]:
+    known = {slot for document in documents for slot in document.slots()}
+    return tuple(sorted(known, key=SLOTS.index))
+
+
+def _everything(
+    documents: tuple[Document, Document], settings: SmoothSettings, notices: list[str]
+) -> SmoothSettings:
+    """Return settings that name all that is coloured in both models; InputError if only one has some of it."""
+    slots = () if settings.on == "vertices" else _slots_of(documents)
+    for slot in slots:
+        _require_both(documents, [slot in document.slots() for document in documents], f"{slot} textures")
+    slots = tuple(slot for slot in slots if _is_readable(documents, slot, notices))
+    has_globs = bool(settings.textures.names or settings.textures.materials)
+    vertices = settings.on != "texture" and not (settings.on == "auto" and has_globs and slots)
+    if vertices and slots:
+        coloured = [document.has_vertex_colours() for document in documents]
+        _require_both(documents, coloured, "vertex colours")
+        vertices = settings.on == "both" or all(coloured)
+    textures = dataclasses.replace(settings.textures, slots=slots or DEFAULTS.textures.slots)
+    on = settings.on
+    if slots:
+        on = "both" if vertices else "texture"
+    return dataclasses.replace(settings, on=on, textures=textures)
+
+
+def _require_both(documents: tuple[Document, Document], has: list[bool], what: str) -> None:
+    if has[0] != has[1]:
+        names = [documents[not has[0]].name, documents[has[0]].name]
+        cause = f"it has no {what}, but {names[0]} has"
+        raise InputError(names[1], cause, "choose what both have with --slots or --on")
+
+
+def _is_readable(documents: tuple[Document, Document], slot: Slot, notices: list[str]) -> bool:
+    """Return whether the textures of a slot can be read in both models; raise the error if only in one."""
+    errors = []
+    for document in documents:
+        try:
+            document.textured(slot)
+        except InputError as error:
+            errors.append(error)
+    if len(errors) == 1:
+        raise errors[0]
+    notices += [f"not compared: {slot} textures, because {error.cause}" for error in errors[:1]]
+    return not errors
+
+
+def moves_between(documents: tuple[Document, Document], selection: Selection) -> Moves:
+    """Measure how far vertices moved, in all that is compared."""
+    found = [np.zeros(0)]
+    if selection.vertices:
+        found.append(moves_of(*(document.painted().positions for document in documents)))
+    if selection.slots:
+        surfaces = [document.textured(selection.slots[0]) for document in documents]
+        found.append(moves_of(*(surface.positions[surface.faces].reshape(-1, 3) for surface in surfaces)))
+    every = np.concatenate(found) if any(moves.size for moves in found) else np.zeros(1)
+    return Moves(float(every.max()), float(every.mean()))
+
+
+def check_moves(moves: Moves, limits: Limits) -> list[Verdict]:
+    """Hold the geometry to its limit; where there is none, but others, to what rounding explains."""
+    if all(allowed is None for allowed in vars(limits).values()):
+        return []
+    allowed = ROUNDED_MOVE if limits.max_move is None else limits.max_move
+    return [Verdict("max_move", "geometry", allowed, moves.largest, moves.largest <= allowed)]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The colours of two files at the same samples: vertices, pixels, and texels of each texture."""
+"""The colours of two files of one model at the same samples: vertices, pixels, and texels of each texture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
-from beltrami_cli.jobs.compare.models import require_one_model, same_textures
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
@@ -41,12 +40,17 @@ from beltrami_cli.surface.atlas import (
 )
 from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import PaintedVertices, Slot
+from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4
 _CELLS = 1 << 14  # whose areas are measured at a time, in the processor's cache
 _STEP = 0.75 / 255  # of opacity, which 8 bits store
+# Texture coordinates of two files of one model may differ by this much, and vertices by this part of its size: text
+# is often rounded to six digits.
+_ROUNDING = 1e-5
+ROUNDED_MOVE = 2e-5
+_OTHER_MODEL = "compare two files of one model"
 
 
 def near_seams(atlas: Atlas) -> Bools:
@@ -106,7 +110,7 @@ def compare_vertices(
 ) -> ComparedColours:
     """Bring the vertex colours of two models together; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.painted() for document in documents))
-    require_one_model(documents, (one, other))
+    _require_one_model(documents, (one, other))
     held = [coloured_rows(each.painted(), in_triangles=each.kind == "volume") for each in documents]
     rows = np.intersect1d(held[0], held[1])
     channels, space = choose_channels(one.channels, settings, "the colours have").changing, settings.space
@@ -211,7 +215,7 @@ def compare_textures(
     """Bring textures of a slot together, each a part; `is_extra`: of equal files it is enough to say that they are."""
     reference, test = documents
     surface = reference.textured(slot)
-    textures = same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
+    textures = _same_textures(surface, test.textured(slot), settings, (reference.name, test.name))
     olds = choose_textures(surface, settings.textures).textures
     count = Counter(texture.name for texture in olds)
     # Of textures with equal names also what the files know them by.
@@ -284,3 +288,76 @@ def _require_same_size(old: Picture, new: Picture, name: str) -> None:
     if sizes[0] != sizes[1]:
         cause = f"it has {sizes[1]} pixels, but {old.name} {sizes[0]}"
         raise InputError(name, cause, "compare images of one size")
+
+
+def moves_of(places: Float64s, others: Float64s) -> Float64s:
+    """Return how far known places are apart, in sizes of the model, shape (K,)."""
+    known = np.isfinite(places).all(axis=1) & np.isfinite(others).all(axis=1)
+    places, others = places[known], others[known]
+    moves = np.asarray(np.linalg.norm(others - places, axis=1), np.float64)
+    if not len(places):
+        return moves
+    # Coordinates of a small model far from the origin are rounded by more.
+    size = float(np.ptp(places, axis=0).max()) + float(np.abs(places).max()) * 1e-2
+    return moves / size if size > 0 else np.where(moves > 0, np.inf, 0.0)
+
+
+def _require_one_model(
+    documents: tuple[Document, Document], painted: tuple[PaintedVertices, PaintedVertices]
+) -> None:
+    """Raise InputError if two models differ in more than colours and positions."""
+    one, other = painted
+    names = documents[0].name, documents[1].name
+    counts = len(one.positions), len(other.positions)
+    if counts[0] != counts[1]:
+        cause = f"it has {counts[1]} coloured vertices, but {names[0]} {counts[0]}"
+        raise InputError(names[1], cause, _OTHER_MODEL)
+    faces, others = map(_triangles, documents)
+    _require_as_many(faces, others, names)
+    if not np.array_equal(faces, others):
+        first = int((faces != others).any(axis=1).argmax())
+        raise InputError(names[1], f"its triangle {first} is another than that of {names[0]}", _OTHER_MODEL)
+    if one.channels != other.channels:
+        channels = [", ".join(each.channels) for each in painted]
+        cause = f"its channels are {channels[1]}, but {names[0]} has {channels[0]}"
+        raise InputError(names[1], cause, "compare files with the same channels")
+    if not len(one.faces) and moves_of(one.positions, other.positions).max(initial=0) > ROUNDED_MOVE:
+        raise InputError(names[1], f"its points are at other places than in {names[0]}", _OTHER_MODEL)
+
+
+def _triangles(document: Document) -> Int32s:
+    """Return the triangles of a model, shape (F, 3); of a level set those without colours too."""
+    if document.kind == "volume":
+        return document.contents().corners.reshape(-1, 3)
+    return document.painted().faces
+
+
+def _require_as_many(faces: Int32s, others: Int32s, names: tuple[str, str]) -> None:
+    if len(faces) != len(others):
+        cause = f"it has {len(others)} triangles, but {names[0]} {len(faces)}"
+        raise InputError(names[1], cause, _OTHER_MODEL)
+
+
+def _same_textures(
+    surface: TexturedSurface, other: TexturedSurface, settings: SmoothSettings, names: tuple[str, str]
+) -> tuple[Texture, ...]:
+    """Return the textures of the one surface that are the chosen ones of the other."""
+    # Vertices may be split, and numbered, otherwise: corners are one by their texture coordinates, and their places are
+    # measured as moves.
+    _require_as_many(surface.faces, other.faces, names)
+    if len(surface.textures) != len(other.textures):
+        cause = f"it has {len(other.textures)} textures, but {names[0]} {len(surface.textures)}"
+        raise InputError(names[1], cause, _OTHER_MODEL)
+    used = surface.texture_of >= 0
+    # The numbers that textures have in the other, where they may be in another order; that of no texture first.
+    number_of = np.arange(-1, len(other.textures))
+    number_of[surface.texture_of + 1] = other.texture_of
+    same = number_of[0] == -1 and len(np.unique(number_of)) == len(number_of)
+    same &= np.array_equal(number_of[surface.texture_of + 1], other.texture_of)
+    if not same or not np.allclose(surface.uv[used], other.uv[used], rtol=0, atol=_ROUNDING):
+        cause = f"its texture coordinates differ from {names[0]}"
+        raise InputError(names[1], cause, _OTHER_MODEL)
+    pairs = zip(surface.textures, number_of[1:], strict=True)
+    numbered = [dataclasses.replace(texture, key=str(number)) for texture, number in pairs]
+    chosen = choose_textures(dataclasses.replace(surface, textures=tuple(numbered)), settings.textures)
+    return tuple(other.textures[int(texture.key)] for texture in chosen.textures)
