@@ -18,8 +18,8 @@ from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import Progress, tracked
 from beltrami_cli.surface.records import as_bytes, linear_to_srgb, srgb_to_linear
-from beltrami_cli.view.camera import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.settings import Colour, RenderSettings
+from beltrami_cli.view.tracing import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.views import Drawable, ImageView, framed
 
 # Frames of details, distinct for the colour-blind too. M. Okabe, K. Ito, "Color universal design" (2008).

@@ -1,4 +1,6 @@
-"""Painted triangles drawn by ray tracing, with Embree, and what they are painted with.
+"""Painted triangles drawn by ray tracing, with Embree, what they are painted with, and cameras that look at them.
+
+View coordinates are x to the right, y up, z towards the eye.
 
 I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst, "Embree: a kernel framework for efficient CPU ray tracing",
 ACM Transactions on Graphics 33(4), 2014, doi:10.1145/2601097.2601199.
@@ -11,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -24,13 +27,15 @@ from beltrami_cli.surface.geometry import unit_vectors, vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows, without_unused
 from beltrami_cli.surface.large_arrays import blocks
 from beltrami_cli.surface.records import TexturedSurface, Wrap
-from beltrami_cli.view.camera import Camera, Window, size_between
 
 Sheet = Float32s
 """An image in linear light with opacity, shape (H, W, 4); colours are not multiplied by it."""
 
 _EXACT = 1 << 13  # texels from the origin up to which single precision does
 _UNPAINTED = 0.32  # linear light of a middle grey
+_SMALLEST = 1e-13  # of the distance from the origin: smaller models are lost in rounding
+_NARROWEST = 1e-3  # degrees, below which rays are parallel
+_MARGIN = 0.92  # of the shorter side of a view that a model fills
 
 
 class VertexPaint:
@@ -124,6 +129,100 @@ def _interpolated(corners: Array, faces: Int32s, weights: Float32s) -> Array:
     """Interpolate numbers at the corners of all faces, (F, 3, X), at points of some of them; (K, X)."""
     three = corners.take(faces, axis=0)
     return three[:, 0] * weights[:, :1] + three[:, 1] * weights[:, 1:2] + three[:, 2] * weights[:, 2:]
+
+
+# Rows: the directions to the right, up and towards the eye in a view from the front, by the axis that points up.
+_FRONT = {
+    "x": [[0, 1, 0], [1, 0, 0], [0, 0, -1]],
+    "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+}
+
+Window = tuple[float, float, float, float]
+"""Part of a view: left, upper, right and lower border, as fractions of its width and height."""
+
+
+def part_of(window: Window, part: Window) -> Window:
+    """Return a part of a window as a window of the whole view."""
+    width, height = window[2] - window[0], window[3] - window[1]
+    left, upper = window[0] + part[0] * width, window[1] + part[1] * height
+    return left, upper, left + (part[2] - part[0]) * width, upper + (part[3] - part[1]) * height
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera, perspective or orthographic."""
+
+    rotation: Float64s  # (3, 3): rows are the directions of view coordinates
+    place: Float64s  # (3,), view coordinates: the eye; orthographic: a point in front of the model
+    reach: Float64s  # (2,): half the width and height seen at distance 1; orthographic: anywhere
+    is_orthographic: bool
+
+    def rays(
+        self, columns: Float64s, rows: Float64s, precision: type[np.float32] | type[np.float64] = np.float64
+    ) -> tuple[Array, Array]:
+        """Return origins and unit directions of rays, (K, 3) each, through places in fractions of the view."""
+        # Columns (C,) with rows (R, 1) make a grid, by the rules of broadcasting.
+        across = ((2 * columns - 1) * self.reach[0])[..., None]
+        up = ((1 - 2 * rows) * self.reach[1])[..., None]
+        right, above, back = self.rotation
+        eye = self.place @ self.rotation
+        if self.is_orthographic:
+            starts = (eye + up * above) + across * right
+            return starts.reshape(-1, 3), np.broadcast_to(-back, (starts.size // 3, 3))
+        directions = (up * above - back).astype(precision) + (across * right).astype(precision)
+        directions /= np.sqrt(across**2 + up**2 + 1).astype(precision)
+        return np.broadcast_to(eye, (directions.size // 3, 3)), directions.reshape(-1, 3)
+
+    def project(self, positions: Float64s) -> tuple[Float64s, Float64s]:
+        """Return where points are in the view, (K, 2), as fractions of it, and their depths, (K,)."""
+        seen = positions @ self.rotation.T - self.place
+        depth = -seen[:, 2]
+        scale = 1.0 if self.is_orthographic else np.maximum(depth, 1e-300)[:, None]
+        across = seen[:, :2] / (scale * self.reach)
+        return np.column_stack([(1 + across[:, 0]) / 2, (1 - across[:, 1]) / 2]), depth
+
+    def breadth(self, distances: Float64s) -> Float64s:
+        """Return the width of the whole view at distances from the origins of rays, in units of the model."""
+        return np.asarray(
+            2 * self.reach[0] * (np.ones_like(distances) if self.is_orthographic else distances)
+        )
+
+
+def orientation(azimuth: float, elevation: float, up: str = "y") -> Float64s:
+    """Return the rotation to view coordinates, (3, 3), of an eye to the right of the front and above, in degrees."""
+    (c, s), (d, e) = ((np.cos(angle), np.sin(angle)) for angle in np.radians((azimuth, elevation)))
+    around = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    over = np.array([[1, 0, 0], [0, d, -e], [0, e, d]])
+    return np.asarray(over @ around @ np.array(_FRONT[up], float))
+
+
+def size_between(low: Float64s, high: Float64s) -> float:
+    """Return the longest side of a bounding box, or a small positive number for a single point."""
+    farthest = float(np.abs([low, high]).max())
+    return max(float((high - low).max()), _SMALLEST * farthest, float(np.finfo(float).tiny))
+
+
+def fitted(positions: Float64s, rotation: Float64s, field: float, aspect: float) -> Camera:
+    """Place a camera so that all points, at least one, are visible and fill the view."""
+    seen = positions @ rotation.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    size = size_between(low, high)
+    shape = np.array([aspect, 1.0]) / min(aspect, 1.0)
+    middle = (low + high) / 2
+    if field < _NARROWEST:
+        half = max(float(((high - low)[:2] / 2 / shape).max()), 1e-6 * size) / _MARGIN
+        return Camera(rotation, np.array([*middle[:2], high[2] + size]), half * shape, True)
+    reach = np.tan(np.radians(field) / 2) * shape
+    # |x - cx| <= T (d - z) for all points: linear in the eye (cx, d), so the outermost planes decide.
+    slope = _MARGIN * reach
+    centred = seen - middle
+    right = (centred[:, :2] + slope * centred[:, 2:]).max(axis=0)
+    left = (-centred[:, :2] + slope * centred[:, 2:]).max(axis=0)
+    nearest = float(centred[:, 2].max())
+    distance = max(float(((right + left) / (2 * slope)).max()), nearest + 0.05 * size)
+    eye = middle + np.array([*(right - left) / 2, distance])
+    return Camera(rotation, eye, reach, False)
 
 
 SAMPLES = 3  # rays along a side of each pixel

@@ -21,15 +21,8 @@ from beltrami_cli.surface.baking import expanded, runs_of
 from beltrami_cli.surface.geometry import triangle_areas, vertex_areas
 from beltrami_cli.surface.grouping import connected, group_equal_rows
 from beltrami_cli.surface.records import PaintedVertices, Slot, srgb_to_linear
-from beltrami_cli.view.camera import Camera, Window
 from beltrami_cli.view.settings import RenderSettings
-from beltrami_cli.view.tracing import (
-    SAMPLES,
-    Sheet,
-    SurfaceView,
-    TexturePaint,
-    VertexPaint,
-)
+from beltrami_cli.view.tracing import SAMPLES, Camera, Sheet, SurfaceView, TexturePaint, VertexPaint, Window
 
 _FAR = 128  # models beyond 2^128 or below 2^-128 are rescaled, which keeps their fourth powers within 2^256
 _MAX_OUTLIER_SHARE = 0.01  # of the surface or the points, so that parts of some size are always framed

@@ -9,7 +9,6 @@ import pytest
 
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import Texture, TexturedSurface, linear_to_srgb
-from beltrami_cli.view.camera import fitted, orientation
 from beltrami_cli.view.drawing import (
     Panel,
     arranged,
@@ -20,7 +19,15 @@ from beltrami_cli.view.drawing import (
     richest_window,
 )
 from beltrami_cli.view.settings import DEFAULT_RENDER, RenderSettings
-from beltrami_cli.view.tracing import AMBIENT, LAMP, SurfaceView, TexturePaint, VertexPaint
+from beltrami_cli.view.tracing import (
+    AMBIENT,
+    LAMP,
+    SurfaceView,
+    TexturePaint,
+    VertexPaint,
+    fitted,
+    orientation,
+)  # fmt: skip
 from beltrami_cli.view.views import CloudView, ImageView, _discs, framed, within_reach
 from oracles import surfaces
 
