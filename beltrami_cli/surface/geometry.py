@@ -45,6 +45,16 @@ def unit_vectors(vectors: Float64s) -> Float64s:
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 
+def centred(positions: Float64s) -> Float64s:
+    """Return points around the origin, the farthest at 1/2 to 1, so that squares neither vanish nor overflow."""
+    if not len(positions):
+        return positions
+    # Halves, since a sum may overflow; a power of two, since it rounds nothing.
+    points = positions / 2 - (positions.min(axis=0) / 2 + positions.max(axis=0) / 2) / 2
+    extent = float(np.abs(points).max())
+    return np.asarray(np.ldexp(points, -int(np.frexp(extent)[1]))) if extent > 0 else points
+
+
 def shortest_type(positions: Float64s) -> Float32s | Float64s:
     """Return positions as float32 if that loses nothing, which takes fewer bytes or digits in a file."""
     with np.errstate(over="ignore"):  # Beyond float32 they become infinite, which is not equal.

@@ -35,6 +35,8 @@ from itertools import product
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s
+from beltrami_cli.surface.baking import expanded
+from beltrami_cli.surface.geometry import centred
 from beltrami_cli.surface.grouping import connected, edges_of, group_places, without_unused
 from beltrami_cli.surface.records import Encoding, PaintedVertices
 
@@ -297,7 +299,8 @@ def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
 
     if len(positions) < 3:
         return np.empty((0, 3), np.int32)
-    points = _centred(positions)
+    points = np.zeros((len(positions), 3))
+    points[:, : positions.shape[1]] = centred(positions)
     order = morton_order(points)  # neighbours lie close in memory, which halves the time
     points = points[order]
     tree, stars = cKDTree(points), LocalTriangulation(points)
@@ -313,16 +316,6 @@ def triangulate_points(positions: Float64s, threads: int = 1) -> Int32s:
     return np.sort(order[stars.faces()], axis=1)
 
 
-def _centred(positions: Float64s) -> Float64s:
-    """Return points around the origin with coordinates near 1, so that squares neither vanish nor overflow."""
-    points = np.zeros((len(positions), 3))
-    low, high = positions.min(axis=0), positions.max(axis=0)
-    # Halves, since a sum may overflow; a power of two, since it rounds nothing.
-    points[:, : positions.shape[1]] = positions / 2 - (low / 2 + high / 2) / 2
-    extent = float(np.abs(points).max())
-    return np.ldexp(points, -int(np.frexp(extent)[1])) if extent > 0 else points
-
-
 def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     """Give the triangles of places to the first point there, and to each other one with first ones elsewhere."""
     # Colours say which is first, so that the order of points makes no difference.
@@ -334,10 +327,9 @@ def _with_copies(faces: Int32s, place_of: Int32s, colours: Float32s) -> Int32s:
     starts = np.cumsum(copies) - copies
     parts = [first[faces]]
     for corner in range(3):
-        counts = copies[faces[:, corner]]
-        rows = np.repeat(np.arange(len(faces)), counts)
-        within = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
-        more = first[faces[rows]]
-        more[:, corner] = others[starts[faces[rows, corner]] + within]
+        at = faces[:, corner]
+        copy, row = expanded(starts[at], copies[at])
+        more = first[faces[row]]
+        more[:, corner] = others[copy]
         parts.append(more)
     return np.concatenate(parts)

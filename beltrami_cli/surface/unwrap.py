@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s
 from beltrami_cli.errors import InputError, ProcessingError
-from beltrami_cli.surface.geometry import triangle_areas
+from beltrami_cli.surface.geometry import centred, triangle_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import require_finite
 from beltrami_cli.surface.worker_process import Message, WorkerError, ask, serve
@@ -54,7 +54,7 @@ def unwrap(
     # several times a second with the elapsed and the expected tenths of a second.
     require_finite(positions, name, "the position of vertex")
     used, row_of = np.unique(faces, return_inverse=True)
-    unit, rows = _of_unit_size(positions[used]), row_of.reshape(-1, 3).astype(np.int32)
+    unit, rows = centred(positions[used]) / 2, row_of.reshape(-1, 3).astype(np.int32)
     edges = unit[rows] - unit[np.roll(rows, -1, axis=1)]
     longest = np.square(edges).sum(axis=2).max(axis=1, initial=0)
     distinct = (rows != np.roll(rows, -1, axis=1)).all(axis=1)
@@ -90,15 +90,6 @@ def require_few_faces(count: int, most: int, name: str) -> None:
         cause = f"it has {count} triangles, and unwrapping more than {most} takes long: about {shown}"
         remedy = f"simplify it, or allow it with --max-unwrap-faces {count}"
         raise InputError(name, f"{cause}, growing faster than their number", remedy)
-
-
-def _of_unit_size(positions: Float64s) -> Float64s:
-    """Bring positions into [-1/2, 1/2]; halves come first, so that nothing overflows."""
-    if not len(positions):
-        return positions
-    low, high = positions.min(axis=0) / 2, positions.max(axis=0) / 2
-    extent = float((high - low).max())
-    return np.asarray((positions / 2 - (low + high) / 2) / (extent if extent > 0 else 1.0))
 
 
 def _side(needed: float, size: int) -> int:
