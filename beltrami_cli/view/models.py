@@ -63,6 +63,7 @@ _LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
 _FILLED = (
     0.99  # share of the room for pictures that is aimed at; PNG adds at most 1 % to incompressible bytes
 )
+_LEAST_SHARE = 1e-4  # of the width of pictures: 10,000 pixels become one
 _LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
 
 
@@ -133,7 +134,7 @@ class ModelWriter:
         arrays.binary[:] = data.tobytes()
         images, share = [image() for image in self._images], 1.0
         room = max(3 / 4 * limit - len(zlib.compress(data.tobytes())), _LEAST_PICTURES)
-        while (size := sum(len(content) for _, content in images)) > room:
+        while (size := sum(len(content) for _, content in images)) > room and share > _LEAST_SHARE:
             share *= _FILLED * float(np.sqrt(room / size))
             images = [_resized(image(), share) for image in self._images]
         file = np.frombuffer(self._written(images, reach), np.uint8)
