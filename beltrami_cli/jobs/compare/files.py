@@ -32,6 +32,7 @@ from beltrami_cli.jobs.compare.figures import (
 )
 from beltrami_cli.jobs.compare.parts import (
     ROUNDED_MOVE,
+    Documents,
     compare_images,
     compare_textures,
     compare_vertices,
@@ -153,9 +154,7 @@ def require_samples(parts: Sequence[ComparedColours], name: str) -> None:
             raise InputError(name, cause, "use --weights uniform")
 
 
-def choose_parts(
-    documents: tuple[Document, Document], settings: SmoothSettings
-) -> tuple[Selection, list[str]]:
+def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Selection, list[str]]:
     """Choose the compared parts, by default all coloured ones; return notices on all others."""
     kinds = ["an image" if document.kind == "image" else "a model" for document in documents]
     if kinds[0] != kinds[1]:
@@ -177,14 +176,12 @@ def choose_parts(
     return selection, [*notices, *([f"not compared: {', '.join(others)}"] if others else [])]
 
 
-def _slots_of(documents: tuple[Document, Document]) -> tuple[Slot, ...]:
+def _slots_of(documents: Documents) -> tuple[Slot, ...]:
     known = {slot for document in documents for slot in document.slots()}
     return tuple(sorted(known, key=SLOTS.index))
 
 
-def _everything(
-    documents: tuple[Document, Document], settings: SmoothSettings, notices: list[str]
-) -> SmoothSettings:
+def _everything(documents: Documents, settings: SmoothSettings, notices: list[str]) -> SmoothSettings:
     """Return settings that name all that is coloured in both models; InputError if only one has some of it."""
     slots = () if settings.on == "vertices" else _slots_of(documents)
     for slot in slots:
@@ -203,14 +200,14 @@ def _everything(
     return dataclasses.replace(settings, on=on, textures=textures)
 
 
-def _require_both(documents: tuple[Document, Document], has: list[bool], what: str) -> None:
+def _require_both(documents: Documents, has: list[bool], what: str) -> None:
     if has[0] != has[1]:
         names = [documents[not has[0]].name, documents[has[0]].name]
         cause = f"it has no {what}, but {names[0]} has"
         raise InputError(names[1], cause, "choose what both have with --slots or --on")
 
 
-def _is_readable(documents: tuple[Document, Document], slot: Slot, notices: list[str]) -> bool:
+def _is_readable(documents: Documents, slot: Slot, notices: list[str]) -> bool:
     """Return whether the textures of a slot can be read in both models; raise the error if only in one."""
     errors = []
     for document in documents:
@@ -224,7 +221,7 @@ def _is_readable(documents: tuple[Document, Document], slot: Slot, notices: list
     return not errors
 
 
-def moves_between(documents: tuple[Document, Document], selection: Selection) -> Moves:
+def moves_between(documents: Documents, selection: Selection) -> Moves:
     """Measure how far vertices moved, in all that is compared."""
     found = [np.zeros(0)]
     if selection.vertices:
@@ -283,7 +280,7 @@ class Compared:
 
 
 def compare_documents(
-    documents: tuple[Document, Document],
+    documents: Documents,
     settings: SmoothSettings,
     weights: Weights,
     job: Job = PLAIN_JOB,

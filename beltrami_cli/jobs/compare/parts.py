@@ -42,6 +42,8 @@ from beltrami_cli.surface.geometry import vertex_areas
 from beltrami_cli.surface.grouping import group_places
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
 
+Documents = tuple[Document, Document]
+
 # Distance from a seam that counts as near, in texels.
 _NEAR = 4
 _CELLS = 1 << 14  # whose areas are measured at a time, in the processor's cache
@@ -106,7 +108,7 @@ def texel_areas(atlas: Atlas) -> Float64s:
 
 
 def compare_vertices(
-    documents: tuple[Document, Document], settings: SmoothSettings, weights: Weights, *, is_extra: bool
+    documents: Documents, settings: SmoothSettings, weights: Weights, *, is_extra: bool
 ) -> ComparedColours:
     """Bring the vertex colours of two models together; `is_extra`: textures are compared, too."""
     one, other = _on_one_scale(*(document.painted() for document in documents))
@@ -209,7 +211,7 @@ def compare_images(
 
 
 def compare_textures(
-    documents: tuple[Document, Document], slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
+    documents: Documents, slot: Slot, settings: SmoothSettings, weights: Weights, access: Access,
     *, is_extra: bool,
 ) -> list[ComparedColours]:  # fmt: skip
     """Bring textures of a slot together, each a part; `is_extra`: of equal files it is enough to say that they are."""
@@ -302,9 +304,7 @@ def moves_of(places: Float64s, others: Float64s) -> Float64s:
     return moves / size if size > 0 else np.where(moves > 0, np.inf, 0.0)
 
 
-def _require_one_model(
-    documents: tuple[Document, Document], painted: tuple[PaintedVertices, PaintedVertices]
-) -> None:
+def _require_one_model(documents: Documents, painted: tuple[PaintedVertices, PaintedVertices]) -> None:
     """Raise InputError if two models differ in more than colours and positions."""
     one, other = painted
     names = documents[0].name, documents[1].name
