@@ -17,9 +17,9 @@ from beltrami_cli.surface.records import Slot
 
 # Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
 # at a time, its old and new colours in single precision; to smooth an image without files, the least of the peaks on
-# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (42 + 1); to read heights or
+# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (36 + 1); to read heights or
 # positions, as coordinates in double precision, as read and for each pixel.
-PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (42, 1), "mapped": (3 * 8, 8)}
+PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (36, 1), "mapped": (3 * 8, 8)}
 
 # Bytes per texel of all textures, or per pixel of an image, that stay in memory where large arrays are in files: masks.
 # 16 textures of 2048 x 2048, limited to 180 MB, took 270 MB with the program's own 90 and arrays of 45: 2.0 a texel.
