@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from beltrami_cli.errors import UsageError
-from beltrami_cli.fields import Parameter, override, parameters
+from beltrami_cli.fields import override, parameters
 from beltrami_cli.flow.parameters import STRENGTHS, TUNABLE
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, describe_settings
 
@@ -60,14 +60,8 @@ def settings_from(plain: SmoothSettings, values: Mapping[str, Any]) -> SmoothSet
         if name not in (*_NAMES, "slots"):
             raise UsageError(f"there is no control {name}")
         if value not in (None, ""):
-            made[name] = tuple(value) if isinstance(value, list) else _value(_DECLARED[name], value)
+            made[name] = tuple(value) if isinstance(value, list) else value
     return override(plain, **made)
-
-
-def _value(declared: Parameter, value: Any) -> Any:
-    if declared.kind is int and isinstance(value, float) and value.is_integer():
-        return int(value)
-    return float(value) if declared.kind is float and type(value) is int else value
 
 
 def used_parameters(report: dict[str, Any]) -> dict[str, list[Any]]:
