@@ -59,9 +59,7 @@ class Exposures:
     """The terms of charts, and how far the stretches of seams agree with them."""
 
     terms: Float64s  # (N, charts, 2 or 4): gain - 1, offset, tilts of the gain along rows and columns
-    weights: (
-        Float64s  # (K,): 1 where the sides agree, 1/4 at an outlier, towards 0 where they differ by paint
-    )
+    weights: Float64s  # (K,): 1 where sides agree, 1/4 at an outlier, towards 0 where they differ by paint
 
     def at(self, charts: Indices, places: Float64s) -> tuple[Float64s, Float64s]:
         """Return the factor and the offset at places in charts, each of shape (N, K)."""
@@ -136,11 +134,7 @@ def squared_steps(steps: Steps, sides: Float64s, units: Int64s) -> Float64s:
 
 
 def _solved(
-    steps: Steps,
-    found: Exposures,
-    weights: Float64s,
-    spread: tuple[float, ...],
-    fixed: Bools | None,
+    steps: Steps, found: Exposures, weights: Float64s, spread: tuple[float, ...], fixed: Bools | None
 ) -> Float64s:
     """Return the terms, shape (N, charts, terms), that explain steps of weights of shape (K, N).
 
@@ -264,9 +258,8 @@ class _HeldOut:
         """Test whether the predicted sides explain the steps, by the squared steps before and after."""
         steps, (correlations, has_pattern) = self.steps, self.continuity(sides)
         gains = _gains(before, after)
-        possible = steps.means(
-            may_be_exposure(steps), self.units
-        )  # steps that no camera makes count as unexplained
+        # Steps that no camera makes count as unexplained.
+        possible = steps.means(may_be_exposure(steps), self.units)
         evidence = possible * np.where(has_pattern, gains, gains - (1 - gains))
         left, whole = (float(self.weights @ np.sqrt(each)) for each in (after, before))
         return Verdict(

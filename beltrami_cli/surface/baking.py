@@ -106,10 +106,8 @@ def places_of_texels(surface: TexturedSurface, cells: Cells) -> tuple[Float64s, 
 
 def _texel_spacing(surface: TexturedSurface, sizes: Sequence[tuple[int, int]]) -> Float64s:
     """Return how far apart texels are in space at each corner, (F, 3): the same wherever triangles meet."""
-    place_of, count = (
-        group_places(surface.positions, surface.space_of, surface.faces)[0],
-        len(surface.positions),
-    )
+    place_of, _ = group_places(surface.positions, surface.space_of, surface.faces)
+    count = len(surface.positions)
     shown = surface.texture_of >= 0
     texels = np.array([across * down for across, down in sizes], np.float64)[surface.texture_of[shown]]
     one, two = (surface.uv[shown, k] - surface.uv[shown, 0] for k in (1, 2))

@@ -72,9 +72,8 @@ def _run_starts(columns: Sequence[Array], order: NDArray[np.intp]) -> Bools:
 _ROUNDED_UNITS = 4
 # A typical edge is so many times longer than the tolerance, or steps of rounding are as wide as details of the mesh.
 _EDGE_OF_TOLERANCE = 64
-_CELL_OF_TOLERANCE = (
-    4  # more than twice, so that in every direction one of two shifted grids has copies in one cell
-)
+# More than twice, so that in every direction one of two shifted grids has copies in one cell.
+_CELL_OF_TOLERANCE = 4
 _SINGLE = np.finfo(np.float32).eps
 _ENOUGH_VALUES = 10_000  # coordinates whose digits are counted
 _MOST_DECIMALS = 9  # of coordinates in text, with which programs write single precision

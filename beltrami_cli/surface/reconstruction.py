@@ -83,9 +83,8 @@ class Volume:
     """A level set sampled on a lattice."""
 
     lattice: Lattice  # where the samples stand
-    values: (
-        Array  # (X, Y, Z): of any integer, floating or boolean type. Values that are not finite are unknown.
-    )
+    # Shape (X, Y, Z): of any integer, floating or boolean type. Values that are not finite are unknown.
+    values: Array
     known: Bools | None = None  # (X, Y, Z): false where the value is unknown whatever it is; None: nowhere
     level: float | None = None  # value on the surface, where the file says so
     colours: GridColours | NearColours | None = None  # what paints the surface, where the file says so

@@ -28,7 +28,7 @@ _DARK, _LIGHT = 26, 242  # greys of letters, of 255
 _LIGHT_GROUND = 0.4  # luminance, beyond which letters are dark
 _GREY = 128 / 255  # the background where white hides the outline
 _LOST = (
-    0.25  # share of an outline that may be twice as close to white as to grey, beyond a lightness L* of 85
+    0.25  # share of an outline that may be twice as close to white as to grey: beyond a lightness L* of 85
 )
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains

@@ -60,9 +60,7 @@ _FULL = 65535
 _FARTHEST = 1e9  # sizes of a model or texture; nothing so far away is visible
 _BYTE = 257  # 16-bit value of one 8-bit step
 _LEAST_PICTURES = 1 << 20  # bytes of pictures, however large the meshes are
-_FILLED = (
-    0.99  # share of the room for pictures that is aimed at; PNG adds at most 1 % to incompressible bytes
-)
+_FILLED = 0.99  # share of the room for pictures that is aimed at: PNG adds at most 1 %
 _LEAST_SHARE = 1e-4  # of the width of pictures: 10,000 pixels become one
 _LEAST_REACH, _MOST_REACH = 4, 128  # 255ths of full scale
 

@@ -132,10 +132,8 @@ def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share:
     for block, reference, test in part.blocks():
         tick(first * block.start / samples)
         changes = np.abs(test - reference)
-        errors[block], total = (
-            changes.max(axis=1),
-            total + float(changes.mean(axis=1, dtype=np.float64).sum()),
-        )
+        errors[block] = changes.max(axis=1)
+        total += float(changes.mean(axis=1, dtype=np.float64).sum())
         squares[block] = np.square(test.astype(np.float64) - reference).mean(axis=1)
         delta_e[block] = colour_differences(reference, test, part.space)
     similarity = None
@@ -149,16 +147,11 @@ def measure(part: ComparedColours, tick: Callable[[float], None] = lambda share:
 def figures(measured: Sequence[Measured]) -> dict[str, Any]:
     """Compute the figures of one or several parts taken together, in JSON types; None where there are none."""
     parts = [each.part for each in measured]
-    squares, delta_e = (
-        _joined([each.squares for each in measured]),
-        _joined([each.delta_e for each in measured]),
-    )
-    weights = (
-        None if all(part.weights is None for part in parts) else _joined([_weights(part) for part in parts])
-    )
-    near = (
-        _joined([_whole(part, False) if part.near_seams is None else part.near_seams for part in parts]) > 0
-    )
+    squares = _joined([each.squares for each in measured])
+    delta_e = _joined([each.delta_e for each in measured])
+    is_weighted = any(part.weights is not None for part in parts)
+    weights = _joined([_weights(part) for part in parts]) if is_weighted else None
+    near = _joined([_whole(part, 0) if part.near_seams is None else part.near_seams for part in parts]) > 0
     structured = [(each.ssim, _weights(each.part).sum()) for each in measured if each.ssim is not None]
     worst = [each.worst() for each in measured if len(each.errors)]
     weights_near = None if weights is None else weights[near]
