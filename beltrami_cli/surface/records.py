@@ -310,7 +310,7 @@ _GREY_FROM, _GREY_TO = 0.35, 0.9
 # Share of samples beyond 0 or full scale up to which these are limits: single spikes and rounding prove nothing.
 _FEW_BEYOND = 1e-3
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def srgb_to_linear(values: ArrayLike) -> NDArray[np.floating[Any]]:
@@ -347,7 +347,7 @@ def colour_by_value(values: Float32s, painting: Float32s, known: Bools) -> Float
     at = np.clip(np.where(known, values, 0), 0, 1)
     steps = np.linspace(0, 1, len(VIRIDIS))
     colours = np.stack([np.interp(at, steps, channel) for channel in VIRIDIS.T], axis=-1)
-    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ _LUMINANCE)
+    grey = _GREY_FROM + (_GREY_TO - _GREY_FROM) * (painting.astype(np.float64) @ LUMINANCE)
     return np.where(known[..., None], colours, grey[..., None])
 
 

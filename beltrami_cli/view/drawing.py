@@ -17,7 +17,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Uint8s
 from beltrami_cli.errors import ProcessingError, one_line
 from beltrami_cli.formats.image.reading import error_of
 from beltrami_cli.jobs.job import Progress, tracked
-from beltrami_cli.surface.records import as_bytes, linear_to_srgb, srgb_to_linear
+from beltrami_cli.surface.records import LUMINANCE, as_bytes, linear_to_srgb, srgb_to_linear
 from beltrami_cli.view.settings import Colour, RenderSettings
 from beltrami_cli.view.tracing import Camera, Window, fitted, orientation, part_of
 from beltrami_cli.view.views import Drawable, ImageView, framed
@@ -30,7 +30,6 @@ _GREY = 128 / 255  # the background where white hides the outline
 _LOST = (
     0.25  # share of an outline that may be twice as close to white as to grey: beyond a lightness L* of 85
 )
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FONT = "DroidSans"  # which OpenImageIO contains
 
 

@@ -159,14 +159,14 @@ def seam_map(measured: Measured) -> dict[str, Any] | None:
     if pair.size is None or pair.near_seams is None or not pair.near_seams.any():
         return None
     stride = max(1, -(-max(pair.size) // _LONGEST))
-    small = tuple(-(-side // stride) for side in pair.size)
-    amount = measured.errors[pair.near_seams]
-    largest = max(float(amount.max()), 1 / 255)
-    values = np.full(small, -1.0, np.float32)
-    rows, columns = np.divmod(pair.index[pair.near_seams], pair.size[1])
-    np.maximum.at(values, (rows // stride, columns // stride), (amount / largest))
-    ends = [np.arange(0, side, stride) for side in pair.size]
-    covered = np.logical_or.reduceat(np.logical_or.reduceat(pair.covered(), ends[0], axis=0), ends[1], axis=1)
-    shades = np.where(covered[..., None], 0.6, _WHITE) * np.ones((*small, 3))
-    drawn = colour_by_value(np.maximum(values, 0), shades.astype(np.float32), values >= 0)
+    errors, values = measured.errors[pair.near_seams], np.full(pair.size, -1.0, np.float32)
+    largest = max(float(errors.max()), 1 / 255)
+    values.reshape(-1)[pair.index[pair.near_seams]] = errors / largest
+    down, across = (np.arange(0, side, stride) for side in pair.size)
+    values, covered = (
+        np.maximum.reduceat(np.maximum.reduceat(each, down, axis=0), across, axis=1)
+        for each in (values, pair.covered())
+    )
+    shades = np.repeat(np.where(covered[..., None], np.float32(0.6), np.float32(_WHITE)), 3, axis=2)
+    drawn = colour_by_value(np.maximum(values, 0), shades, values >= 0)
     return {"name": pair.name, "picture": as_bytes(drawn), "largest": 255 * largest}
