@@ -185,7 +185,7 @@ def unwrapped(
 def _generated(
     add: str, mesh: tuple[Array, Array], padding: int, **packing: float
 ) -> tuple[Float64s, NDArray[np.uint32], int]:
-    """Cut a mesh into charts, or take those of texture coordinates, and pack them; return texels, faces and charts."""
+    """Cut a mesh into charts unless it has texture coordinates, and pack them; return texels, faces and charts."""
     import xatlas
 
     atlas, options = xatlas.Atlas(), xatlas.PackOptions()

@@ -128,7 +128,7 @@ def _figures(differing: Sequence[Measured]) -> list[dict[str, Any]]:
 def histogram(measured: Iterable[Measured], reach: float) -> dict[str, Any]:
     """Return the lines of a drawing of how often channels changed by how much, in steps of 1/255, and its axis.
 
-    Of parts with different channels, those with the most are drawn; nearly all changes are within `reach`, in 255ths.
+    Of parts with different channels, the ones with most are drawn; nearly all changes are within `reach`, in 255ths.
     """
     reach = max(1.0, reach)
     step = -(-2 * reach // _STEPS) // 2 * 2 + 1 if reach > _FEW else 2 * reach / _STEPS
