@@ -24,9 +24,9 @@ from beltrami_cli.formats.gltf.container import (
     read_container,
     require_structure,
 )
-from beltrami_cli.formats.gltf.edit import Edit, compress_again, used_otherwise
+from beltrami_cli.formats.gltf.edit import Edit, accessor_uses
 from beltrami_cli.formats.gltf.painted import Surface, placements
-from beltrami_cli.formats.gltf.saving import placed, written
+from beltrami_cli.formats.gltf.saving import sidecar_names, written
 from beltrami_cli.formats.gltf.textured import gather_textured, present_slots, read_textured_mesh
 from beltrami_cli.formats.gltf.textures import IMAGE_EXTENSIONS, Images, repaint, texture_infos
 from beltrami_cli.formats.model_folder import ModelFolder, UnfitReferenceError
@@ -103,20 +103,17 @@ class GltfDocument(Document):
             self.surface.recolour(edit, self.painted().colours, new.colours)
         if new.places is not None:
             self.surface.move(edit, self.painted().positions, new.places)
-        compress_again(edit)
-        repaint(edit, self.images, new.images).finish()
+        repaint(edit, self.images, new.images)
         return written(edit, naming, new.form or self.format, self._folder)
 
     def sidecar_names(
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
     ) -> list[str]:  # fmt: skip
-        form = form or self.format
-        if form == "glb" != self.format:
-            return []
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
-        changed = self.surface.buffers(edit, places=places) if colours else []
-        edit.buffers |= dict.fromkeys([*changed, *repaint(edit, self.images, images).blobs], bytearray())
-        return placed(edit, naming, form, self._folder).written().sidecar_names
+        if colours:
+            self.surface.replace_all(edit, places=places)
+        repaint(edit, self.images, images)
+        return sidecar_names(edit, naming, form or self.format, self._folder)
 
     def references(self) -> Sequence[str]:
         return self._references
@@ -302,7 +299,7 @@ def _meshes(tree: Tree) -> dict[str, bytes]:
 def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]:
     """Return the accessors that are not only colours, with their numbers, and the views that they look through."""
     parts: dict[str, bytes] = {}
-    others = used_otherwise(tree, "COLOR_0")
+    others = {holder[key] for place, holder, key in accessor_uses(tree) if place is None or key != "COLOR_0"}
     colours = {primitive.get("attributes", {}).get("COLOR_0") for _, primitive in primitives_of(source)}
     opaque = set(named_views({k: v for k, v in tree.items() if k not in ("images", "accessors")}))
     views = set(opaque)

@@ -1,17 +1,20 @@
 """What changes in a glTF file, while the changes are collected: numbers of vertices, and images in place of others.
 
-Numbers are overwritten where they are if nothing else uses their bytes. Otherwise a new bufferView at the end of
-the buffer takes them, and only their accessor is pointed at it; no other view ever moves.
+An entry of the JSON that something else uses, too, is copied before it changes (`Edit.own`), and only the places that
+follow the change name the copy. New bytes take the place of the old ones if nothing else reads those, otherwise free
+bytes or the end of the buffer (`Edit.put`); no other view ever moves.
 
-Attributes that Draco has compressed always get a view of their own, in the order in which decoders give the vertices:
-encoding a mesh again would move its vertices and change their order. The compressed data stays as it is; the primitive
-just does not name these numbers in it any more. Views that meshoptimizer has compressed are compressed again, which
-loses nothing.
+Numbers of vertices are overwritten where they are if nothing else uses their bytes, and get a new view otherwise.
+Attributes that Draco has compressed always get one, in the order in which decoders give the vertices: encoding a mesh
+again would move its vertices and change their order. The compressed data stays as it is; the primitive just does not
+name these numbers in it any more. Views that meshoptimizer has compressed are compressed again, which loses nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence, Set
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence, Set
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -20,6 +23,7 @@ import numpy as np
 
 from beltrami_cli.arrays import Uint8s
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.accessors import (
     DRACO,
     Accessors,
@@ -34,6 +38,10 @@ from beltrami_cli.formats.gltf.container import Container, Entry, Tree, objects,
 from beltrami_cli.surface.records import ImageFile
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
+Holder = tuple[int, str | None]  # a view, or the extension of one that names its compressed bytes
+Use = tuple[
+    Any, Any, Hashable
+]  # an object or array, its member that is an index, and the change that it follows
 
 
 @dataclass
@@ -46,54 +54,151 @@ class Edit:
     buffers: dict[int, bytearray] = field(default_factory=dict)  # new bytes of buffers that change or grow
     images: dict[int, ImageFile] = field(default_factory=dict)  # new images that are files of their own
     notices: list[str] = field(default_factory=list)
+    # New bytes that `finish` puts into place, by buffer and by what names them.
+    _new: dict[int, dict[Holder, Bytes]] = field(default_factory=lambda: defaultdict(dict))
+
+    def source(self, index: int) -> str:
+        """Return where the bytes of a buffer are, as `Buffers` does; in a data URI for one that was added."""
+        return self.accessors.buffers.source(index) if index < len(self.accessors.buffers) else "data"
 
     def open(self, index: int) -> bytearray:
         if index not in self.buffers:
             self.buffers[index] = bytearray(self.accessors.buffers.stored(index))
         return self.buffers[index]
 
-    def append(self, buffer: int, octets: bytes) -> int:
-        """Put bytes at the end of a buffer, from a multiple of four on; return where they start."""
-        data = self.open(buffer)
-        data += bytes(-len(data) % 4)
-        start = len(data)
-        data += octets
-        self.tree["buffers"][buffer]["byteLength"] = len(data)
-        return start
+    def own(
+        self, kind: str, uses: Iterable[Use], copied: Callable[[Tree], Tree] = deepcopy
+    ) -> dict[tuple[int, Any], int]:
+        """Give each change entries of its own; return their indices by old index and change.
 
-    def append_attribute(self, buffer: int, numbers: Stored) -> int:
-        """Put vertex data, shape (n, width), into a new view at the end of a buffer; return the view's index."""
-        octets, size = padded_elements(numbers)
-        start = self.append(buffer, octets.tobytes())
-        view = {"buffer": buffer, "byteOffset": start, "byteLength": octets.size, "target": VERTEX_DATA}
-        stride = octets.shape[1]
-        return self.add_view(view | ({"byteStride": stride} if stride != size else {}))
+        `uses` are all places that name entries, each with the change that it follows, None if it follows none.
+        """
+        entries: list[Tree] = self.tree[kind]
+        places: dict[int, dict[Hashable, list[tuple[Any, Any]]]] = defaultdict(lambda: defaultdict(list))
+        for holder, member, change in uses:
+            places[holder[member]][change].append((holder, member))
+        found = {}
+        for index, by_change in places.items():
+            is_shared = by_change.pop(None, None) is not None
+            for change, members in by_change.items():
+                found[index, change] = index
+                if is_shared:
+                    found[index, change] = self.add(kind, copied(entries[index]))
+                    for holder, member in members:
+                        holder[member] = found[index, change]
+                is_shared = True
+        return found
 
-    def add_view(self, view: Tree) -> int:
-        """Add a view; return its index, which nothing in the file may name yet: it would mean this view."""
-        views = self.tree.setdefault("bufferViews", [])
-        if len(views) in self._named:
-            cause = f"it names bufferViews[{len(views)}], which is not there, so no view can be added"
+    def add(self, kind: str, entry: Tree) -> int:
+        """Add an entry; return its index, which nothing in the file may name yet: it would mean this one."""
+        entries = self.tree.setdefault(kind, [])
+        if kind == "bufferViews" and len(entries) in self._named_views:
+            cause = f"it names bufferViews[{len(entries)}], which is not there, so no view can be added"
             raise InputError(self.container.name, cause, "repair the file")
-        views.append(view)
-        return len(views) - 1
+        entries.append(entry)
+        return len(entries) - 1
 
     @cached_property
-    def _named(self) -> set[int]:
+    def _named_views(self) -> set[int]:
         return set(named_views(self.container.tree))
+
+    def put(self, buffer: int, holder: Holder, octets: Bytes) -> None:
+        """Have `finish` store the new bytes of a view or of its extension in a buffer."""
+        self._new[self.accessors.buffers.canonical(buffer)][holder] = octets
 
     def growing_buffer(self, preferred: Iterable[int]) -> int:
         """Return the first of some buffers that takes bytes, otherwise any that does, otherwise a new one."""
+        count = len(self.accessors.buffers)
+        for index in [*preferred, *range(count)]:
+            if self.accessors.buffers.source(index) not in ("nowhere", "decoded"):
+                return self.accessors.buffers.canonical(index)
+        if len(self.tree.setdefault("buffers", [])) == count:
+            self.add("buffers", {"byteLength": 0, "uri": data_uri("data:application/octet-stream,", b"")})
+            self.buffers[count] = bytearray()
+        return count
+
+    def finish(self) -> None:
+        """Put all new bytes into their buffers."""
+        self._compress_again()
+        for buffer, new in self._new.items():
+            self._store(buffer, new)
+        self._new.clear()
+
+    def _compress_again(self) -> None:
+        """Compress the changed bytes of views again; where they are stored plain as well, renew them, too."""
         buffers = self.accessors.buffers
-        for index in [*preferred, *range(len(buffers))]:
-            if buffers.source(index) not in ("nowhere", "decoded"):
-                return buffers.canonical(index)
-        index = len(buffers)
-        entries = self.tree.setdefault("buffers", [])
-        if len(entries) == index:
-            entries.append({"byteLength": 0, "uri": data_uri("data:application/octet-stream,", b"")})
-            self.buffers[index] = bytearray()
-        return index
+        for index, view in enumerate(self.accessors.views):
+            packed = view.packed
+            if packed is None or view.fallback is None or view.buffer not in self.buffers:
+                continue
+            data = self.buffers.pop(view.buffer)
+            self.tree["bufferViews"][index]["extensions"][packed.extension].pop("filter", None)
+            octets = repacked(packed, data, buffers.stored(packed.buffer))
+            self.put(packed.buffer, (index, packed.extension), octets)
+            plain, start = buffers.canonical(view.fallback[0]), view.fallback[1]
+            end = start + len(data)
+            is_alone = all(
+                holder == (index, None) or part.end <= start or end <= part.offset
+                for holder, part in self._places(plain)
+            )
+            if is_alone and buffers.source(plain) != "nowhere":
+                self.open(plain)[start:end] = data
+
+    def _places(self, buffer: int) -> list[tuple[Holder, View]]:
+        """Return the bytes that views and their extensions name in a buffer, or in others over the same file."""
+        lengths = [entry["byteLength"] for entry in self.tree["buffers"]]
+        canonical = self.accessors.buffers.canonical
+        return [each for each in named_places(self.tree, lengths) if canonical(each[1].buffer) == buffer]
+
+    def _store(self, buffer: int, new: dict[Holder, Bytes]) -> None:
+        """Put new bytes into one buffer: each where old ones leave room, or at the end."""
+        places, data = self._places(buffer), self.open(buffer)
+        left = [
+            (part.offset, part.end)
+            for holder, part in places
+            if holder in new
+            and not any(
+                other != holder and near.offset < part.end and part.offset < near.end
+                for other, near in places
+            )
+        ]
+        taken = [span for _, part in places if (span := (part.offset, part.end)) not in left]
+        # Another buffer over the same file keeps its length, and so all of its bytes.
+        taken += [
+            (0, entry["byteLength"])
+            for index, entry in enumerate(self.tree["buffers"])
+            if index != buffer and self.accessors.buffers.canonical(index) == buffer
+        ]
+        for start, end in left:
+            data[start:end] = bytes(end - start)
+        last = max((end for _, end in taken), default=0)
+        if left and data.count(0, last) == len(data) - last:
+            del data[last:]
+        vacant = [(start, end) for start, end in _gaps(taken) if data.count(0, start, end) == end - start]
+        for (view, extension), octets in new.items():
+            size = len(octets)
+            chosen = next((n for n, (start, end) in enumerate(vacant) if size <= end - start), None)
+            if chosen is None:
+                data += bytes(-len(data) % 4)
+                start = len(data)
+                data += octets
+            else:
+                start, end = vacant[chosen]
+                data[start : start + size] = octets
+                vacant[chosen] = start + size + -size % 4, end
+            named = self.tree["bufferViews"][view]
+            named = named if extension is None else named["extensions"][extension]
+            named |= {"buffer": buffer, "byteOffset": start, "byteLength": size}
+        self.tree["buffers"][buffer]["byteLength"] = len(data)
+
+
+def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Give the bytes between spans, from multiples of four on."""
+    at = 0
+    for start, end in sorted(spans):
+        if start > at:
+            yield at, start
+        at = max(at, end + -end % 4)
 
 
 @dataclass(frozen=True)
@@ -102,7 +207,7 @@ class Column:
 
     accessor: int  # where they are read
     members: Set[int]  # all accessors over these numbers that primitives name as this attribute
-    users: Collection[tuple[int, int]]  # painted primitives that do: mesh, and index in the mesh
+    users: Mapping[tuple[int, int], Entry]  # painted primitives that do, by mesh and index in the mesh
     position: int  # accessor of the positions that they belong to
     before: Stored  # shape (rows, width)
     after: Stored
@@ -110,39 +215,37 @@ class Column:
 
 def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
     """Put the new numbers of all columns of an attribute into a file."""
-    changing = [not np.array_equal(column.before, column.after) for column in columns]
-    if not any(changing):
+    changed = [n for n, each in enumerate(columns) if not np.array_equal(each.before, each.after)]
+    if not changed:
         return
-    shared = used_otherwise(edit.container.tree, attribute)
-    in_place = _alone(edit, columns, shared)
-    for column, is_changing, is_alone in zip(columns, changing, in_place, strict=True):
-        if not is_changing:
-            continue
+    uses = list(accessor_uses(edit.tree))
+    shared = {holder[member] for place, holder, member in uses if place is None or member != attribute}
+    is_alone = _alone(edit, columns, shared)
+    followed: dict[
+        Hashable, int
+    ] = {}  # the column that a primitive follows, or an accessor wherever it is named
+    for number in changed:
+        column = columns[number]
         if edit.accessors.is_added(column.accessor):
-            _detach(edit, attribute, column, shared)
-            continue
-        members: Collection[int] = column.members
-        if is_alone:
+            _detach(edit, attribute, column)
+            followed |= dict.fromkeys(column.users, number)
+        elif is_alone[number]:
             _overwrite(edit, column)
+            for index in column.members:
+                _update_bounds(edit.tree["accessors"][index], column)
         else:
-            members = _own_accessors(edit, attribute, column.members, shared)
-            view = edit.append_attribute(_buffer_for(edit, column.accessor, column.position), column.after)
-            for index in members:
-                _point_at(edit.tree["accessors"][index], view)
-        for index in members:
-            _update_bounds(edit.tree["accessors"][index], column)
-
-
-def changing_buffers(edit: Edit, index: int, position: int) -> set[int]:
-    """Return the buffers of the file that may change when all numbers of an accessor are new."""
-    buffers = edit.accessors.buffers
-    read = {layout.buffer for layout in _value_layouts(edit.accessors, index)}
-    stored = {index for index in read if buffers.source(index) != "decoded"}
-    for view in edit.accessors.views:
-        if view.buffer in read and view.packed is not None and view.fallback is not None:
-            stored |= {view.packed.buffer, view.fallback[0]}
-    found = {buffers.canonical(index) for index in stored if buffers.source(index) != "nowhere"}
-    return found or {_buffer_for(edit, index, position)}
+            followed |= dict.fromkeys(column.members, number)
+    changes = [
+        (holder, member, None if place is None or member != attribute else
+         followed.get(place, followed.get(holder[member])))
+        for place, holder, member in uses
+    ]  # fmt: skip
+    views: dict[int, int] = {}
+    for (_, number), index in edit.own("accessors", changes).items():
+        if number not in views:
+            views[number] = _put_numbers(edit, columns[number])
+        _point_at(edit.tree["accessors"][index], views[number])
+        _update_bounds(edit.tree["accessors"][index], columns[number])
 
 
 def _overwrite(edit: Edit, column: Column) -> None:
@@ -155,41 +258,35 @@ def _overwrite(edit: Edit, column: Column) -> None:
     if accessor.layout is not None:
         _elements(edit, accessor.layout)[own] = octets[own]
     elif octets[own].any():  # no more zeros
-        view = edit.append_attribute(_buffer_for(edit, column.accessor, column.position), column.after)
-        _point_at(edit.tree["accessors"][column.accessor], view, keep_sparse=True)
+        _point_at(edit.tree["accessors"][column.accessor], _put_numbers(edit, column), keep_sparse=True)
 
 
 def _elements(edit: Edit, layout: Layout) -> Uint8s:
     return element_bytes(edit.open(edit.accessors.buffers.canonical(layout.buffer)), layout)
 
 
-def _buffer_for(edit: Edit, index: int, position: int) -> int:
-    """Return the buffer that takes new numbers: that of the old ones, of the positions, or any with bytes."""
-    layouts = [*_value_layouts(edit.accessors, index), edit.accessors[position].layout]
-    return edit.growing_buffer(layout.buffer for layout in layouts if layout is not None)
+def _put_numbers(edit: Edit, column: Column) -> int:
+    """Put new numbers into a view of their own; return its index."""
+    octets, size = padded_elements(column.after)
+    stride = octets.shape[1]
+    view = edit.add(
+        "bufferViews", {"target": VERTEX_DATA} | ({"byteStride": stride} if stride != size else {})
+    )
+    # Where the old numbers are, or the positions, or anywhere.
+    layouts = [*_value_layouts(edit.accessors, column.accessor), edit.accessors[column.position].layout]
+    homes = [layout.buffer for layout in layouts if layout is not None]
+    packed = [draco_extension(primitive) for primitive in column.users.values()]
+    homes += [edit.accessors.views[each.integer("bufferView")].buffer for each in packed if each is not None]
+    edit.put(edit.growing_buffer(homes), (view, None), octets.tobytes())
+    return view
 
 
-def _detach(edit: Edit, attribute: str, column: Column, shared: set[int]) -> None:
-    """Store the numbers of a column outside of the data that Draco has compressed."""
-    meshes, places = edit.container.root.entries("meshes"), set(column.users)
-    users = [meshes[mesh].entries("primitives")[part] for mesh, part in column.users]
-    for user in users:
-        _require_same_order(edit, user, attribute)
-    packed = users[0].entry("extensions").entry(DRACO)
-    source = edit.accessors.views[packed.integer("bufferView")].buffer
-    view = edit.append_attribute(edit.growing_buffer([source]), column.after)
-    named = {user.entry("attributes").integer(attribute) for user in users}
-    others = set(shared)
-    for place, primitive in primitives_of(edit.container.tree):
-        attributes = primitive.get("attributes", {})
-        if place not in places and attribute in attributes:
-            others.add(attributes[attribute])
-    for mesh, part in places:
+def _detach(edit: Edit, attribute: str, column: Column) -> None:
+    """Let the painted primitives not name a column in the data that Draco has compressed any more."""
+    for (mesh, part), primitive in column.users.items():
+        _require_same_order(edit, primitive, attribute)
         extensions = edit.tree["meshes"][mesh]["primitives"][part]["extensions"]
         del extensions[DRACO]["attributes"][attribute]
-    for index in _own_accessors(edit, attribute, named, others, places):
-        _point_at(edit.tree["accessors"][index], view)
-        _update_bounds(edit.tree["accessors"][index], column)
 
 
 def _require_same_order(edit: Edit, primitive: Entry, attribute: str) -> None:
@@ -202,28 +299,6 @@ def _require_same_order(edit: Edit, primitive: Entry, attribute: str) -> None:
     if not np.array_equal(plain, decoded):
         cause = "holds vertices in another order than its uncompressed fallback"
         raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
-
-
-def _own_accessors(
-    edit: Edit,
-    attribute: str,
-    named: Collection[int],
-    shared: Collection[int],
-    users: Collection[tuple[int, int]] | None = None,
-) -> Collection[int]:
-    """Return accessors, or a copy of each shared one, which users (None: all primitives) name in its place."""
-    own = {index: index for index in named}
-    for index in sorted(named):
-        if index in shared:
-            own[index] = len(edit.tree["accessors"])
-            old = edit.tree["accessors"][index].items()
-            # Lists are copied, since bounds may be changed.
-            edit.tree["accessors"].append({k: list(v) if isinstance(v, list) else v for k, v in old})
-    for place, primitive in primitives_of(edit.tree):
-        attributes = primitive.get("attributes", {})
-        if attributes.get(attribute) in own and (users is None or place in users):
-            attributes[attribute] = own[attributes[attribute]]
-    return own.values()
 
 
 def _point_at(accessor: Tree, view: int, *, keep_sparse: bool = False) -> None:
@@ -244,22 +319,25 @@ def _update_bounds(accessor: Tree, column: Column) -> None:
                 bounds[component] = now[component].item()
 
 
-def used_otherwise(tree: Tree, attribute: str) -> set[int]:
-    """Return the accessors that are named as anything but a certain attribute of a primitive."""
-    found: list[object] = []
-    for _, primitive in primitives_of(tree):
-        found += [index for key, index in primitive.get("attributes", {}).items() if key != attribute]
-        found += [index for target in objects(primitive.get("targets")) for index in target.values()]
-        found.append(primitive.get("indices"))
+def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, str]]:
+    """Iterate over the members that name accessors: the primitive if it is an attribute of one, holder and key."""
+    holders: list[tuple[tuple[int, int] | None, Any]] = []
+    for number, primitive in primitives_of(tree):
+        holders.append((number, primitive.get("attributes", {})))
+        holders += [(None, target) for target in objects(primitive.get("targets"))]
+        if "indices" in primitive:
+            yield None, primitive, "indices"
     for animation in objects(tree.get("animations")):
         for sampler in objects(animation.get("samplers")):
-            found += [sampler.get("input"), sampler.get("output")]
-    found += [skin.get("inverseBindMatrices") for skin in objects(tree.get("skins"))]
-    for holder in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
-        for extension in objects(list(holder.values())):
-            attributes = extension.get("attributes", {})
-            found += list(attributes.values()) if isinstance(attributes, dict) else []
-    return {index for index in found if isinstance(index, int)}
+            yield from ((None, sampler, key) for key in ("input", "output") if key in sampler)
+    for skin in objects(tree.get("skins")):
+        if "inverseBindMatrices" in skin:
+            yield None, skin, "inverseBindMatrices"
+    for extensions in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
+        holders += [(None, each.get("attributes")) for each in objects(list(extensions.values()))]
+    for place, holder in holders:
+        members = holder.items() if isinstance(holder, dict) else ()
+        yield from ((place, holder, key) for key, index in members if isinstance(index, int))
 
 
 def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:
@@ -320,37 +398,3 @@ def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Lay
 
 def _whole(view: View) -> Layout:
     return Layout(view.buffer, view.offset, view.length, view.length, 1)
-
-
-def compress_again(edit: Edit) -> None:
-    """Put the changed bytes of all compressed views back into the buffers of the file."""
-    # New data goes over the old if it fits and nothing else reads that, else to the end; plain bytes are renewed.
-    buffers = edit.accessors.buffers
-    for index, view in enumerate(edit.accessors.views):
-        packed = view.packed
-        if packed is None or view.fallback is None or view.buffer not in edit.buffers:
-            continue
-        data = edit.buffers.pop(view.buffer)
-        home, end = buffers.canonical(packed.buffer), packed.offset + packed.length
-        octets = repacked(packed, data, buffers.stored(packed.buffer))
-        extension = edit.tree["bufferViews"][index]["extensions"][packed.extension]
-        extension.pop("filter", None)
-        extension["byteLength"] = len(octets)
-        own = index, packed.extension
-        if len(octets) <= packed.length and is_unshared(edit, own, home, packed.offset, end):
-            edit.open(home)[packed.offset : end] = octets.ljust(packed.length, b"\0")
-        else:
-            extension |= {"buffer": home, "byteOffset": edit.append(home, octets)}
-        plain, start = buffers.canonical(view.fallback[0]), view.fallback[1]
-        end = start + len(data)
-        if buffers.source(plain) != "nowhere" and is_unshared(edit, (index, None), plain, start, end):
-            edit.open(plain)[start:end] = data
-
-
-def is_unshared(edit: Edit, own: tuple[int, str | None], buffer: int, start: int, end: int) -> bool:
-    """Whether no other view, and no other extension of a view, names any of these bytes."""
-    canonical = edit.accessors.buffers.canonical
-    return not any(
-        place != own and canonical(part.buffer) == buffer and part.offset < end and start < part.end
-        for place, part in named_places(edit.container.tree, edit.accessors.buffers.lengths)
-    )

@@ -28,7 +28,7 @@ from beltrami_cli.formats.gltf.accessors import (
     position_accessor,
 )
 from beltrami_cli.formats.gltf.container import Entry
-from beltrami_cli.formats.gltf.edit import Column, Edit, changing_buffers, exchange
+from beltrami_cli.formats.gltf.edit import Column, Edit, exchange
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MovedVertices, PaintedVertices
 
@@ -339,13 +339,14 @@ class Surface:
         colours = [(block, block.colour) for block in self.blocks]
         _exchange(edit, "COLOR_0", colours, np.where(new != old, new, np.nan), _painted)
 
-    def buffers(self, edit: Edit, *, places: bool) -> set[int]:
-        """Return the buffers that change with all colours, or with all positions and normals, too."""
-        found = set[int]()
-        for block in self.blocks:
-            for index in (block.colour, *((block.position, block.normal) if places else ())):
-                found |= set() if index is None else changing_buffers(edit, index, block.position)
-        return found
+    def replace_all(self, edit: Edit, *, places: bool) -> None:
+        """Put dummy numbers, each unlike the present one, into a file: for colours, or positions and normals, too."""
+        none = np.zeros((self._rows, 0))
+        _exchange(edit, "COLOR_0", [(block, block.colour) for block in self.blocks], none, _inverted)
+        if places:
+            normals = [(block, block.normal) for block in self.blocks if block.normal is not None]
+            _exchange(edit, "POSITION", [(block, block.position) for block in self.blocks], none, _inverted)
+            _exchange(edit, "NORMAL", normals, none, _inverted)
 
     def require_movable(self) -> None:
         """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
@@ -399,6 +400,11 @@ def _turned(block: Block, before: Stored, normals: Array) -> Stored:
     after = before.copy()
     after[rows] = local if before.dtype.kind == "f" else np.rint(local * np.iinfo(before.dtype).max)
     return after
+
+
+def _inverted(block: Block, before: Stored, nothing: Array) -> Stored:
+    del block, nothing
+    return (~before.view(np.uint8)).view(before.dtype)
 
 
 def _exchange(

@@ -2,15 +2,14 @@
 
 An image whose every use is replaced by the same new file just gets other bytes. Where it is still used by another
 slot, another texture or an extension, the new file becomes a new image, and only what belongs to the slot is
-pointed at it. Textures are treated likewise: changed if all that name them follow, copied otherwise.
+pointed at it. Textures are treated likewise: changed if all that name them follow, copied otherwise (`Edit.own`).
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -19,8 +18,8 @@ from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import file_key, is_data, read, relative_name
 from beltrami_cli.formats.gltf.container import Entry, Tree, objects
-from beltrami_cli.formats.gltf.edit import Edit
-from beltrami_cli.formats.gltf.saving import MEDIA, ImageStorage, media_type
+from beltrami_cli.formats.gltf.edit import Edit, Use
+from beltrami_cli.formats.gltf.saving import MEDIA, media_type, put_images
 from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
 from beltrami_cli.formats.image.picture import suffix_for
@@ -79,11 +78,7 @@ class Images:
 
     def canonical(self, index: int) -> int:
         """Return the first image over the same bytes as this one, usually itself."""
-        return self._canonical[index]
-
-    def same(self, canonical: int) -> tuple[int, ...]:
-        """Return all images over the same bytes, by the first of them."""
-        return tuple(index for index in range(len(self)) if self._canonical[index] == canonical)
+        return self._canonical[index] if index < len(self) else index
 
     def name(self, index: int) -> str:
         """Return the name of an image for messages: that of its file, or its own."""
@@ -158,14 +153,6 @@ def _kind_of(extension: str) -> str:
     return IMAGE_EXTENSIONS[extension].rpartition("/")[2].rpartition(".")[2].upper()
 
 
-def _named_images(texture: Tree) -> set[int]:
-    """Return all images that a texture of the JSON names, shown or not."""
-    extensions = texture.get("extensions")
-    holders = [texture, *(extensions.values() if isinstance(extensions, dict) else ())]
-    found = {holder.get("source") for holder in holders if isinstance(holder, dict)}
-    return {index for index in found if isinstance(index, int)}
-
-
 def texture_infos(value: Any, place: str, *, is_texture: bool | None = None) -> Iterator[tuple[str, Tree]]:
     """Find the textureInfos in a part of the JSON, with their places; `is_texture` if not as its place says."""
     is_texture = _names_texture(place) if is_texture is None else is_texture
@@ -186,21 +173,48 @@ def _names_texture(name: str) -> bool:
     return name.startswith("materials") or "texture" in name.lower()
 
 
-@dataclass(frozen=True)
-class _Change:
-    """A texture that is to show a new file in place of an image."""
-
-    texture: int
-    image: int
-    file: ImageFile
-
-
-def repaint(edit: Edit, images: Images, new: NewImages) -> ImageStorage:
-    """Show new images, as for `Document.patch`, and return what stores them; ValueError if a slot lacks an image."""
-    repainting, wanted = _Repainting(edit, images), _wanted(edit, images, new)
-    if wanted:
-        repainting.show(wanted)
-    return repainting.storage
+def repaint(edit: Edit, images: Images, new: NewImages) -> None:
+    """Show new images, as for `Document.patch`; ValueError if a slot lacks an image."""
+    wanted = _wanted(edit, images, new)
+    if not wanted:
+        return
+    tree, before = edit.tree, _extensions(edit.tree)
+    shown: dict[int, int] = {}
+    for index in range(len(images.textures)):
+        with suppress(UnfitReferenceError):
+            shown[index] = images.canonical(images.shown(index))
+    infos = [
+        (info, "index", None if slot is None else wanted.get((slot, shown.get(info["index"], -1))))
+        for info, slot in _infos(tree)
+    ]
+    changed = edit.own("textures", infos)
+    if {(shown[texture], file) for texture, file in changed} != {
+        (i, file) for (_, i), file in wanted.items()
+    }:
+        raise ValueError("an image is not used in the slot that it was handed back for")
+    showing = _Showing(edit, images)
+    for (old, file), texture in changed.items():
+        showing.show(tree["textures"][texture], old, file, f"textures[{texture}]")
+    uses: list[Use] = [
+        (holder, "source", showing.files.get(id(holder)))
+        for texture in tree["textures"]
+        for holder in [texture, *objects(list(texture.get("extensions", {}).values()))]
+        if isinstance(holder.get("source"), int)
+    ]
+    lights = tree.get("extensions", {}).get("EXT_lights_image_based", {})
+    stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
+    for value in stack:
+        if isinstance(value, list):
+            stack += [child for child in value if isinstance(child, list)]
+            uses += [(value, place, None) for place, child in enumerate(value) if isinstance(child, int)]
+    named = {holder[member] for holder, member, _ in uses}
+    files = {index: file for (_, file), index in edit.own("images", uses).items()}
+    # An image that nothing shows follows those over the same bytes.
+    by_bytes = {images.canonical(index): file for index, file in files.items()}
+    unused = set(range(len(images))) - named
+    files |= {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
+    put_images(edit, files)
+    _declare(tree, before)
 
 
 def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int], ImageFile]:
@@ -219,155 +233,82 @@ def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int]
     return wanted
 
 
-class _Repainting:
-    """Changes of the textures in the tree of an edit, whose new images go into a storage."""
+class _Showing:
+    """New files in textures of the tree of an edit: they name the old images, and `files` says what these become."""
 
     def __init__(self, edit: Edit, images: Images) -> None:
-        self.edit, self.tree, self.images = edit, edit.tree, images
-        self.storage = ImageStorage(edit, images.same)
-        self._renewed: dict[tuple[int, ImageFile], int | None] = {}
+        self._edit, self._images = edit, images
+        self.files: dict[int, ImageFile] = {}  # by the identity of the object that names the image
+        self._renewed: dict[tuple[int, ImageFile], ImageFile | None] = {}
 
-    def show(self, wanted: Mapping[tuple[Slot, int], ImageFile]) -> None:
-        """Show new files in place of images in slots."""
-        before = self._extensions()
-        changes: dict[int, list[_Change]] = defaultdict(list)
-        for change in self._changes(wanted):
-            changes[change.image].append(change)
-        for image, members in changes.items():
-            files = list(dict.fromkeys(change.file for change in members))
-            free = not self._is_used_elsewhere(image, {change.texture for change in members})
-            targets = {}
-            for number, file in enumerate(files):
-                put = self.storage.replace if free and not number else self.storage.add
-                targets[file] = put(image, file)
-            for change in members:
-                together = {each.texture for each in members if each.file == change.file}
-                self._point(change, targets[change.file], self._renew(change, together))
-        self._declare(before)
+    def show(self, texture: Tree, old: int, file: ImageFile, place: str) -> None:
+        """Make a texture show a file, in the way that its type asks for, and let no other image keep the old colours.
 
-    def _changes(self, wanted: Mapping[tuple[Slot, int], ImageFile]) -> list[_Change]:
-        """Decide which textures show the new files; copy textures with other users, and point infos at the copies."""
-        users: dict[int, list[tuple[Tree, ImageFile | None]]] = defaultdict(list)
-        shown: dict[int, int] = {}
-        for index in range(len(self.images.textures)):
-            with suppress(UnfitReferenceError):
-                shown[index] = self.images.canonical(self.images.shown(index))
-        for info, slot in _infos(self.tree):
-            image = shown.get(info["index"])
-            file = None if slot is None or image is None else wanted.get((slot, image))
-            users[info["index"]].append((info, file))
-        changes = []
-        for texture, uses in users.items():
-            files = list(dict.fromkeys(file for _, file in uses if file is not None))
-            free = all(file is not None for _, file in uses)
-            for number, file in enumerate(files):
-                index = texture
-                if number or not free:
-                    index = len(self.tree["textures"])
-                    self.tree["textures"].append(dict(self.tree["textures"][texture]))
-                    for info in (info for info, new in uses if new == file):
-                        info["index"] = index
-                changes.append(_Change(index, shown[texture], file))
-        if {(change.image, change.file) for change in changes} != {(i, f) for (_, i), f in wanted.items()}:
-            raise ValueError("an image is not used in the slot that it was handed back for")
-        return changes
-
-    def _is_used_elsewhere(self, image: int, changing: set[int]) -> bool:
-        """Whether something else needs an image as it was: another texture, or an image-based light."""
-        group = set(self.images.same(image))
-        textures = enumerate(self.tree["textures"])
-        if any(_named_images(texture) & group for index, texture in textures if index not in changing):
-            return True
-        lights = self.tree.get("extensions", {}).get("EXT_lights_image_based", {})
-        stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
-        while stack:
-            value = stack.pop()
-            if isinstance(value, list):
-                stack += value
-            elif value in group:
-                return True
-        return False
-
-    def _renew(self, change: _Change, together: set[int]) -> dict[str, int]:
-        """Give the new colours to the images of a texture for other viewers; return them by extension, "" for plain."""
-        texture = self.tree["textures"][change.texture]
-        if change.file.is_chosen:
-            return {}
-        extensions = texture.get("extensions", {})
+        `old` is the texture of the file that it was or is a copy of.
+        """
+        first = self._images.shown(old)
+        image = self._images.canonical(first)
+        extensions = texture.pop("extensions", {})
         holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
-        found: dict[str, int] = {}
-        for name, holder in holders.items():
-            index = holder.get("source")
-            if index is None or index >= len(self.images) or self.images.canonical(index) == change.image:
-                continue
-            other = self.images.canonical(index)
-            if (other, change.file) not in self._renewed:
-                file = _recoloured(self.images, other, change.file)
-                put = self.storage.add if self._is_used_elsewhere(other, together) else self.storage.replace
-                self._renewed[other, change.file] = None if file is None else put(other, file)
-                self.edit.notices += () if file is None else file.notices
-            new = self._renewed[other, change.file]
-            found |= {} if new is None else {name: new}
-        return found
-
-    def _point(self, change: _Change, image: int, renewed: Mapping[str, int]) -> None:
-        """Make a texture show another image, in the way that its type asks for."""
-        texture = self.tree["textures"][change.texture]
-        extensions = dict(texture.get("extensions", {}))
-        media = MEDIA[change.file.suffix.lower()]
-        own = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), None)
-        was_plain = media_type(self.images.data(change.image)) == media and own not in extensions
+        media = MEDIA[file.suffix.lower()]
+        own = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), "")
+        was_plain = media_type(self._images.data(image)) == media and own not in extensions
+        target = "" if was_plain else own
+        has_fallback = target == WEBP in extensions
+        named = {
+            name: source for name, each in holders.items() if isinstance(source := each.get("source"), int)
+        }
+        present = next((name for name in (WEBP, "", *IMAGE_EXTENSIONS) if name in named), "")
+        for name, source in named.items():
+            renewed = None if name == target else self._renew(source, image, file)
+            if renewed is not None and (name or has_fallback):
+                self.files[id(holders[name])] = renewed
+            elif name == "" and has_fallback:
+                self._edit.notices.append(f"{place} keeps its fallback for viewers without WebP as it was.")
+            elif name == "" != target:
+                del texture["source"]
+            elif name != target:
+                del extensions[name]
+                if name not in (own, present):
+                    lost = f"{place} loses its {_kind_of(name)} image ({name})"
+                    self._edit.notices.append(f"{lost}, which would show the old colours.")
         # Of several descriptions of the same image, the texture keeps the one that it names.
-        holders = [*(extensions.get(name, {}) for name in IMAGE_EXTENSIONS), texture]
-        named = [source for holder in holders if (source := holder.get("source")) is not None]
-        same = (i for i in named if i < len(self.images) and self.images.canonical(i) == image)
-        image = int(next(same, image))
-        present = [name for name in IMAGE_EXTENSIONS if name in extensions]
-        shown = WEBP if WEBP in present or "source" in texture else next(iter(present), None)
-        for extension in present:
-            if extension in renewed:
-                extensions[extension] = extensions[extension] | {"source": renewed[extension]}
-            elif extension != own:
-                del extensions[extension]
-            if extension not in (own, shown, *renewed):
-                lost = f"textures[{change.texture}] loses its {_kind_of(extension)} image ({extension})"
-                self.edit.notices.append(f"{lost}, which would show the old colours.")
-        if own is None or was_plain:
-            texture["source"] = image
-        elif own == WEBP and WEBP in extensions:
-            extensions[own] = extensions[own] | {"source": image}
-            if "" in renewed:
-                texture["source"] = renewed[""]
-            elif "source" in texture:
-                kept = f"textures[{change.texture}] keeps its fallback"
-                self.edit.notices.append(f"{kept} for viewers without WebP as it was.")
-        else:
-            extensions[own] = extensions.get(own, {}) | {"source": image}
-            texture.pop("source", None)
-        texture["extensions"] = extensions
-        if not extensions:
-            del texture["extensions"]
+        kept = named.get(target, first)
+        holder = texture if not target else extensions.setdefault(target, {})
+        holder["source"] = kept if self._images.canonical(kept) == image else first
+        self.files[id(holder)] = file
+        if extensions:
+            texture["extensions"] = extensions
 
-    def _extensions(self) -> set[str]:
-        textures = objects(self.tree.get("textures"))
-        used = {name for texture in textures for name in texture.get("extensions", {})}
-        return used & IMAGE_EXTENSIONS.keys()
+    def _renew(self, index: int, image: int, file: ImageFile) -> ImageFile | None:
+        """Return another image than the shown one with the new colours; None if that cannot be."""
+        if file.is_chosen or index >= len(self._images) or self._images.canonical(index) == image:
+            return None
+        key = self._images.canonical(index), file
+        if key not in self._renewed:
+            self._renewed[key] = renewed = _recoloured(self._images, key[0], file)
+            self._edit.notices += () if renewed is None else renewed.notices
+        return self._renewed[key]
 
-    def _declare(self, before: set[str]) -> None:
-        """Update the lists of extensions that are used and required; `before` are the former ones for images."""
-        after = self._extensions()
-        known = {name for name, kind in IMAGE_EXTENSIONS.items() if kind in MEDIA.values()}
-        for extension in sorted(after & known):
-            holders = [t for t in objects(self.tree["textures"]) if extension in t.get("extensions", {})]
-            is_required = any("source" not in texture for texture in holders)
-            for key in ("extensionsUsed", *(["extensionsRequired"] if is_required else [])):
-                if extension not in self.tree.setdefault(key, []):
-                    self.tree[key].append(extension)
-        for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
-            kept = [name for name in self.tree.get(key, []) if name not in before - after]
-            self.tree[key] = kept
-            if not kept:
-                del self.tree[key]
+
+def _extensions(tree: Tree) -> set[str]:
+    used = {name for texture in objects(tree.get("textures")) for name in texture.get("extensions", {})}
+    return used & IMAGE_EXTENSIONS.keys()
+
+
+def _declare(tree: Tree, before: set[str]) -> None:
+    """Update the lists of extensions that are used and required; `before` are the former ones for images."""
+    after = _extensions(tree)
+    for extension in sorted(name for name in after if IMAGE_EXTENSIONS[name] in MEDIA.values()):
+        holders = [t for t in objects(tree["textures"]) if extension in t.get("extensions", {})]
+        is_required = any("source" not in texture for texture in holders)
+        for key in ("extensionsUsed", *(["extensionsRequired"] if is_required else [])):
+            if extension not in tree.setdefault(key, []):
+                tree[key].append(extension)
+    for key in ("extensionsUsed", "extensionsRequired") if before - after else ():
+        tree[key] = [name for name in tree.get(key, []) if name not in before - after]
+        if not tree[key]:
+            del tree[key]
 
 
 def _infos(tree: Tree) -> Iterator[tuple[Tree, Slot | None]]:
