@@ -128,23 +128,21 @@ class SlotImages:
 class MeshImages:
     """The images of a mesh while its materials are read; one that stands for a set of tiles is in `sets`."""
 
-    def __init__(self) -> None:
+    def __init__(self, names: Mapping[str, str]) -> None:
+        self._names = names  # of images by key, where they are not files with names
         self.images: list[MeshImage] = []
         self.sets: dict[int, dict[Tile, int]] = {}
         self._index_of: dict[str, int] = {}
 
-    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> int:
-        """Take an image, or what reads it, once; return its number."""
-        if key not in self._index_of:
-            data = content if isinstance(content, bytes) else content()
-            self._index_of[key] = len(self.images)
-            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, key))
-        return self._index_of[key]
-
     def take_file(self, path: str, sets: TileSets, read: Callable[[str], bytes]) -> int:
         """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
-        if path in self._index_of or path not in sets:
-            return self.take(path, path.rpartition("/")[2], lambda: read(path))
+        if path in self._index_of:
+            return self._index_of[path]
+        if path not in sets:
+            data, name = read(path), self._names.get(path, path.rpartition("/")[2])
+            self._index_of[path] = len(self.images)
+            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path))
+            return self._index_of[path]
         tiles = {tile: self.take_file(file, sets, read) for tile, file in sets[path].items()}
         self._index_of[path] = len(self.images)
         self.sets[len(self.images)] = tiles
@@ -165,6 +163,7 @@ class ShownMap:
     path: str | None  # of an image, or of a set of tiles; None: it is not read
     reason: str = ""  # then: why, to be put behind the name
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    alpha_hides: bool = True  # as in `Texture`
 
 
 Maps = Mapping[Slot, ShownMap]
@@ -181,11 +180,13 @@ class Scene:
     material_of: Int64s  # (P,): index into `materials`
     materials: Sequence[str]  # their names
     maps: Sequence[Maps]  # of each material
-    # Texture coordinates of all corners, (K, 2), for a slot (None: of polygons without an image); v up, NaN: none.
+    # Texture coordinates of all corners, (K, 2), for a slot (None: of polygons without an image); NaN: none.
     uv: Callable[[Slot | None], Float64s]
     tiles: TileSets
     read: Callable[[str], bytes]
     measured: Bools | None = None  # (V,): which vertices have a position; None: all
+    names: Mapping[str, str] = field(default_factory=dict)  # of images, where they are not files with names
+    is_v_up: bool = True
 
     @cached_property
     def triangles(self) -> tuple[Int32s, Int64s]:
@@ -198,7 +199,8 @@ class Scene:
 
     def _coordinates(self, slot: Slot | None) -> Float64s:
         uv = self.uv(slot)[self.triangles[0]]
-        uv[..., 1] = 1 - uv[..., 1]
+        if self.is_v_up:
+            uv[..., 1] = 1 - uv[..., 1]
         return uv
 
     def surface(self, slot: Slot, undefined: str = "") -> tuple[TexturedSurface, list[str]]:
@@ -231,8 +233,9 @@ class Scene:
                 if file not in shown:
                     data = self.read(file)
                     content = partial(self.read, file) if tiles or len(data) >= LARGE else data
-                    shown.take(file, file.rpartition("/")[2], content)
-                number_of[file] = shown.show(file, material, ("clamp", "clamp") if tiles else found.wrap)
+                    shown.take(file, self.names.get(file, file.rpartition("/")[2]), content)
+                wrap: tuple[Wrap, Wrap] = ("clamp", "clamp") if tiles else found.wrap
+                number_of[file] = shown.show(file, material, wrap, alpha_hides=found.alpha_hides)
             except InputError as error:
                 cause = error.cause
         if not number_of:
@@ -255,7 +258,7 @@ class Scene:
             raise InputError(self.name, "it has no faces, so there is nothing to show a texture")
         used, material_of = np.unique(self.material_of[polygon], return_inverse=True)
         uv, elsewhere = self._common_coordinates()
-        images, materials, lost = MeshImages(), [], [*left_out]
+        images, materials, lost = MeshImages(self.names), [], [*left_out]
         for number in used.tolist():
             maps: dict[Slot, MaterialMap] = {}
             for slot, found in self.maps[number].items():

@@ -83,12 +83,9 @@ def located(uri: str, folder: ModelFolder) -> str:
 
 
 def _checked(uri: str, check: Callable[[str], str]) -> str:
-    try:
-        if "\0" in unquote(uri):
-            raise UnfitReferenceError("is not a path as glTF spells it")
-        return check(unquote(uri))
-    except UnfitReferenceError as error:
-        raise UnfitReferenceError(f"{_short(uri)} {error}") from None
+    if "\0" in unquote(uri):
+        raise UnfitReferenceError("is not a path as glTF spells it")
+    return check(unquote(uri))
 
 
 def read(uri: str, folder: ModelFolder) -> bytes:
@@ -97,7 +94,7 @@ def read(uri: str, folder: ModelFolder) -> bytes:
         try:
             return folder.read(located(uri, folder))
         except OSError as error:
-            raise UnfitReferenceError(f"{_short(uri)} cannot be read ({error.strerror})") from None
+            raise UnfitReferenceError(f"cannot be read ({error.strerror})") from None
     head, comma, payload = uri.partition(",")
     if not comma:
         raise UnfitReferenceError("is a data URI without a comma")
@@ -110,7 +107,7 @@ def read(uri: str, folder: ModelFolder) -> bytes:
         raise UnfitReferenceError(f"is a data URI with damaged base64 ({error})") from None
 
 
-def _short(uri: str) -> str:
+def short(uri: str) -> str:
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
 
@@ -124,7 +121,7 @@ def present_files(root: Entry, folder: ModelFolder) -> tuple[list[str], list[str
             if not is_outside(path):
                 names[path] = None
         except UnfitReferenceError as error:
-            notices[f"{entry.place}: {error}."] = None
+            notices[f"{entry.place}: {short(uri)} {error}."] = None
     return list(names), list(notices)
 
 
@@ -245,7 +242,8 @@ class Buffers:
             try:
                 data: Bytes = read(uri, self._folder)
             except UnfitReferenceError as error:
-                raise entry.fault("uri", str(error), remedy_for(str(error))) from None
+                name = "" if is_data(uri) else f"{short(uri)} "
+                raise entry.fault("uri", f"{name}{error}", remedy_for(str(error))) from None
         elif self.source(index) == "chunk":
             data = self._container.binary or b""
         else:

@@ -18,6 +18,7 @@ from beltrami_cli.formats.gltf.buffers import (
     named_files,
     read,
     relative_name,
+    short,
 )
 from beltrami_cli.formats.gltf.container import (
     BIN_CHUNK,
@@ -197,9 +198,9 @@ def _embed_images(edit: Edit, folder: ModelFolder) -> None:
             data = read(uri, folder) if new is None else new.data
             kind = image.get("mimeType") or media_type(data)
             if kind is None:
-                raise UnfitReferenceError("its type is not known, so it cannot be embedded")
+                raise UnfitReferenceError("is of an unknown type, so it cannot be embedded")
         except UnfitReferenceError as error:
-            edit.notices.append(f"images[{index}] stays outside the GLB: {error}.")
+            edit.notices.append(f"images[{index}] stays outside the GLB: {short(uri)} {error}.")
             continue
         view = edit.add("bufferViews", {})
         edit.put(edit.growing_buffer([]), (view, None), data)

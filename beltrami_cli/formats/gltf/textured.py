@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+import dataclasses
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colour
 from beltrami_cli.formats.gltf.accessors import (
@@ -27,7 +28,7 @@ from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.textured_mesh import MeshImages, SlotImages, shown_materials, usable_coordinates
+from beltrami_cli.formats.textured_mesh import MeshImages, Scene, ShownMap, SlotImages
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 
@@ -54,10 +55,12 @@ class TextureUse:
     alpha_hides: bool  # whether the material's alphaMode makes anything of opacity; OPAQUE does not
 
     def placed(self, uv: Float64s) -> Float64s:
-        """Return texture coordinates, shape (n, 2), with the transform applied; overflow gives infinity."""
+        """Return texture coordinates, shape (..., 2), with the transform applied."""
         a, b, c, d, e, f = self.transform
         with np.errstate(over="ignore", invalid="ignore"):
             moved: Float64s = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
+        if not np.isfinite(moved).all():
+            raise self.info.fault("extensions", "its transform moves texture coordinates to infinity")
         return moved
 
 
@@ -124,214 +127,265 @@ def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]
     return cosine * width, sine * height, x, -sine * width, cosine * height, y
 
 
+@dataclass(frozen=True)
+class _Part:
+    """Triangles of a primitive at one place."""
+
+    primitive: Entry
+    placement: Placement
+    position: int  # accessor of the positions
+    faces: Int64s  # (F, 3), indices into it
+    material: int  # number in `_Parts`
+    look: int = 0
+    group: str = ""  # name of the object
+
+
+class _Parts:
+    """Triangles of primitives, while these are taken one by one, and the scene that they make."""
+
+    def __init__(self, root: Entry, accessors: Accessors, images: Images) -> None:
+        self.root, self.accessors, self._images = root, accessors, images
+        self.groups: dict[Hashable, list[_Part]] = {}  # by what shares vertices
+        # Materials: their names, their textures, and the images that these show.
+        self._numbers: dict[Hashable, int] = {}
+        self._names: list[str] = []
+        self._uses: list[Mapping[Slot, TextureUse]] = []
+        self.maps: list[Mapping[Slot, ShownMap]] = []
+        self._coordinates: dict[int, Float64s] = {}
+
+    def __iter__(self) -> Iterator[_Part]:
+        return chain(*self.groups.values())
+
+    def material(self, key: Hashable, name: str, uses: Mapping[Slot, TextureUse]) -> int:
+        """Return the number of a material, which is added when it is asked for first."""
+        if key not in self._numbers:
+            self._numbers[key] = len(self._names)
+            self._names.append(name)
+            self._uses.append(uses)
+            self.maps.append({slot: self._map(use) for slot, use in uses.items()})
+        return self._numbers[key]
+
+    def _map(self, use: TextureUse) -> ShownMap:
+        name = self._images.textures[use.texture].place
+        try:
+            image = self._images.canonical(self._images.shown(use.texture))
+            name = self._images.name(image)
+            self._images.data(image)
+        except UnfitReferenceError as error:
+            return ShownMap(name, None, str(error))
+        return ShownMap(name, image_key(image), "", self._images.wrap(use.texture), use.alpha_hides)
+
+    def drawn(self, primitive: Entry, placement: Placement) -> tuple[int, Int64s] | None:
+        """Return the accessor of the positions and the triangles of a primitive; None if it draws none."""
+        if drawing_mode(primitive) < TRIANGLES or "POSITION" not in primitive.entry("attributes"):
+            return None
+        position = position_accessor(primitive, self.accessors)
+        count = self.accessors[position].count
+        faces = placement.facing(drawn_triangles(primitive, self.accessors, count))
+        return (position, faces) if len(faces) else None
+
+    def rows_of(self, parts: Sequence[_Part]) -> Bools:
+        """Return which positions the parts of one group use."""
+        used = np.zeros(self.accessors[parts[0].position].count, bool)
+        for part in parts:
+            used[part.faces] = True
+        return used
+
+    def of_triangles(self, values: Sequence[int]) -> Int64s:
+        """Return the values of all parts for their triangles, shape (F,)."""
+        return np.repeat(np.array(values, np.int64), [len(part.faces) for part in self])
+
+    def scene(self) -> Scene:
+        """Return the triangles, without vertices that none uses."""
+        positions, corners, rows = [], [], 0
+        for parts in self.groups.values():
+            used, first = self.rows_of(parts), parts[0]
+            row_of = np.cumsum(used) - 1 + rows
+            corners += [row_of[part.faces].ravel() for part in parts]
+            rows += int(np.count_nonzero(used))
+            if rows > _MOST_ROWS:
+                raise self.accessors[first.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
+            positions.append(first.placement.positions(self.accessors, first.position, used))
+        material_of = self.of_triangles([part.material for part in self])
+        keys = {image_key(index): index for index in range(len(self._images))}
+        return Scene(
+            name=self.root.name,
+            positions=np.concatenate(positions),
+            corners=np.concatenate(corners).astype(np.int32),
+            offsets=3 * np.arange(len(material_of) + 1),
+            material_of=material_of,
+            materials=self._names,
+            maps=self.maps,
+            uv=self._uv,
+            tiles={},
+            read=lambda key: self._images.data(keys[key]),
+            names={key: self._images.name(index) for key, index in keys.items()},
+            is_v_up=False,
+        )
+
+    def _uv(self, slot: Slot | None) -> Float64s:
+        """Return texture coordinates of all corners, shape (K, 2), as a slot places them (None: as they are stored)."""
+        found = []
+        for part in self:
+            use = None if slot is None else self._uses[part.material].get(slot)
+            name = "TEXCOORD_0" if use is None else use.coordinates
+            uv = np.full((len(part.faces), 3, 2), np.nan)
+            if name in part.primitive.entry("attributes") and (slot is None or use is not None):
+                count = self.accessors[part.position].count
+                index = fitting_accessor(part.primitive, name, self.accessors, "VEC2", count)
+                if index not in self._coordinates:  # parts of one large mesh may share it
+                    self._coordinates[index] = self.accessors.values(index)
+                uv = self._coordinates[index][part.faces]
+                uv = uv if use is None else use.placed(uv)
+            found.append(uv.reshape(-1, 2))
+        return np.concatenate(found)
+
+
 def gather_textured(
     root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
-    gathering = _SurfaceReading(root, accessors, images, slot)
+    parts, materials = _SurfaceParts(root, accessors, images), texture_uses(root, slot)
     for mesh, placement in zip(root.entries("meshes"), places, strict=True):
         for primitive in mesh.entries("primitives"):
-            gathering.take(primitive, placement)
-    if not len(gathering.shown):
-        raise gathering.shown.refusal(root.name, is_bare=gathering.counts["bare"] > 0)
+            parts.take(primitive, placement, slot, materials)
+    if not any(parts.maps[part.material] for part in parts):
+        raise SlotImages(slot).refusal(root.name, is_bare=parts.counts["bare"] > 0)
+    surface, notices = parts.scene().surface(slot)
+    # Triangles of different looks or spaces do not meet.
+    spaces = [(members[0].placement.space, members[0].look) for members in parts.groups.values()]
+    numbers = [[*dict.fromkeys(spaces)].index(space) for space in spaces]
+    if any(numbers):
+        rows = [np.count_nonzero(parts.rows_of(members)) for members in parts.groups.values()]
+        surface = dataclasses.replace(surface, space_of=np.repeat(np.array(numbers, np.int32), rows))
     sentences = {
         "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
         "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
     }
-    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := gathering.counts[key])]
-    return gathering.surface(), gathering.shown.notices() + counted
+    counted = [sentence.format(n) for key, sentence in sentences.items() if (n := parts.counts[key])]
+    return surface, [*notices, *parts.missing, *counted]
 
 
-@dataclass
-class _SurfacePart:
-    """Triangles over one accessor of positions in one place and one look."""
+class _SurfaceParts(_Parts):
+    """Each primitive where it stands first, with all textures that it can have in one slot."""
 
-    position: int
-    placement: Placement
-    look: int
-    # Triangles, the texture coordinates of their corners, and the number of their texture.
-    drawn: list[tuple[Int64s, Float64s, int]] = field(default_factory=list)
-
-
-class _SurfaceReading:
-    """Parts while primitives are being taken one by one."""
-
-    def __init__(self, root: Entry, accessors: Accessors, images: Images, slot: Slot) -> None:
-        self.accessors, self.images, self.materials = accessors, images, texture_uses(root, slot)
-        self.shown = SlotImages(slot)
-        self.parts: dict[Hashable, _SurfacePart] = {}
+    def __init__(self, root: Entry, accessors: Accessors, images: Images) -> None:
+        super().__init__(root, accessors, images)
         self.counts = dict.fromkeys(("instanced", "bare"), 0)
+        self.missing: dict[str, None] = {}  # notices
         self._seen: set[Hashable] = set()
-        self._decoded: dict[int, Float64s] = {}
 
-    def take(self, primitive: Entry, placement: Placement) -> None:
-        """Take one primitive: its triangles where they stand first, with all textures that they can have."""
-        found = _triangles(primitive, self.accessors, placement)
+    def take(
+        self, primitive: Entry, placement: Placement, slot: Slot, materials: Sequence[Sequence[TextureUse]]
+    ) -> None:
+        found = self.drawn(primitive, placement)
         if found is None:
             return
-        position, count, faces = found
-        for look, use in looks(primitive, self.materials):
-            image = self._image(primitive, use)
-            if look and image is None:
+        place = self.accessors.identity(found[0])
+        for look, use in looks(primitive, materials):
+            key: tuple[Hashable, ...] = place, drawing_key(primitive, self.accessors)
+            name, uses = "", dict[Slot, TextureUse]()
+            if use is not None and use.coordinates in primitive.entry("attributes"):
+                index = attribute_accessor(primitive, use.coordinates, self.accessors)
+                key += use.texture, use.transform, self.accessors.identity(index)
+                name, uses = use.material, {slot: use}
+            self.counts["bare"] += use is not None and not uses
+            number = self.material(use.info.place if use and uses else None, name, uses)
+            shown = self.maps[number].get(slot)
+            is_shown = shown is not None and shown.path is not None
+            if look and not is_shown:
+                left = f"The {slot} texture of {name!r} is left as it is: {shown and shown.reason}."
+                self.missing |= {left: None} if shown else {}
                 continue
-            place = self.accessors.identity(position), placement.matrix.tobytes(), placement.space, look
-            repeated = self._repeated(primitive, position, use)
-            self.counts["instanced"] += not look and image is not None and (placement.nodes > 1 or repeated)
-            if repeated:
-                continue
-            part = self.parts.setdefault(place, _SurfacePart(position, placement, look))
-            if use is None or image is None:
-                part.drawn.append((faces, np.zeros((len(faces), 3, 2)), -1))
-            else:
-                uv, wrap = self._coordinates(primitive, use, count)[faces], self.images.wrap(use.texture)
-                texture = self.shown.show(image, use.material, wrap, alpha_hides=use.alpha_hides)
-                part.drawn.append((faces, uv, texture))
-
-    def _repeated(self, primitive: Entry, position: int, use: TextureUse | None) -> bool:
-        """Return whether the same triangles were taken with the same texture before, there or elsewhere."""
-        parts: list[Hashable] = [
-            self.accessors.identity(position),
-            drawing_key(primitive, self.accessors),
-        ]
-        if use is not None:
-            parts += [use.texture, use.transform]
-            if use.coordinates in primitive.entry("attributes"):
-                coordinates = attribute_accessor(primitive, use.coordinates, self.accessors)
-                parts.append(self.accessors.identity(coordinates))
-        key = tuple(parts)
-        repeated = key in self._seen
-        self._seen.add(key)
-        return repeated
-
-    def _image(self, primitive: Entry, use: TextureUse | None) -> str | None:
-        """Return the key of the image that a texture shows on a primitive; None if it shows none."""
-        if use is None:
-            return None
-        if use.coordinates not in primitive.entry("attributes"):
-            self.counts["bare"] += 1
-            return None
-        place = self.images.textures[use.texture].place
-        try:
-            image = self.images.canonical(self.images.shown(use.texture))
-            if image_key(image) not in self.shown:
-                place = self.images.entries[image].place
-                self.shown.take(image_key(image), self.images.name(image), self.images.data(image))
-        except UnfitReferenceError as error:
-            self.shown.miss(f"{place}: {error}", use.material)
-            return None
-        return image_key(image)
-
-    def _coordinates(self, primitive: Entry, use: TextureUse, count: int) -> Float64s:
-        """Return the texture coordinates of all vertices, shape (count, 2), transform applied."""
-        index = fitting_accessor(primitive, use.coordinates, self.accessors, "VEC2", count)
-        if index not in self._decoded:  # parts of one large mesh may share it
-            self._decoded[index] = self.accessors.values(index)
-        uv = use.placed(self._decoded[index])
-        if not np.isfinite(uv).all():
-            raise use.info.fault("extensions", "its transform moves texture coordinates to infinity")
-        return uv
-
-    def surface(self) -> records.TexturedSurface:
-        positions, faces, spaces, rows = [], [], [], 0  # without vertices that no triangle uses
-        # Triangles of different looks or spaces do not meet.
-        looks_in_spaces = dict.fromkeys((part.placement.space, part.look) for part in self.parts.values())
-        space_of = {key: number for number, key in enumerate(looks_in_spaces)}
-        for part in self.parts.values():
-            corners = np.concatenate([faces for faces, _, _ in part.drawn])
-            used = np.zeros(self.accessors[part.position].count, bool)
-            used[corners] = True
-            faces.append((np.cumsum(used) - 1 + rows)[corners])
-            rows += int(np.count_nonzero(used))
-            if rows > _MOST_ROWS:
-                raise self.accessors[part.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
-            positions.append(part.placement.positions(self.accessors, part.position, used))
-            spaces.append(np.full(len(positions[-1]), space_of[part.placement.space, part.look], np.int32))
-        drawn = [each for part in self.parts.values() for each in part.drawn]
-        return records.TexturedSurface(
-            positions=np.concatenate(positions),
-            faces=np.concatenate(faces).astype(np.int32),
-            uv=np.concatenate([uv for _, uv, _ in drawn]),
-            texture_of=np.concatenate([np.full(len(uv), number, np.int32) for _, uv, number in drawn]),
-            textures=self.shown.textures(),
-            space_of=np.concatenate(spaces) if len(space_of) > 1 else None,
-        )
-
-
-def _triangles(
-    primitive: Entry, accessors: Accessors, placement: Placement
-) -> tuple[int, int, Int64s] | None:
-    """Return the accessor of positions, their number, and the triangles; None if none are drawn."""
-    if drawing_mode(primitive) < TRIANGLES or "POSITION" not in primitive.entry("attributes"):
-        return None
-    position = position_accessor(primitive, accessors)
-    count = accessors[position].count
-    faces = placement.facing(drawn_triangles(primitive, accessors, count))
-    return (position, count, faces) if len(faces) else None
+            self.counts["instanced"] += not look and is_shown and (placement.nodes > 1 or key in self._seen)
+            if key not in self._seen:
+                self._seen.add(key)
+                group = place, placement.matrix.tobytes(), placement.space, look
+                part = _Part(primitive, placement, *found, number, look)
+                self.groups.setdefault(group, []).append(part)
 
 
 def read_textured_mesh(
     root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
 ) -> records.TexturedMesh:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
-    reading = _MeshReading(root, accessors, images, colours)
-    for mesh, placement, name in instances(root):
-        for number, primitive in enumerate(root.entries("meshes")[mesh].entries("primitives")):
-            reading.take(primitive, placement, name, (mesh, number))
-    if not reading.parts:
+    parts = _MeshParts(root, accessors, images)
+    for index, placement, name in instances(root):
+        for number, primitive in enumerate(root.entries("meshes")[index].entries("primitives")):
+            parts.take(primitive, placement, name, colours.get((index, number)))
+    if not parts.groups:
         raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
-    return reading.mesh(stored, source)
+    groups = tuple(dict.fromkeys(part.group for part in parts))
+    group_of = parts.of_triangles([groups.index(part.group) for part in parts])
+    normals = np.concatenate([parts.normals(part) for part in parts])
+    scene = parts.scene()
+    mesh = scene.mesh(parts.made_material, parts.left_out, (groups, group_of), normals.reshape(-1, 3), source)
+    return dataclasses.replace(mesh, colours=parts.vertex_colours(stored))
 
 
-@dataclass(frozen=True)
-class _MeshPart:
-    """The triangles of a primitive at one place; arrays have a row for each vertex, or for each corner."""
+class _MeshParts(_Parts):
+    """Each primitive at every place, with its colours, and with the textures of all slots."""
 
-    positions: Float64s
-    faces: Int64s
-    uv: Float64s
-    normals: Float64s
-    colours: Float32s | None
-    material: int
-    group: str
+    def __init__(self, root: Entry, accessors: Accessors, images: Images) -> None:
+        super().__init__(root, accessors, images)
+        self.left_out: list[str] = []
+        self._colours: list[Float32s | None] = []
+        self._entries = root.entries("materials")
+        self._by_slot = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
 
+    def take(self, primitive: Entry, placement: Placement, group: str, colours: Float32s | None) -> None:
+        attributes = primitive.entry("attributes")
+        if drawing_mode(primitive) < TRIANGLES and "POSITION" in attributes:
+            self.left_out.append("points and lines")
+        found = self.drawn(primitive, placement)
+        if found is None:
+            return
+        index, uses = None, dict[Slot, TextureUse]()
+        if "material" in primitive:
+            index = primitive.integer("material", below=len(self._entries))
+            uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
+        if index is not None:
+            self.left_out += self._entries[index].entry("extensions").value
+        number = self.material(index, "", uses)
+        part = _Part(primitive, placement, *found, number, group=group)
+        self.groups[len(self.groups)] = [part]
+        self._colours.append(self._of_part(part, colours))
+        coordinates = {use.coordinates for use in uses.values()} or {"TEXCOORD_0"}
+        for name in attributes.value:
+            if name.startswith("TEXCOORD_"):
+                self.left_out += () if name in coordinates else ("further texture coordinates",)
+            elif name not in _KNOWN and not name.startswith(("JOINTS_", "WEIGHTS_")):
+                self.left_out.append(f"attribute {name}")
 
-class _MeshReading:
-    """The materials of a file, and parts while primitives are being taken one by one."""
+    def _of_part(self, part: _Part, colours: Float32s | None) -> Float32s | None:
+        """Return the colours of the vertices of a part, shape (n, 3) or (n, 4)."""
+        if colours is not None and "baseColor" in self.maps[part.material] and (colours[:, :3] != 1).any():
+            self.left_out.append("the tint of textures by their vertex colours")
+        if colours is None and OWN_COLOURS in part.primitive.entry("attributes"):
+            index = attribute_accessor(part.primitive, OWN_COLOURS, self.accessors)
+            colours = fractions(self.accessors.finite(index, "colour"))
+        used = self.rows_of([part])
+        is_fitting = colours is not None and colours.shape in ((len(used), 3), (len(used), 4))
+        return colours[used] if colours is not None and is_fitting else None
 
-    def __init__(self, root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours) -> None:
-        self._accessors, self._images, self._colours = accessors, images, colours
-        self.parts: list[_MeshPart] = []
-        self._rows = 0
-        self._left_out: list[str] = []
-        self._shown = MeshImages()
-        self._placed: list[TextureUse | None] = []  # by material, how its maps are placed
-        uses = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
-        self._materials = [
-            self._material(entry, {slot: uses[slot][index][0] for slot in SLOT_PATHS if uses[slot][index]})
-            for index, entry in enumerate(root.entries("materials"))
-        ]
-        self._materials.append(records.Material(metalness=1.0))
-        self._placed.append(None)
+    def normals(self, part: _Part) -> Float64s:
+        """Return the normals of the corners of a part, shape (F, 3, 3); NaN if there are none."""
+        count = self.accessors[part.position].count
+        if "NORMAL" not in part.primitive.entry("attributes"):
+            return np.full((len(part.faces), 3, 3), np.nan)
+        index = fitting_accessor(part.primitive, "NORMAL", self.accessors, "VEC3", count)
+        return part.placement.normals(self.accessors, index)[part.faces]
 
-    def _material(self, entry: Entry, uses: Mapping[Slot, TextureUse]) -> records.Material:
-        maps: dict[Slot, records.MaterialMap] = {}
-        first: TextureUse | None = None
-        for slot, use in uses.items():
-            if first is not None and (use.coordinates, use.transform) != (first.coordinates, first.transform):
-                self._left_out.append(f"{slot} maps with texture coordinates of their own")
-                continue
-            try:
-                image = self._images.canonical(self._images.shown(use.texture))
-                name, read = self._images.name(image), partial(self._images.data, image)
-                number = self._shown.take(image_key(image), name, read)
-                maps[slot] = records.MaterialMap(number, self._images.wrap(use.texture))
-                first = first or use
-            except UnfitReferenceError as error:
-                self._left_out.append(f"a {slot} image, which {error}")
-        self._placed.append(first)
+    def made_material(
+        self, number: int, maps: Mapping[Slot, records.MaterialMap], images: MeshImages
+    ) -> records.Material:
+        del images
+        index = [*self._numbers][number]
+        if not isinstance(index, int):
+            return records.Material(metalness=1.0)
+        entry = self._entries[index]
         base = entry.entry("pbrMetallicRoughness")
         factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
-        self._left_out += entry.entry("extensions").value
         return records.Material(
             name=entry.text("name") or "",
             maps=maps,
@@ -343,89 +397,16 @@ class _MeshReading:
             alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
         )
 
-    def take(self, primitive: Entry, placement: Placement, group: str, number: tuple[int, int]) -> None:
-        attributes = primitive.entry("attributes")
-        if drawing_mode(primitive) < TRIANGLES and "POSITION" in attributes:
-            self._left_out.append("points and lines")
-        found = _triangles(primitive, self._accessors, placement)
-        if found is None:
-            return
-        index, count, faces = found
-        self._rows += count
-        if self._rows > _MOST_ROWS:
-            raise self._accessors[index].entry.fault("", f"more than {_MOST_ROWS} vertices")
-        last = len(self._materials) - 1
-        material = primitive.integer("material", below=last) if "material" in primitive else last
-        use = self._placed[material]
-        self._note_others(attributes, use)
-        positions = placement.positions(self._accessors, index)
-        uv = np.full((count, 2), np.nan)
-        coordinates = "TEXCOORD_0" if use is None else use.coordinates
-        if coordinates in attributes:
-            stored = self._accessors.values(
-                fitting_accessor(primitive, coordinates, self._accessors, "VEC2", count)
-            )
-            uv = usable_coordinates(stored if use is None else use.placed(stored))
-        normals = np.full((count, 3), np.nan)
-        if "NORMAL" in attributes:
-            normal = fitting_accessor(primitive, "NORMAL", self._accessors, "VEC3", count)
-            normals = placement.normals(self._accessors, normal)
-        colours = self._own_colours(primitive, number, count)
-        self.parts.append(_MeshPart(positions, faces, uv[faces], normals[faces], colours, material, group))
-
-    def _note_others(self, attributes: Entry, use: TextureUse | None) -> None:
-        coordinates = "TEXCOORD_0" if use is None else use.coordinates
-        for name in attributes.value:
-            if name.startswith("TEXCOORD_") and name != coordinates:
-                self._left_out.append("further texture coordinates")
-            elif name not in _KNOWN and name != coordinates and not name.startswith(("JOINTS_", "WEIGHTS_")):
-                self._left_out.append(f"attribute {name}")
-
-    def _own_colours(self, primitive: Entry, number: tuple[int, int], count: int) -> Float32s | None:
-        if number in self._colours:
-            material = primitive.value.get("material", len(self._materials) - 1)
-            is_white = (self._colours[number][:, :3] == 1).all()
-            if "baseColor" in self._materials[material].maps and not is_white:
-                self._left_out.append("the tint of textures by their vertex colours")
-            return self._colours[number]
-        if OWN_COLOURS not in primitive.entry("attributes"):
-            return None
-        index = attribute_accessor(primitive, OWN_COLOURS, self._accessors)
-        colours = fractions(self._accessors.finite(index, "colour"))
-        return colours if colours.shape in ((count, 3), (count, 4)) else None
-
-    def mesh(self, stored: str, source: str) -> records.TexturedMesh:
-        starts = np.cumsum([0, *(len(part.positions) for part in self.parts)])[:-1]
-        placed = zip(self.parts, starts.tolist(), strict=True)
-        normals = np.concatenate([part.normals for part in self.parts]).astype(np.float32)
-        counts = [len(part.faces) for part in self.parts]
-        groups = tuple(dict.fromkeys(part.group for part in self.parts))
-        group_of = np.repeat([groups.index(part.group) for part in self.parts], counts)
-        numbers = np.repeat([part.material for part in self.parts], counts)
-        materials, material_of = shown_materials(self._materials, numbers)
-        return records.TexturedMesh(
-            positions=np.concatenate([part.positions for part in self.parts]),
-            faces=np.concatenate([part.faces + start for part, start in placed]).astype(np.int32),
-            uv=np.concatenate([part.uv for part in self.parts]),
-            materials=materials,
-            images=tuple(self._shown.images),
-            source=source,
-            material_of=material_of,
-            groups=groups,
-            group_of=group_of.astype(np.int32),
-            normals=None if np.isnan(normals).all() else normals,
-            colours=self._vertex_colours(stored),
-            left_out=tuple(self._left_out),
-        )
-
-    def _vertex_colours(self, stored: str) -> records.VertexColours | None:
+    def vertex_colours(self, stored: str) -> records.VertexColours | None:
         """Return the colours of all vertices; white for parts without colours, as glTF has it."""
-        if all(part.colours is None for part in self.parts):
+        if all(colours is None for colours in self._colours):
             return None
-        rows, row = np.ones((self._rows, 4), np.float32), 0
-        for part in self.parts:
-            if part.colours is not None:
-                rows[row : row + len(part.colours), : part.colours.shape[1]] = part.colours
-            row += len(part.positions)
-        alpha = rows[:, 3] if (rows[:, 3] < 1).any() else None
-        return records.VertexColours(rows[:, :3], "linear", stored, alpha)
+        found = []
+        for parts, colours in zip(self.groups.values(), self._colours, strict=True):
+            rows = np.ones((np.count_nonzero(self.rows_of(parts)), 4), np.float32)
+            if colours is not None:
+                rows[:, : colours.shape[1]] = colours
+            found.append(rows)
+        joined = np.concatenate(found)
+        alpha = joined[:, 3] if (joined[:, 3] < 1).any() else None
+        return records.VertexColours(joined[:, :3], "linear", stored, alpha)
