@@ -64,28 +64,19 @@ def data_uri(old: str, data: Bytes) -> str:
     return f"{head},{base64.b64encode(data).decode('ascii')}"
 
 
-def relative_name(uri: str, folder: ModelFolder, *, outside: bool = False) -> str:
-    """Return the path that a URI names, whether or not a file is there; UnfitReferenceError if it is not followed."""
-    with suppress(UnfitReferenceError):
-        return located(uri, folder)
-    return _checked(uri, lambda name: checked_path(name, outside=outside))
-
-
-def located(uri: str, folder: ModelFolder) -> str:
-    """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if there is none.
+def located(uri: str, folder: ModelFolder, *, must_exist: bool = True) -> str:
+    """Return the path, relative to a folder, of the file that a URI names; UnfitReferenceError if it is not followed.
 
     Exporters write queries, such as "?v=3" against caches, and encode twice, so that a blank is "%2520".
     """
-    bare = re.split("[?#]", uri, maxsplit=1)[0]
-    names = dict.fromkeys((unquote(uri), unquote(bare), unquote(unquote(bare))))
+    bare, plain = re.split("[?#]", uri, maxsplit=1)[0], unquote(uri)
+    names = dict.fromkeys((plain, unquote(bare), unquote(unquote(bare))))
     found = next((path for name in names if (path := folder.find(name)) is not None), None)
-    return found if found is not None else _checked(uri, folder.locate)
-
-
-def _checked(uri: str, check: Callable[[str], str]) -> str:
-    if "\0" in unquote(uri):
+    if found is not None:
+        return found
+    if "\0" in plain:
         raise UnfitReferenceError("is not a path as glTF spells it")
-    return check(unquote(uri))
+    return folder.locate(plain) if must_exist else checked_path(plain, outside=True)
 
 
 def read(uri: str, folder: ModelFolder) -> bytes:
@@ -108,46 +99,36 @@ def read(uri: str, folder: ModelFolder) -> bytes:
 
 
 def short(uri: str) -> str:
+    """Quote a URI for a message, shortened."""
     return repr(uri if len(uri) <= 80 else uri[:77] + "...")
 
 
-def present_files(root: Entry, folder: ModelFolder) -> tuple[list[str], list[str]]:
-    """Return the relative paths of the named files that exist inside the folder, and notices of the missing ones."""
-    names: dict[str, None] = {}
-    notices: dict[str, None] = {}
-    for entry, uri in _external(root):
-        try:
-            path = located(uri, folder)
-            if not is_outside(path):
-                names[path] = None
-        except UnfitReferenceError as error:
-            notices[f"{entry.place}: {short(uri)} {error}."] = None
-    return list(names), list(notices)
+class SidecarFiles:
+    """The buffers and images of a glTF file that are separate files, by relative path."""
 
-
-def named_files(root: Entry, folder: ModelFolder) -> set[str]:
-    """Return the relative paths of all files that a glTF names, whether they exist or not."""
-    names = set()
-    for _, uri in _external(root):
-        with suppress(UnfitReferenceError):  # no output can overwrite what lies elsewhere
-            names.add(relative_name(uri, folder))
-    return names
+    def __init__(self, root: Entry, folder: ModelFolder) -> None:
+        self.present: dict[str, None] = {}  # inside the folder
+        self.missing: dict[str, None] = {}
+        self.notices: dict[str, None] = {}  # of the missing ones
+        for entry in [*root.entries("buffers"), *root.entries("images")]:
+            uri = entry.text("uri")
+            if uri is None or is_data(uri):
+                continue
+            try:
+                path = located(uri, folder)
+                self.present |= {} if is_outside(path) else {path: None}
+            except UnfitReferenceError as error:
+                self.notices[f"{entry.place}: {short(uri)} {error}."] = None
+                with suppress(UnfitReferenceError):
+                    self.missing[located(uri, folder, must_exist=False)] = None
 
 
 def file_key(uri: str | None, index: int, folder: ModelFolder) -> Hashable:
     """Return the key that identifies a stored file; the index for bytes that are in no file of their own."""
     with suppress(UnfitReferenceError):  # an error when its bytes are asked for
         if uri is not None and not is_data(uri):
-            return relative_name(uri, folder, outside=folder.access.outside)
+            return located(uri, folder, must_exist=False)
     return index
-
-
-def _external(root: Entry) -> Iterator[tuple[Entry, str]]:
-    """Iterate over the buffers and images that are separate files, with their URIs."""
-    for entry in [*root.entries("buffers"), *root.entries("images")]:
-        uri = entry.text("uri")
-        if uri is not None and not is_data(uri):
-            yield entry, uri
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from beltrami_cli.arrays import Float32s, Float64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Changes, Document, Fingerprint, Naming, PlannedImages, Written
 from beltrami_cli.formats.gltf.accessors import DRACO, Accessors
-from beltrami_cli.formats.gltf.buffers import Buffers, named_views, present_files
+from beltrami_cli.formats.gltf.buffers import Buffers, SidecarFiles, named_views
 from beltrami_cli.formats.gltf.container import (
     Container,
     Tree,
@@ -59,10 +59,11 @@ class GltfDocument(Document):
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
         self.images = Images(self.root, self.accessors, self._folder)
-        self._references, missing = present_files(self.root, self._folder)
+        files = SidecarFiles(self.root, self._folder)
+        self._references = [*files.present]
         if self.container.has_bom:
             self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
-        self.notices += missing
+        self.notices += files.notices
 
     @cached_property
     def surface(self) -> Surface:

@@ -12,12 +12,11 @@ from urllib.parse import quote
 from beltrami_cli.formats.document import Bytes, Naming, Written
 from beltrami_cli.formats.gltf.buffers import (
     MESHOPT,
+    SidecarFiles,
     data_uri,
     is_data,
     located,
-    named_files,
     read,
-    relative_name,
     short,
 )
 from beltrami_cli.formats.gltf.container import (
@@ -102,8 +101,8 @@ def sidecar_names(edit: Edit, naming: Naming, form: str, folder: ModelFolder) ->
 
 def _placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFiles:
     """Name the sidecar files of an edited glTF, and put their names into the tree."""
-    used = named_files(edit.container.root, folder)
-    names = NewFiles(naming, edit.container.name, used, [name for name in used if folder.find(name) is None])
+    used = SidecarFiles(edit.container.root, folder)
+    names = NewFiles(naming, edit.container.name, used.present, used.missing)
     _place_buffers(edit, names, form, folder)
     _place_images(edit, names, folder)
     _place_copies(edit, names, folder)
@@ -124,7 +123,7 @@ def _place_buffers(edit: Edit, names: NewFiles, form: str, folder: ModelFolder) 
         if edit.source(index) == "data":
             entries[index]["uri"] = data_uri(entries[index]["uri"], data)
         elif edit.source(index) == "file":
-            old = relative_name(buffers.uris[index] or "", folder, outside=True)
+            old = located(buffers.uris[index] or "", folder, must_exist=False)
             name = names.other(old, ".bin")
             names.sidecars[name] = data
             for other in range(len(buffers)):
@@ -140,7 +139,7 @@ def _place_images(edit: Edit, names: NewFiles, folder: ModelFolder) -> None:
         uri = image.get("uri")
         with suppress(UnfitReferenceError):
             if uri is not None and not is_data(uri):
-                paths[index] = relative_name(uri, folder, outside=True)
+                paths[index] = located(uri, folder, must_exist=False)
     # Only one image takes the name of a file, and none if another still shows that.
     taken = {path for index, path in paths.items() if index not in edit.images}
     for index, file in edit.images.items():

@@ -16,7 +16,7 @@ from typing import Any
 from beltrami_cli.errors import BeltramiError, OutputError
 from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
-from beltrami_cli.formats.gltf.buffers import file_key, is_data, read, relative_name
+from beltrami_cli.formats.gltf.buffers import file_key, is_data, located, read
 from beltrami_cli.formats.gltf.container import Entry, Tree, objects
 from beltrami_cli.formats.gltf.edit import Edit, Use
 from beltrami_cli.formats.gltf.saving import MEDIA, media_type, put_images
@@ -85,7 +85,7 @@ class Images:
         image, uri = self.entries[index], self.entries[index].text("uri")
         if uri is not None and not is_data(uri):
             try:
-                return PurePosixPath(relative_name(uri, self._folder, outside=True)).name
+                return PurePosixPath(located(uri, self._folder, must_exist=False)).name
             except UnfitReferenceError:
                 return uri
         return image.text("name") or f"image {index}"
