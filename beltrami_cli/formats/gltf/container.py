@@ -60,7 +60,11 @@ TRUNCATED = "the file may be cut short: copy or export it again"
 _DEEPEST = 100  # levels of nesting; glTF needs about ten, and recursion must stay far from Python's limit
 _DECODER = json.JSONDecoder()
 _SURROGATE = re.compile("[\ud800-\udfff]")
-_SPACE = re.compile(r"[ \t\n\r]*")
+_BLANKS = " \t\n\r"
+_SPACE = re.compile(rf"[{_BLANKS}]*")
+_HEAD = re.compile(
+    rf'([{_BLANKS}]*)(?:("[^"\\]*(?:\\.[^"\\]*)*")([{_BLANKS}]*:[{_BLANKS}]*))?'
+)  # of a member
 
 
 @dataclass(frozen=True)
@@ -343,23 +347,49 @@ def _refused(constant: str) -> None:
 
 def revised(text: str, tree: Tree) -> str:
     """Write a changed tree; members that equal those parsed from `text` keep their characters in it."""
-    start = _skip(text, 0)
-    old, end = _DECODER.raw_decode(text, start)
-    return text[:start] + _value(_Span(start, end, old), tree, text, _style(text, start)) + text[end:]
+    start, end = _skip(text, 0), len(text.rstrip(_BLANKS))
+    members, _ = _split(text[start:end])
+    style = _Style(None, ":")
+    if members:
+        _, line, indent = members[0].lead.rpartition("\n")
+        style = _Style(indent if line else None, members[0].colon.strip("\r\n") or ":")
+    return text[:start] + style.revised(text[start:end], _DECODER.decode(text), tree, "") + text[end:]
 
 
 @dataclass(frozen=True)
-class _Span:
-    """A value of the source and where it stands."""
+class _Member:
+    """A member of an object or array, as it is written."""
 
-    start: int
-    end: int
+    lead: str  # white space in front of it
+    key: str  # with its quotes; "" in arrays
+    colon: str  # with the white space around it
+    text: str
     value: Any
-    key: str = ""
-    lead: int = 0  # after the comma or bracket before the value, and before its key
-    key_start: int = 0
-    key_end: int = 0
-    trail: int = 0  # the comma or bracket after the value
+    trail: str  # white space between it and a comma
+
+
+def _skip(text: str, position: int) -> int:
+    match = _SPACE.match(text, position)
+    return match.end() if match else position
+
+
+def _split(text: str) -> tuple[list[_Member], str]:
+    """Return the members of an object or array, and what closes it."""
+    members: list[_Member] = []
+    at = 1
+    while text[_skip(text, at)] not in "}]":
+        head = _HEAD.match(text, at)
+        assert head is not None  # all three parts may be empty
+        lead, key, colon = head.groups("")
+        value, end = _DECODER.raw_decode(text, head.end())
+        comma = _skip(text, end)
+        is_last = text[comma] != ","
+        trail = "" if is_last else text[end:comma]
+        members.append(_Member(lead, key, colon, text[head.end() : end], value, trail))
+        if is_last:
+            return members, text[end:]
+        at = comma + 1
+    return members, text[at:]
 
 
 @dataclass(frozen=True)
@@ -369,6 +399,33 @@ class _Style:
     indent: str | None  # characters of one level; None: one line
     colon: str
 
+    def revised(self, text: str, old: object, new: Any, lead: str) -> str:
+        """Return a value as text, whose unchanged parts are those of the source; `lead` is as in `written`."""
+        if old == new:
+            return text
+        if not (old and isinstance(old, dict | list) and type(old) is type(new)):
+            return self.written(new, lead)
+        members, close = _split(text)
+        if isinstance(new, dict):
+            kept = [(each, new[key]) for each in members if (key := json.loads(each.key)) in new]
+            added = [(json.dumps(key, ensure_ascii=False), new[key]) for key in new if key not in old]
+        else:
+            kept = list(zip(members, new, strict=False))
+            added = [("", value) for value in new[len(members) :]]
+        pieces = [
+            (
+                each.lead + each.key + each.colon + self.revised(each.text, each.value, value, each.lead),
+                each.trail,
+            )
+            for each, value in kept
+        ]
+        lead = members[-1].lead
+        pieces += [
+            (lead + key + (self.colon if key else "") + self.written(value, lead), "") for key, value in added
+        ]
+        joined = ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])])
+        return text[0] + joined + close
+
     def written(self, value: object, lead: str) -> str:
         """Return a new value as text; `lead` is the white space in front of it or of its key."""
         separators = (",", self.colon) if "\n" in lead or self.colon == ":" else (", ", self.colon)
@@ -377,68 +434,3 @@ class _Style:
         if _SURROGATE.search(text):  # one half of a character, which UTF-8 cannot hold but an escape can
             text = json.dumps(value, allow_nan=False, indent=indent, separators=separators)
         return text.replace("\n", lead[: lead.rfind("\n") + 1].lstrip(" \t") + lead[lead.rfind("\n") + 1 :])
-
-
-def _style(text: str, start: int) -> _Style:
-    members = _spans(text, start)
-    if not members:
-        return _Style(None, ":")
-    lead = text[members[0].lead : members[0].key_start]
-    indent = lead[lead.rfind("\n") + 1 :] if "\n" in lead else None
-    return _Style(indent, text[members[0].key_end : members[0].start].strip("\r\n") or ":")
-
-
-def _skip(text: str, position: int) -> int:
-    match = _SPACE.match(text, position)
-    return match.end() if match else position
-
-
-def _spans(text: str, start: int) -> list[_Span]:
-    """Return the members of the object or array at `start`."""
-    spans: list[_Span] = []
-    keyed = text[start] == "{"
-    lead = start + 1
-    while text[position := _skip(text, lead)] not in "}]":
-        key, key_start, key_end = "", position, position
-        if keyed:
-            key, key_end = _DECODER.raw_decode(text, position)
-            position = _skip(text, _skip(text, key_end) + 1)
-        value, end = _DECODER.raw_decode(text, position)
-        comma = _skip(text, end)
-        spans.append(_Span(position, end, value, key, lead, key_start, key_end, comma))
-        if text[comma] != ",":
-            break
-        lead = comma + 1
-    return spans
-
-
-def _value(span: _Span, new: object, text: str, style: _Style) -> str:
-    if span.value == new:
-        return text[span.start : span.end]
-    if isinstance(span.value, dict | list) and type(span.value) is type(new) and span.value:
-        return _members(span, new, text, style)
-    return style.written(new, text[span.lead : span.key_start])
-
-
-def _members(span: _Span, new: Any, text: str, style: _Style) -> str:
-    """Return an object or array; what followed its last member in the source closes it."""
-    old = _spans(text, span.start)
-    if isinstance(new, dict):
-        kept = [(member, new[member.key]) for member in old if member.key in new]
-        names = {key: json.dumps(key, ensure_ascii=False) + style.colon for key in new}
-        added = [(names[key], value) for key, value in new.items() if key not in span.value]
-    else:
-        kept = list(zip(old, new, strict=False))
-        added = [("", value) for value in new[len(old) :]]
-    lead = text[old[-1].lead : old[-1].key_start]
-    # Each with what precedes it, and the white space between it and its comma.
-    pieces = [
-        (
-            text[member.lead : member.start] + _value(member, value, text, style),
-            text[member.end : member.trail] if text[member.trail] == "," else "",
-        )
-        for member, value in kept
-    ]
-    pieces += [(lead + name + style.written(value, lead), "") for name, value in added]
-    joined = ",".join([*(one + trail for one, trail in pieces[:-1]), *(one for one, _ in pieces[-1:])])
-    return text[span.start] + joined + text[old[-1].end : old[-1].trail + 1]
