@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.gltf.accessors import (
@@ -27,7 +27,7 @@ from beltrami_cli.formats.gltf.accessors import (
     fractions,
     position_accessor,
 )
-from beltrami_cli.formats.gltf.container import Entry
+from beltrami_cli.formats.gltf.container import Entry, primitives_of
 from beltrami_cli.formats.gltf.edit import Column, Edit, exchange
 from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.records import MovedVertices, PaintedVertices
@@ -96,52 +96,33 @@ def instances(root: Entry) -> list[tuple[int, Placement, str]]:
 
 
 def _shown(root: Entry, scenes: Sequence[Entry]) -> Iterator[tuple[int, int, Float64s, Entry]]:
-    """Iterate over the nodes with a mesh: the number of the scene, the mesh, its matrix and the node."""
-    # A node with a skin counts as untransformed: joints place the mesh, and its stored positions are the bind pose.
+    """Iterate over the nodes with a mesh, depth first: the number of the scene, the mesh, its matrix and the node."""
     nodes, meshes = root.entries("nodes"), root.entries("meshes")
-    children, seen = _children(nodes), set[int]()
+    children = [node.integers("children", below=len(nodes)) for node in nodes]
+    parent: dict[int, int] = {}
+    for index, child in ((index, child) for index, named in enumerate(children) for child in named):
+        if child in parent:
+            raise nodes[index].fault("children", f"nodes[{child}] has another parent, nodes[{parent[child]}]")
+        parent[child] = index
+    scene_of: dict[int, int] = {}  # the first that shows a node
     for number, scene in enumerate(scenes):
-        for index, matrix in _walk(scene, nodes, children, seen):
-            node = nodes[index]
+        stack = [(index, np.eye(4)) for index in reversed(scene.integers("nodes", below=len(nodes)))]
+        while stack:
+            index, above = stack.pop()
+            if scene_of.get(index) == number:
+                raise scene.fault("nodes", f"nodes[{index}] is reached twice: the nodes are not a tree")
+            if index in scene_of:
+                continue
+            scene_of[index], node = number, nodes[index]
+            with np.errstate(over="ignore", invalid="ignore"):
+                matrix = above @ _local(node)
+            if not np.isfinite(matrix).all():
+                raise node.fault("", "its transform is too large to compute with")
+            stack += [(child, matrix) for child in reversed(children[index])]
             if "mesh" in node:
+                # A skin's joints place the mesh, and its stored positions are the bind pose.
                 mesh = node.integer("mesh", below=len(meshes))
                 yield number, mesh, np.eye(4) if "skin" in node else matrix, node
-
-
-def _children(nodes: list[Entry]) -> list[list[int]]:
-    parent: dict[int, int] = {}
-    children = []
-    for index, node in enumerate(nodes):
-        children.append(node.integers("children", below=len(nodes)))
-        for child in children[-1]:
-            if child in parent:
-                raise node.fault("children", f"nodes[{child}] has another parent, nodes[{parent[child]}]")
-            parent[child] = index
-    return children
-
-
-def _walk(
-    scene: Entry, nodes: list[Entry], children: list[list[int]], seen: set[int]
-) -> list[tuple[int, Float64s]]:
-    """Return the nodes of a scene that are not seen yet, depth first, each with its matrix; they are then seen."""
-    found: list[tuple[int, Float64s]] = []
-    stack = [(node, np.eye(4)) for node in reversed(scene.integers("nodes", below=len(nodes)))]
-    met: set[int] = set()
-    while stack:
-        node, above = stack.pop()
-        if node in met:
-            raise scene.fault("nodes", f"nodes[{node}] is reached twice: the nodes are not a tree")
-        met.add(node)
-        if node in seen:
-            continue
-        seen.add(node)
-        with np.errstate(over="ignore", invalid="ignore"):
-            matrix = above @ _local(nodes[node])
-        if not np.isfinite(matrix).all():
-            raise nodes[node].fault("", "its transform is too large to compute with")
-        found.append((node, matrix))
-        stack += [(child, matrix) for child in reversed(children[node])]
-    return found
 
 
 def _local(node: Entry) -> Float64s:
@@ -150,18 +131,14 @@ def _local(node: Entry) -> Float64s:
     if columns is not None:
         return np.array(columns).reshape(4, 4).T
     quaternion = np.array(node.numbers("rotation", 4) or [0.0, 0.0, 0.0, 1.0])
-    largest = np.abs(quaternion).max()
-    if largest == 0:
+    if not quaternion.any():
         raise node.fault("rotation", "is a quaternion of length zero")
-    scaled = quaternion / largest
+    scaled = quaternion / np.abs(quaternion).max()
     x, y, z, w = scaled / np.linalg.norm(scaled)
-    rotation = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation = np.eye(3) + 2 * (w * cross + cross @ cross)
     matrix = np.eye(4)
-    matrix[:3, :3] = np.array(rotation) * np.array(node.numbers("scale", 3) or [1.0, 1.0, 1.0])
+    matrix[:3, :3] = rotation * np.array(node.numbers("scale", 3) or [1.0, 1.0, 1.0])
     matrix[:3, 3] = node.numbers("translation", 3) or [0.0, 0.0, 0.0]
     return matrix
 
@@ -170,12 +147,12 @@ def _local(node: Entry) -> Float64s:
 class Block:
     """The rows of one pair of accessors, from `first_row` on."""
 
-    position: int
-    colour: int
+    accessors: dict[
+        str, int
+    ]  # of positions, colours and, if the first primitive has any, normals, by attribute
     placement: Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
-    normal: int | None  # accessor of the normals of the first primitive
     # The primitives that name these colours, by mesh and index in the mesh.
     users: dict[tuple[int, int], Entry] = field(default_factory=dict)
 
@@ -228,11 +205,10 @@ class Surface:
             raise attributes.fault("COLOR_0", cause)
         key, place = self.accessors.identity(colour), self.accessors.identity(position)
         if key not in self._block_of:
-            normal = None
+            named = {"POSITION": position, "COLOR_0": colour}
             if "NORMAL" in attributes:
-                normal = fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
-            block = Block(position, colour, placement, self._rows, count, normal)
-            self._block_of[key] = block
+                named["NORMAL"] = fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
+            block = self._block_of[key] = Block(named, placement, self._rows, count)
             self.blocks.append(block)
             self._rows += count
             if self._rows > _MOST_ROWS:
@@ -240,7 +216,7 @@ class Surface:
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.users[number] = primitive
-        if self.accessors.identity(block.position) != place:
+        if self.accessors.identity(block.accessors["POSITION"]) != place:
             self._counts["elsewhere"] += 1
             return None
         if block.placement is not placement:
@@ -273,12 +249,14 @@ class Surface:
     @cached_property
     def stored_colours(self) -> list[Stored]:
         """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
-        return [self.accessors.finite(block.colour, "colour") for block in self.blocks]
+        return [self.accessors.finite(block.accessors["COLOR_0"], "colour") for block in self.blocks]
 
     def vertices(self) -> PaintedVertices:
         """Return the rows of all blocks."""
         spaces = np.concatenate([np.full(each.count, each.placement.space, np.int32) for each in self.blocks])
-        places = [block.placement.positions(self.accessors, block.position) for block in self.blocks]
+        places = [
+            block.placement.positions(self.accessors, block.accessors["POSITION"]) for block in self.blocks
+        ]
         types = {numbers.dtype.name for numbers in self.stored_colours}
         return PaintedVertices(
             positions=np.concatenate(places),
@@ -302,11 +280,9 @@ class Surface:
 
     def normals(self) -> Float32s | None:
         """Return unit normals in world space if every block has them; zero vectors stay zero."""
-        parts = []
-        for block in self.blocks:
-            if block.normal is None:
-                return None
-            parts.append(block.placement.normals(self.accessors, block.normal))
+        if any("NORMAL" not in block.accessors for block in self.blocks):
+            return None
+        parts = [block.placement.normals(self.accessors, block.accessors["NORMAL"]) for block in self.blocks]
         return np.concatenate(parts).astype(np.float32)
 
     def attribute_names(self) -> tuple[str, ...]:
@@ -336,23 +312,24 @@ class Surface:
         """Put new colours (V, 3) into a file; only entries that differ from the old ones change."""
         if new.shape != old.shape or not np.isfinite(new).all():
             raise ValueError(f"colours must be finite and of shape {old.shape}, not {new.shape}")
-        colours = [(block, block.colour) for block in self.blocks]
-        _exchange(edit, "COLOR_0", colours, np.where(new != old, new, np.nan), _painted)
+
+        def painted(block: Block, before: Stored) -> Stored:
+            entries, after = new[block.rows] != old[block.rows], before.copy()
+            after[:, :3][entries] = quantised(new[block.rows][entries], before.dtype)
+            return after
+
+        self._exchange(edit, "COLOR_0", painted)
 
     def replace_all(self, edit: Edit, *, places: bool) -> None:
         """Put dummy numbers, each unlike the present one, into a file: for colours, or positions and normals, too."""
-        none = np.zeros((self._rows, 0))
-        _exchange(edit, "COLOR_0", [(block, block.colour) for block in self.blocks], none, _inverted)
-        if places:
-            normals = [(block, block.normal) for block in self.blocks if block.normal is not None]
-            _exchange(edit, "POSITION", [(block, block.position) for block in self.blocks], none, _inverted)
-            _exchange(edit, "NORMAL", normals, none, _inverted)
+        for attribute in ("COLOR_0", *(("POSITION", "NORMAL") if places else ())):
+            self._exchange(edit, attribute, lambda _, before: (~before.view(np.uint8)).view(before.dtype))
 
     def require_movable(self) -> None:
         """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
         for block in self.blocks:
-            accessor = self.accessors[block.position]
-            if self.accessors.is_added(block.position):
+            accessor = self.accessors[block.accessors["POSITION"]]
+            if self.accessors.is_added(block.accessors["POSITION"]):
                 remedy = "decompress the model first with a glTF optimiser"
                 raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
             if accessor.component.kind != "f":
@@ -366,73 +343,54 @@ class Surface:
 
     def move(self, edit: Edit, old: Float64s, places: MovedVertices) -> None:
         """Put new positions, and normals if there are any, into a file; only rows that change are written."""
-        positions = [(block, block.position) for block in self.blocks]
-        _exchange(edit, "POSITION", positions, places.positions - old, _moved)
-        normals = [(block, block.normal) for block in self.blocks if block.normal is not None]
-        stale = {"normals"} if normals and places.normals is None else set()
-        if places.normals is not None:
-            _exchange(edit, "NORMAL", normals, places.normals, _turned)
+        moves, normals = places.positions - old, places.normals
+
+        def moved(block: Block, before: Stored) -> Stored:
+            rows, after = moves[block.rows].any(axis=1), before.copy()
+            local = moves[block.rows][rows] @ np.linalg.inv(block.placement.matrix[:3, :3]).T
+            after[rows] = (before[rows].astype(np.float64) + local).astype(before.dtype)
+            return after
+
+        def turned(block: Block, before: Stored) -> Stored:
+            assert normals is not None
+            new, after = normals[block.rows], before.copy()
+            rows = ~np.isnan(new).any(axis=1)
+            # Normals went to the common space by the inverse transpose.
+            local = unit_vectors(new[rows].astype(np.float64) @ block.placement.matrix[:3, :3])
+            after[rows] = local if before.dtype.kind == "f" else np.rint(local * np.iinfo(before.dtype).max)
+            return after
+
+        self._exchange(edit, "POSITION", moved)
+        if normals is not None:
+            self._exchange(edit, "NORMAL", turned)
+        has_normals = any("NORMAL" in block.accessors for block in self.blocks)
         users = [user for block in self.blocks for user in block.users.values()]
-        stale |= {"tangents"} if any("TANGENT" in user.entry("attributes") for user in users) else set()
-        edit.notices += [_STALE.format(what) for what in sorted(stale)]
+        has_tangents = any("TANGENT" in user.entry("attributes") for user in users)
+        stale = {"normals": has_normals and normals is None, "tangents": has_tangents}
+        edit.notices += [_STALE.format(what) for what, is_stale in stale.items() if is_stale]
 
-
-def _painted(block: Block, before: Stored, colours: Array) -> Stored:
-    del block
-    entries = ~np.isnan(colours)
-    after = before.copy()
-    after[:, :3][entries] = quantised(colours[entries], before.dtype)
-    return after
-
-
-def _moved(block: Block, before: Stored, moves: Array) -> Stored:
-    rows = moves.any(axis=1)
-    back = np.linalg.inv(block.placement.matrix[:3, :3]).T
-    after = before.copy()
-    after[rows] = (before[rows].astype(np.float64) + moves[rows] @ back).astype(before.dtype)
-    return after
-
-
-def _turned(block: Block, before: Stored, normals: Array) -> Stored:
-    rows = ~np.isnan(normals).any(axis=1)
-    # Normals went to the common space by the inverse transpose.
-    local = unit_vectors(normals[rows].astype(np.float64) @ block.placement.matrix[:3, :3])
-    after = before.copy()
-    after[rows] = local if before.dtype.kind == "f" else np.rint(local * np.iinfo(before.dtype).max)
-    return after
-
-
-def _inverted(block: Block, before: Stored, nothing: Array) -> Stored:
-    del block, nothing
-    return (~before.view(np.uint8)).view(before.dtype)
-
-
-def _exchange(
-    edit: Edit,
-    attribute: str,
-    held: Sequence[tuple[Block, int]],
-    rows: Array,
-    renew: Callable[[Block, Stored, Array], Stored],
-) -> None:
-    """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
-    accessors = edit.accessors
-    named: dict[Hashable, set[int]] = defaultdict(set)  # by primitives, painted or not
-    for mesh in edit.container.root.entries("meshes"):
-        for primitive in mesh.entries("primitives"):
-            if attribute in primitive.entry("attributes"):
-                index = primitive.entry("attributes").integer(attribute, below=len(accessors.all))
-                named[accessors.identity(index)].add(index)
-    columns: dict[Hashable, Column] = {}
-    for block, index in held:
-        before = accessors.stored(index)
-        after, key = renew(block, before, rows[block.rows]), accessors.identity(index)
-        if key not in columns:
-            columns[key] = Column(index, named[key], block.users, block.position, before, after)
-            continue
-        earlier = columns[key].after
-        mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
-        if attribute == "POSITION" and not np.array_equal(after[mine | theirs], earlier[mine | theirs]):
-            cause = "is shared by parts that would move apart"
-            raise accessors[index].entry.fault("", cause, "give each part positions of its own")
-        earlier[mine] = after[mine]
-    exchange(edit, attribute, list(columns.values()))
+    def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
+        """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
+        accessors = self.accessors
+        members: dict[Hashable, set[int]] = defaultdict(set)  # accessors that primitives name, painted or not
+        for _, primitive in primitives_of(edit.container.tree):
+            index = primitive.get("attributes", {}).get(attribute, -1)
+            if 0 <= index < len(accessors.all):
+                members[accessors.identity(index)].add(index)
+        columns: dict[Hashable, Column] = {}
+        for block in self.blocks:
+            if attribute not in block.accessors:
+                continue
+            index = block.accessors[attribute]
+            before, key = accessors.stored(index), accessors.identity(index)
+            after, position = renewed(block, before), block.accessors["POSITION"]
+            if key not in columns:
+                columns[key] = Column(index, members[key], block.users, position, before, after)
+                continue
+            earlier = columns[key].after
+            mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
+            if attribute == "POSITION" and not np.array_equal(after[mine | theirs], earlier[mine | theirs]):
+                cause = "is shared by parts that would move apart"
+                raise accessors[index].entry.fault("", cause, "give each part positions of its own")
+            earlier[mine] = after[mine]
+        exchange(edit, attribute, list(columns.values()))
