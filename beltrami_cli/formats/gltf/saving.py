@@ -5,7 +5,7 @@ A new image or buffer never takes the name of a file that the source uses, unles
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from urllib.parse import quote
 
@@ -23,6 +23,7 @@ from beltrami_cli.formats.gltf.container import (
     BIN_CHUNK,
     JSON_CHUNK,
     Chunk,
+    Tree,
     glb_pieces,
     objects,
     objects_within,
@@ -103,77 +104,54 @@ def _placed(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> NewFi
     """Name the sidecar files of an edited glTF, and put their names into the tree."""
     used = SidecarFiles(edit.container.root, folder)
     names = NewFiles(naming, edit.container.name, used.present, used.missing)
-    _place_buffers(edit, names, form, folder)
-    _place_images(edit, names, folder)
-    _place_copies(edit, names, folder)
+    files = [*_files(edit, folder)]
+    if form == "gltf" and edit.tree.get("buffers") and edit.source(0) == "chunk":
+        data: Bytes = edit.buffers[0] if 0 in edit.buffers else edit.accessors.buffers.stored(0)
+        length, name = edit.tree["buffers"][0]["byteLength"], names.new(".bin")
+        edit.tree["buffers"][0]["uri"] = quote(name)
+        names.sidecars[name] = data[:length] if len(data) - length < 4 else data  # without the padding
+    # Only one image takes the name of a file, and none if another still shows that.
+    taken = {path for _, path, new in files if new is None}
+    new_of: dict[tuple[str, ImageFile | None], str] = {}
+    for entry, path, new in files:
+        if new is None and (not names.copies or path in used.missing):
+            continue
+        if new is None and is_outside(path):
+            names.leave(entry["uri"])
+            continue
+        file = new if isinstance(new, ImageFile) else None
+        if (path, file) not in new_of:
+            is_buffer = "byteLength" in entry
+            suffix, is_replaced = None if file is None else file.suffix, file is None or path not in taken
+            name = (
+                names.other(path, ".bin") if is_buffer else names.image(path, suffix, is_replaced=is_replaced)
+            )
+            new_of[path, file] = name
+            taken.add(path)
+            if new is None:
+                names.copied[name] = path
+            else:
+                names.sidecars[name] = new.data if isinstance(new, ImageFile) else new
+        if new_of[path, file] != path:
+            entry["uri"] = quote(new_of[path, file])
     return names
 
 
-def _place_buffers(edit: Edit, names: NewFiles, form: str, folder: ModelFolder) -> None:
-    """Put changed buffers into data URIs or sidecars, and the BIN chunk of a file that becomes text."""
-    entries, buffers = edit.tree.get("buffers", []), edit.accessors.buffers
-    if entries and edit.source(0) == "chunk" and form == "gltf":
-        data: Bytes = edit.buffers[0] if 0 in edit.buffers else buffers.stored(0)
-        length, name = entries[0]["byteLength"], names.new(".bin")
-        entries[0]["uri"] = quote(name)
-        names.sidecars[name] = (
-            data[:length] if len(data) - length < 4 else data
-        )  # without the chunk's padding
-    for index, data in edit.buffers.items():
-        if edit.source(index) == "data":
-            entries[index]["uri"] = data_uri(entries[index]["uri"], data)
-        elif edit.source(index) == "file":
-            old = located(buffers.uris[index] or "", folder, must_exist=False)
-            name = names.other(old, ".bin")
-            names.sidecars[name] = data
-            for other in range(len(buffers)):
-                if buffers.canonical(other) == index and name != old:
-                    entries[other]["uri"] = quote(name)
+def _files(edit: Edit, folder: ModelFolder) -> Iterator[tuple[Tree, str, Bytes | ImageFile | None]]:
+    """Iterate over the buffers and images that are files: entry, path, and new content if it changes.
 
-
-def _place_images(edit: Edit, names: NewFiles, folder: ModelFolder) -> None:
-    """Name the new image files, and put their names into the tree."""
-    chosen: dict[tuple[str, ImageFile], str] = {}
-    paths: dict[int, str] = {}
-    for index, image in enumerate(edit.tree.get("images", [])):
-        uri = image.get("uri")
-        with suppress(UnfitReferenceError):
-            if uri is not None and not is_data(uri):
-                paths[index] = located(uri, folder, must_exist=False)
-    # Only one image takes the name of a file, and none if another still shows that.
-    taken = {path for index, path in paths.items() if index not in edit.images}
-    for index, file in edit.images.items():
-        old = paths[index]
-        if (old, file) not in chosen:
-            chosen[old, file] = names.image(old, file.suffix, is_replaced=old not in taken)
-            names.sidecars[chosen[old, file]] = file.data
-            taken.add(old)
-        if chosen[old, file] != old:
-            edit.tree["images"][index]["uri"] = quote(chosen[old, file])
-
-
-def _place_copies(edit: Edit, names: NewFiles, folder: ModelFolder) -> None:
-    """Give files that stay as they are their names in another folder."""
-    new_of: dict[str, str] = {}
-    buffers, images = edit.tree.get("buffers", []), edit.tree.get("images", [])
-    kept = [n for n in range(len(buffers)) if edit.accessors.buffers.canonical(n) not in edit.buffers]
-    stays = [(buffers[index], False) for index in kept]
-    stays += [(image, True) for index, image in enumerate(images) if index not in edit.images]
-    for entry, is_image in stays if names.copies else ():
+    Buffers that are data URIs get theirs.
+    """
+    canonical = edit.accessors.buffers.canonical
+    buffers = [(each, edit.buffers.get(canonical(n))) for n, each in enumerate(edit.tree.get("buffers", []))]
+    images = [(each, edit.images.get(n)) for n, each in enumerate(edit.tree.get("images", []))]
+    for entry, new in [*buffers, *images]:
         uri = entry.get("uri")
-        if uri is None or is_data(uri):
-            continue
-        try:
-            path = located(uri, folder)
-        except UnfitReferenceError:
-            continue
-        if is_outside(path):
-            names.leave(uri)
-            continue
-        if path not in new_of:
-            new_of[path] = names.image(path) if is_image else names.other(path, ".bin")
-        entry["uri"] = quote(new_of[path])
-    names.copied |= {new: path for path, new in new_of.items()}
+        if uri is not None and not is_data(uri):
+            with suppress(UnfitReferenceError):
+                yield entry, located(uri, folder, must_exist=False), new
+        elif uri is not None and isinstance(new, bytearray):
+            entry["uri"] = data_uri(uri, new)
 
 
 def _as_glb(edit: Edit, folder: ModelFolder) -> Written:
