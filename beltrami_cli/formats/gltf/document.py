@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any
@@ -212,7 +212,6 @@ def _left_out(tree: Tree) -> list[str]:
     return [what for what, found in there.items() if found]
 
 
-_SHARED = ("accessors", "bufferViews", "buffers", "images", "textures", "materials", "meshes")
 _PLACE = ("uri", "bufferView", "mimeType")  # of an image
 _NUMBERS_OF_COLOURS = ("bufferView", "byteOffset", "sparse", "min", "max")
 _PACKED_PLACE = ("buffer", "byteOffset", "byteLength")  # of compressed bytes, in the extension of a view
@@ -222,47 +221,44 @@ def fingerprint(
     container: Container, accessors: Accessors, images: Images
 ) -> tuple[dict[str, bytes], dict[str, Texture]]:
     """Return all parts of a glTF file but its colours and images, and its images."""
+    # Entries that a patch may add, and those that say where its images and colours are, become None.
     tree, paintings = container.copy_of_tree(), dict[str, Texture]()
-    parts = dict(_plain_parts(container, tree)) | _materials(images, tree, paintings) | _meshes(tree)
-    return parts | _numbers(accessors, container.tree, tree), paintings
-
-
-def _plain_parts(container: Container, tree: Tree) -> Iterator[tuple[str, bytes]]:
-    """Give what no patch changes."""
+    parts = {f"chunk {n} of type {c.kind:#x}": bytes(c.data) for n, c in enumerate(container.unknown_chunks)}
+    parts["what follows the last chunk"] = bytes(container.tail)
+    parts["byte order mark"] = bytes([container.has_bom])
+    for key in ("extensionsUsed", "extensionsRequired"):
+        tree[key] = [name for name in tree.get(key, []) if name not in IMAGE_EXTENSIONS]
+    buffers = [
+        {k: v for k, v in each.items() if k not in ("uri", "byteLength")} for each in tree.get("buffers", [])
+    ]
+    tree["buffers"] = [each or None for each in buffers]
+    _hide_images(images, tree, paintings)
+    parts |= _hide_colours(tree) | _numbers(accessors, container.tree, tree)
     for key, value in tree.items():
-        if key in ("extensionsUsed", "extensionsRequired"):
-            if kept := [name for name in value if name not in IMAGE_EXTENSIONS]:
-                yield key, _spelled(kept)
-        elif key not in _SHARED and isinstance(value, list):
-            yield from ((f"{key}[{index}]", _spelled(entry)) for index, entry in enumerate(value))
-        elif key not in _SHARED:
-            yield key, _spelled(value)
-    for index, buffer in enumerate(objects(tree.get("buffers"))):
-        if others := {key: value for key, value in buffer.items() if key not in ("uri", "byteLength")}:
-            yield f"buffers[{index}]", _spelled(others)
-    for index, chunk in enumerate(container.unknown_chunks):
-        yield f"chunk {index} of type {chunk.kind:#x}", bytes(chunk.data)
-    yield "what follows the last chunk", bytes(container.tail)
-    yield "byte order mark", bytes([container.has_bom])
+        entries = (
+            {f"{key}[{n}]": each for n, each in enumerate(value)} if isinstance(value, list) else {key: value}
+        )
+        parts |= {place: _spelled(each) for place, each in entries.items() if each is not None}
+    return parts, paintings
 
 
-def _materials(images: Images, tree: Tree, paintings: dict[str, Texture]) -> dict[str, bytes]:
-    """Return the materials with what their textures say of images and samplers, and note the images."""
-    parts, shown = {}, set()
-    others = {key: value for key, value in tree.items() if key not in _SHARED or key == "meshes"}
-    elsewhere = {info["index"] for key, value in others.items() for _, info in texture_infos(value, key)}
-    for index, material in enumerate(objects(tree.get("materials"))):
-        for place, info in texture_infos(material, f"materials[{index}]"):
-            number = info.pop("index")
-            if 0 <= number < len(images.textures):
-                shown.add(number)
-                info["texture"] = _texture(images, tree, number, place, paintings)
-        parts[f"materials[{index}]"] = _spelled(material)
-    for number in range(len(images.textures)):
-        if number not in shown or number in elsewhere:
-            place = f"textures[{number}]"
-            parts[place] = _spelled(_texture(images, tree, number, place, paintings))
-    return parts
+def _hide_images(images: Images, tree: Tree, paintings: dict[str, Texture]) -> None:
+    """Describe textures where materials name them, without where their images are, and note the images."""
+    apart = ("materials", "accessors", "bufferViews", "buffers", "images", "textures")
+    others = [texture_infos(value, key) for key, value in tree.items() if key not in apart]
+    shown, elsewhere = set(), {info["index"] for infos in others for _, info in infos}
+    for place, info in texture_infos(tree.get("materials"), "materials"):
+        number = info.pop("index")
+        if 0 <= number < len(images.textures):
+            shown.add(number)
+            info["texture"] = _texture(images, tree, number, place, paintings)
+    tree["textures"] = [
+        _texture(images, tree, number, f"textures[{number}]", paintings)
+        if number not in shown or number in elsewhere
+        else None
+        for number in range(len(images.textures))
+    ]
+    tree.pop("images", None)
 
 
 def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dict[str, Texture]) -> Tree:
@@ -279,42 +275,38 @@ def _texture(images: Images, tree: Tree, number: int, place: str, paintings: dic
     return texture | {"extensions": kept, "image": others}
 
 
-def _meshes(tree: Tree) -> dict[str, bytes]:
-    """Return the meshes, and what the accessors of their colours say but for the numbers."""
-    parts = {}
-    accessors = objects(tree.get("accessors"))
-    for index, mesh in enumerate(objects(tree.get("meshes"))):
-        for number, primitive in enumerate(objects(mesh.get("primitives"))):
-            colour = primitive.get("attributes", {}).get("COLOR_0")
-            if colour is not None and 0 <= colour < len(accessors):
-                kept = {k: v for k, v in accessors[colour].items() if k not in _NUMBERS_OF_COLOURS}
-                kept["bounds"] = [key for key in ("min", "max") if key in accessors[colour]]
-                parts[f"colours of meshes[{index}].primitives[{number}]"] = _spelled(kept)
-            packed = primitive.get("extensions", {}).get(DRACO, {})
-            for attributes in (primitive.get("attributes", {}), packed.get("attributes", {})):
-                attributes.pop("COLOR_0", None)
-        parts[f"meshes[{index}]"] = _spelled(mesh)
+def _hide_colours(tree: Tree) -> dict[str, bytes]:
+    """Take the colours of vertices out of a tree; return what their accessors say but for the numbers."""
+    parts, accessors = {}, objects(tree.get("accessors"))
+    for (mesh, number), primitive in primitives_of(tree):
+        packed = primitive.get("extensions", {}).get(DRACO, {})
+        packed.get("attributes", {}).pop("COLOR_0", None)
+        colour = primitive.get("attributes", {}).pop("COLOR_0", -1)
+        if 0 <= colour < len(accessors):
+            kept = {k: v for k, v in accessors[colour].items() if k not in _NUMBERS_OF_COLOURS}
+            kept["bounds"] = [key for key in ("min", "max") if key in accessors[colour]]
+            parts[f"colours of meshes[{mesh}].primitives[{number}]"] = _spelled(kept)
     return parts
 
 
 def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]:
-    """Return the accessors that are not only colours, with their numbers, and the views that they look through."""
+    """Return the numbers of accessors, and the bytes of other views; hide accessors and views of colours alone."""
     parts: dict[str, bytes] = {}
-    others = {holder[key] for place, holder, key in accessor_uses(tree) if place is None or key != "COLOR_0"}
+    others = {holder[key] for _, holder, key in accessor_uses(tree)}
     colours = {primitive.get("attributes", {}).get("COLOR_0") for _, primitive in primitives_of(source)}
-    opaque = set(named_views({k: v for k, v in tree.items() if k not in ("images", "accessors")}))
+    opaque = set(named_views({key: value for key, value in tree.items() if key != "accessors"}))
     views = set(opaque)
-    for index, accessor in enumerate(objects(tree.get("accessors"))):
+    for index, accessor in enumerate(tree.get("accessors", [])):
         if index in colours and index not in others:
+            tree["accessors"][index] = None
             continue
         views |= set(named_views(accessor))
         try:
-            numbers = accessors.stored(index).tobytes()
+            parts[f"numbers of accessors[{index}]"] = accessors.stored(index).tobytes()
         except InputError as error:
-            numbers = str(error.cause).encode()
-        parts[f"accessors[{index}]"] = _spelled(accessor) + numbers
-    for index in sorted(views & set(range(len(accessors.views)))):  # extensions may name others, or none
-        parts[f"bufferViews[{index}]"] = _spelled(_view(tree["bufferViews"][index]))
+            parts[f"numbers of accessors[{index}]"] = str(error.cause).encode()
+    for index, view in enumerate(tree.get("bufferViews", [])):
+        tree["bufferViews"][index] = _view(view) if index in views else None
         if index in opaque:  # such as geometry compressed with Draco
             parts[f"bytes of bufferViews[{index}]"] = accessors.buffers.viewed(accessors.views[index])
     return parts
