@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -91,12 +92,21 @@ class Accessors:
         self._decoded: dict[Hashable, int] = {}
         self._meshes: dict[int, Any] = {}
         self._drawn = 0
+        self._root = root
 
     def __len__(self) -> int:
         return len(self.all)
 
     def __getitem__(self, index: int) -> Accessor:
         return self.all[index] if index < len(self.all) else self._added[index - len(self.all)]
+
+    @cached_property
+    def meshes(self) -> list[list[Primitive]]:
+        """The primitives of every mesh."""
+        return [
+            [Primitive(each, self) for each in mesh.entries("primitives")]
+            for mesh in self._root.entries("meshes")
+        ]
 
     def is_added(self, index: int) -> bool:
         return index >= len(self.all)
@@ -298,12 +308,6 @@ def _sparse(entry: Entry, views: Sequence[View], size: int, count: int) -> Spars
     return Sparse(indices, index_type, _layout(what, views[second], second, size, replaced))
 
 
-def draco_extension(primitive: Entry) -> Entry | None:
-    """Return the extension of a primitive that Draco has compressed, None if it is not."""
-    extensions = primitive.entry("extensions")
-    return extensions.entry(DRACO) if DRACO in extensions else None
-
-
 def _draco_mesh(packed: Entry, data: bytes) -> Any:
     try:
         import DracoPy
@@ -319,72 +323,76 @@ def _draco_mesh(packed: Entry, data: bytes) -> Any:
         raise packed.fault("bufferView", f"holds damaged data ({error})") from None
 
 
-def attribute_accessor(primitive: Entry, name: str, accessors: Accessors) -> int:
-    """Return the accessor of an attribute, the decoded one if the primitive is compressed."""
-    index = primitive.entry("attributes").integer(name, below=len(accessors))
-    packed = draco_extension(primitive)
-    if packed is None or name not in packed.entry("attributes"):
+class Primitive:
+    """A primitive of a mesh; where Draco has compressed it, its accessors are the decoded ones."""
+
+    def __init__(self, entry: Entry, accessors: Accessors) -> None:
+        self.entry, self._accessors = entry, accessors
+        self.attributes, extensions = entry.entry("attributes"), entry.entry("extensions")
+        self.packed = extensions.entry(DRACO) if DRACO in extensions else None
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.attributes
+
+    def accessor(self, name: str) -> int:
+        """Return the accessor of an attribute."""
+        index = self.attributes.integer(name, below=len(self._accessors))
+        if self.packed is None or name not in self.packed.entry("attributes"):
+            return index
+        return self._accessors.decoded_attribute(self.packed, name, index)
+
+    def fitting(self, name: str, shape: str, count: int | None = None) -> int:
+        """Return the accessor of an attribute: of a shape, of so many elements if it is said, and no large integers."""
+        index = self.accessor(name)
+        accessor = self._accessors[index]
+        wanted = accessor.count if count is None else count
+        if (accessor.shape, accessor.count) != (shape, wanted) or accessor.component.name == "uint32":
+            cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {wanted} {shape}"
+            raise self.attributes.fault(name, cause)
         return index
-    return accessors.decoded_attribute(packed, name, index)
 
+    def position(self) -> int:
+        """Return the accessor of positions, whose bytes are there."""
+        index = self.fitting("POSITION", "VEC3")
+        self._accessors.require_bytes(index)
+        return index
 
-def fitting_accessor(
-    primitive: Entry, name: str, accessors: Accessors, shape: str, count: int | None = None
-) -> int:
-    """Return the accessor of an attribute: of a shape, of so many elements if it is said, and no large integers."""
-    index = attribute_accessor(primitive, name, accessors)
-    accessor = accessors[index]
-    wanted = accessor.count if count is None else count
-    if (accessor.shape, accessor.count) != (shape, wanted) or accessor.component.name == "uint32":
-        cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {wanted} {shape}"
-        raise primitive.entry("attributes").fault(name, cause)
-    return index
+    @property
+    def mode(self) -> int:
+        """The drawing mode of the indices: triangles if it is missing, or if strips were decoded."""
+        mode = self.entry.integer("mode", below=7, default=TRIANGLES)
+        return mode if self.packed is None else TRIANGLES
 
+    @property
+    def indices(self) -> int | None:
+        if self.packed is None and "indices" not in self.entry:
+            return None
+        index = self.entry.integer("indices", below=len(self._accessors))
+        return index if self.packed is None else self._accessors.decoded_indices(self.packed, index)
 
-def position_accessor(primitive: Entry, accessors: Accessors) -> int:
-    """Return the accessor of positions, whose bytes are there."""
-    index = fitting_accessor(primitive, "POSITION", accessors, "VEC3")
-    accessors.require_bytes(index)
-    return index
+    def drawing_key(self) -> Hashable:
+        """Return equal keys for primitives that draw their vertices in the same way."""
+        return self.mode, None if self.indices is None else self._accessors.identity(self.indices)
 
-
-def drawing_mode(primitive: Entry) -> int:
-    """Return the drawing mode of the indices: triangles if it is missing, or if strips were decoded."""
-    mode = primitive.integer("mode", below=7, default=TRIANGLES)
-    return mode if draco_extension(primitive) is None else TRIANGLES
-
-
-def drawing_key(primitive: Entry, accessors: Accessors) -> Hashable:
-    """Return equal keys for primitives that draw their vertices in the same way."""
-    index = _index_accessor(primitive, accessors)
-    return drawing_mode(primitive), None if index is None else accessors.identity(index)
-
-
-def drawn_triangles(primitive: Entry, accessors: Accessors, count: int) -> Int64s:
-    """Return the triangles of a primitive, shape (F, 3), as vertex indices in [0, count), with glTF's winding."""
-    index, mode = _index_accessor(primitive, accessors), drawing_mode(primitive)
-    accessors.count_drawn(primitive, count if index is None else accessors[index].count)
-    corners = np.arange(count)
-    if index is not None:
-        accessor = accessors[index]
-        if accessor.shape != "SCALAR" or accessor.component.kind != "u":
-            cause = f"is {accessor.shape} of {accessor.component.name}, not indices"
-            raise primitive.fault("indices", cause)
-        corners = accessors.stored(index)[:, 0].astype(np.int64)
-        if corners.max() >= count:
-            raise primitive.fault("indices", f"names vertex {corners.max()}, but there are only {count}")
-    if mode == TRIANGLES:
-        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    if mode == _STRIP:
-        return unrolled(corners, np.array([0, len(corners)]))
-    if mode != _FAN or len(corners) < 3:
-        return np.empty((0, 3), np.int64)
-    first = np.arange(len(corners) - 2)
-    return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]
-
-
-def _index_accessor(primitive: Entry, accessors: Accessors) -> int | None:
-    packed = draco_extension(primitive)
-    if packed is not None:
-        return accessors.decoded_indices(packed, primitive.integer("indices", below=len(accessors)))
-    return primitive.integer("indices", below=len(accessors)) if "indices" in primitive else None
+    def triangles(self, count: int) -> Int64s:
+        """Return the triangles, shape (F, 3), as vertex indices in [0, count), with glTF's winding."""
+        index = self.indices
+        self._accessors.count_drawn(self.entry, count if index is None else self._accessors[index].count)
+        corners = np.arange(count)
+        if index is not None:
+            accessor = self._accessors[index]
+            if accessor.shape != "SCALAR" or accessor.component.kind != "u":
+                cause = f"is {accessor.shape} of {accessor.component.name}, not indices"
+                raise self.entry.fault("indices", cause)
+            corners = self._accessors.stored(index)[:, 0].astype(np.int64)
+            if corners.max() >= count:
+                cause = f"names vertex {corners.max()}, but there are only {count}"
+                raise self.entry.fault("indices", cause)
+        if self.mode == TRIANGLES:
+            return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+        if self.mode == _STRIP:
+            return unrolled(corners, np.array([0, len(corners)]))
+        if self.mode != _FAN or len(corners) < 3:
+            return np.empty((0, 3), np.int64)
+        first = np.arange(len(corners) - 2)
+        return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]

@@ -67,7 +67,7 @@ class GltfDocument(Document):
 
     @cached_property
     def surface(self) -> Surface:
-        surface = Surface(self.root, self.accessors, self.places)
+        surface = Surface(self.name, self.accessors, self.places)
         self.notices += surface.notices()
         return surface
 

@@ -28,13 +28,13 @@ from beltrami_cli.formats.gltf.accessors import (
     DRACO,
     Accessors,
     Layout,
+    Primitive,
     Stored,
-    draco_extension,
     element_bytes,
     padded_elements,
 )
 from beltrami_cli.formats.gltf.buffers import View, data_uri, named_places, named_views, repacked
-from beltrami_cli.formats.gltf.container import Container, Entry, Tree, objects, primitives_of
+from beltrami_cli.formats.gltf.container import Container, Tree, objects, primitives_of
 from beltrami_cli.surface.records import ImageFile
 
 VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
@@ -207,7 +207,7 @@ class Column:
 
     accessor: int  # where they are read
     members: Set[int]  # all accessors over these numbers that primitives name as this attribute
-    users: Mapping[tuple[int, int], Entry]  # painted primitives that do, by mesh and index in the mesh
+    users: Mapping[tuple[int, int], Primitive]  # painted primitives that do, by mesh and index in the mesh
     position: int  # accessor of the positions that they belong to
     before: Stored  # shape (rows, width)
     after: Stored
@@ -275,7 +275,7 @@ def _put_numbers(edit: Edit, column: Column) -> int:
     # Where the old numbers are, or the positions, or anywhere.
     layouts = [*_value_layouts(edit.accessors, column.accessor), edit.accessors[column.position].layout]
     homes = [layout.buffer for layout in layouts if layout is not None]
-    packed = [draco_extension(primitive) for primitive in column.users.values()]
+    packed = [primitive.packed for primitive in column.users.values()]
     homes += [edit.accessors.views[each.integer("bufferView")].buffer for each in packed if each is not None]
     edit.put(edit.growing_buffer(homes), (view, None), octets.tobytes())
     return view
@@ -289,14 +289,13 @@ def _detach(edit: Edit, attribute: str, column: Column) -> None:
         del extensions[DRACO]["attributes"][attribute]
 
 
-def _require_same_order(edit: Edit, primitive: Entry, attribute: str) -> None:
+def _require_same_order(edit: Edit, primitive: Primitive, attribute: str) -> None:
     """Raise an InputError if viewers that do not decode Draco would give the numbers to other vertices."""
-    accessors, index = edit.accessors, primitive.integer("indices")
-    packed = draco_extension(primitive)
-    if packed is None or accessors[primitive.entry("attributes").integer(attribute)].layout is None:
+    accessors, packed, decoded = edit.accessors, primitive.packed, primitive.indices
+    plain = primitive.entry.integer("indices")
+    if packed is None or accessors[primitive.attributes.integer(attribute)].layout is None:
         return
-    plain, decoded = accessors.stored(index), accessors.stored(accessors.decoded_indices(packed, index))
-    if not np.array_equal(plain, decoded):
+    if decoded is None or not np.array_equal(accessors.stored(plain), accessors.stored(decoded)):
         cause = "holds vertices in another order than its uncompressed fallback"
         raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
 

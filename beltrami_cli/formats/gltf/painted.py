@@ -17,16 +17,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.gltf.accessors import (
-    Accessors,
-    Stored,
-    attribute_accessor,
-    drawing_key,
-    drawn_triangles,
-    fitting_accessor,
-    fractions,
-    position_accessor,
-)
+from beltrami_cli.formats.gltf.accessors import Accessors, Primitive, Stored, fractions
 from beltrami_cli.formats.gltf.container import Entry, primitives_of
 from beltrami_cli.formats.gltf.edit import Column, Edit, exchange
 from beltrami_cli.surface.geometry import unit_vectors
@@ -147,17 +138,15 @@ def _local(node: Entry) -> Float64s:
 class Block:
     """The rows of one pair of accessors, from `first_row` on."""
 
-    accessors: dict[
-        str, int
-    ]  # of positions, colours and, if the first primitive has any, normals, by attribute
+    accessors: dict[str, int]  # by attribute: positions, colours, and normals if the first primitive has any
     placement: Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
     # The primitives that name these colours, by mesh and index in the mesh.
-    users: dict[tuple[int, int], Entry] = field(default_factory=dict)
+    users: dict[tuple[int, int], Primitive] = field(default_factory=dict)
 
     @property
-    def first_user(self) -> Entry:
+    def first_user(self) -> Primitive:
         return next(iter(self.users.values()))
 
     @property
@@ -168,51 +157,51 @@ class Block:
 class Surface:
     """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
-    def __init__(self, root: Entry, accessors: Accessors, places: Sequence[Placement]) -> None:
+    def __init__(self, name: str, accessors: Accessors, places: Sequence[Placement]) -> None:
         self.accessors = accessors
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
         self._faces: dict[Hashable, Int32s] = {}
         self._rows = 0
         self._counts = dict.fromkeys(("uncoloured", "elsewhere", "instanced", "morphed", "plain"), 0)
-        for number, (mesh, placement) in enumerate(zip(root.entries("meshes"), places, strict=True)):
-            for part, primitive in enumerate(mesh.entries("primitives")):
+        for number, (mesh, placement) in enumerate(zip(accessors.meshes, places, strict=True)):
+            for part, primitive in enumerate(mesh):
                 self._take(primitive, placement, (number, part))
         if not self.blocks:
             remedy = "paint the vertices first, or bake the texture into them"
-            raise UnpaintedError(root.name, "the model has no vertex colours (COLOR_0)", remedy)
+            raise UnpaintedError(name, "the model has no vertex colours (COLOR_0)", remedy)
 
-    def _take(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> None:
-        if "COLOR_0" not in primitive.entry("attributes"):
+    def _take(self, primitive: Primitive, placement: Placement, number: tuple[int, int]) -> None:
+        if "COLOR_0" not in primitive:
             self._counts["uncoloured"] += 1
             return
-        self._counts["morphed"] += any("COLOR_0" in target for target in primitive.entries("targets"))
+        targets = primitive.entry.entries("targets")
+        self._counts["morphed"] += any("COLOR_0" in target for target in targets)
         block = self._block(primitive, placement, number)
         if block is None:
             return
-        key = block.first_row, drawing_key(primitive, self.accessors)
+        key = block.first_row, primitive.drawing_key()
         if key not in self._faces:
-            faces = placement.facing(drawn_triangles(primitive, self.accessors, block.count))
+            faces = placement.facing(primitive.triangles(block.count))
             self._faces[key] = (faces + block.first_row).astype(np.int32)
 
-    def _block(self, primitive: Entry, placement: Placement, number: tuple[int, int]) -> Block | None:
+    def _block(self, primitive: Primitive, placement: Placement, number: tuple[int, int]) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
-        attributes = primitive.entry("attributes")
-        position, colour = position_accessor(primitive, self.accessors), self._colour(primitive)
+        position, colour = primitive.position(), self._colour(primitive)
         count = self.accessors[colour].count
         if self.accessors[position].count != count:
             cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
-            raise attributes.fault("COLOR_0", cause)
+            raise primitive.attributes.fault("COLOR_0", cause)
         key, place = self.accessors.identity(colour), self.accessors.identity(position)
         if key not in self._block_of:
             named = {"POSITION": position, "COLOR_0": colour}
-            if "NORMAL" in attributes:
-                named["NORMAL"] = fitting_accessor(primitive, "NORMAL", self.accessors, "VEC3", count)
+            if "NORMAL" in primitive:
+                named["NORMAL"] = primitive.fitting("NORMAL", "VEC3", count)
             block = self._block_of[key] = Block(named, placement, self._rows, count)
             self.blocks.append(block)
             self._rows += count
             if self._rows > _MOST_ROWS:
-                raise attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
+                raise primitive.attributes.fault("COLOR_0", f"more than {_MOST_ROWS} colours in one model")
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.users[number] = primitive
@@ -224,12 +213,12 @@ class Surface:
             self._counts["instanced"] += not same or block.placement.space != placement.space
         return block
 
-    def _colour(self, primitive: Entry) -> int:
-        index = attribute_accessor(primitive, "COLOR_0", self.accessors)
+    def _colour(self, primitive: Primitive) -> int:
+        index = primitive.accessor("COLOR_0")
         accessor = self.accessors[index]
         if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
             cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
-            raise primitive.entry("attributes").fault("COLOR_0", cause)
+            raise primitive.attributes.fault("COLOR_0", cause)
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
         return index
 
@@ -287,7 +276,7 @@ class Surface:
 
     def attribute_names(self) -> tuple[str, ...]:
         """Return the attributes that all blocks have; "normal" for their normals."""
-        held = [set(block.first_user.entry("attributes").value) for block in self.blocks]
+        held = [set(block.first_user.attributes.value) for block in self.blocks]
         common = set.intersection(*held)
         others = sorted(name for name in common if name not in _OTHERWISE and not name.startswith(_INDICES))
         return (*(("normal",) if "NORMAL" in common else ()), *others)
@@ -296,7 +285,7 @@ class Surface:
         """Read an attribute of all blocks, shape (V, G)."""
         parts: list[Float64s] = []
         for block in self.blocks:
-            index = attribute_accessor(block.first_user, name, self.accessors)
+            index = block.first_user.accessor(name)
             values = self.accessors.values(index)
             if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
                 cause = (
@@ -304,7 +293,7 @@ class Surface:
                 )
                 if parts and len(values) == block.count:
                     cause += f" of {parts[0].shape[1]} numbers elsewhere"
-                raise block.first_user.entry("attributes").fault(name, cause)
+                raise block.first_user.attributes.fault(name, cause)
             parts.append(values)
         return np.concatenate(parts)
 
@@ -365,7 +354,7 @@ class Surface:
             self._exchange(edit, "NORMAL", turned)
         has_normals = any("NORMAL" in block.accessors for block in self.blocks)
         users = [user for block in self.blocks for user in block.users.values()]
-        has_tangents = any("TANGENT" in user.entry("attributes") for user in users)
+        has_tangents = any("TANGENT" in user for user in users)
         stale = {"normals": has_normals and normals is None, "tangents": has_tangents}
         edit.notices += [_STALE.format(what) for what, is_stale in stale.items() if is_stale]
 

@@ -12,17 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colour
-from beltrami_cli.formats.gltf.accessors import (
-    TRIANGLES,
-    Accessors,
-    attribute_accessor,
-    drawing_key,
-    drawing_mode,
-    drawn_triangles,
-    fitting_accessor,
-    fractions,
-    position_accessor,
-)
+from beltrami_cli.formats.gltf.accessors import TRIANGLES, Accessors, Primitive, fractions
 from beltrami_cli.formats.gltf.container import Entry
 from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
@@ -87,7 +77,9 @@ def texture_uses(root: Entry, slot: Slot) -> list[list[TextureUse]]:
     return found
 
 
-def looks(primitive: Entry, materials: Sequence[Sequence[TextureUse]]) -> list[tuple[int, TextureUse | None]]:
+def _looks(
+    primitive: Entry, materials: Sequence[Sequence[TextureUse]]
+) -> list[tuple[int, TextureUse | None]]:
     """Return how a primitive can be shown, as (look, use); primitives show the same look at the same time."""
     # Look 0 is what viewers show by default; then an extension's material in place of the core one, and variants.
     default = _of_material(primitive, materials)
@@ -131,7 +123,7 @@ def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]
 class _Part:
     """Triangles of a primitive at one place."""
 
-    primitive: Entry
+    primitive: Primitive
     placement: Placement
     position: int  # accessor of the positions
     faces: Int64s  # (F, 3), indices into it
@@ -175,13 +167,12 @@ class _Parts:
             return ShownMap(name, None, str(error))
         return ShownMap(name, image_key(image), "", self._images.wrap(use.texture), use.alpha_hides)
 
-    def drawn(self, primitive: Entry, placement: Placement) -> tuple[int, Int64s] | None:
+    def drawn(self, primitive: Primitive, placement: Placement) -> tuple[int, Int64s] | None:
         """Return the accessor of the positions and the triangles of a primitive; None if it draws none."""
-        if drawing_mode(primitive) < TRIANGLES or "POSITION" not in primitive.entry("attributes"):
+        if primitive.mode < TRIANGLES or "POSITION" not in primitive:
             return None
-        position = position_accessor(primitive, self.accessors)
-        count = self.accessors[position].count
-        faces = placement.facing(drawn_triangles(primitive, self.accessors, count))
+        position = primitive.position()
+        faces = placement.facing(primitive.triangles(self.accessors[position].count))
         return (position, faces) if len(faces) else None
 
     def rows_of(self, parts: Sequence[_Part]) -> Bools:
@@ -230,9 +221,8 @@ class _Parts:
             use = None if slot is None else self._uses[part.material].get(slot)
             name = "TEXCOORD_0" if use is None else use.coordinates
             uv = np.full((len(part.faces), 3, 2), np.nan)
-            if name in part.primitive.entry("attributes") and (slot is None or use is not None):
-                count = self.accessors[part.position].count
-                index = fitting_accessor(part.primitive, name, self.accessors, "VEC2", count)
+            if name in part.primitive and (slot is None or use is not None):
+                index = part.primitive.fitting(name, "VEC2", self.accessors[part.position].count)
                 if index not in self._coordinates:  # parts of one large mesh may share it
                     self._coordinates[index] = self.accessors.values(index)
                 uv = self._coordinates[index][part.faces]
@@ -246,18 +236,19 @@ def gather_textured(
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
     parts, materials = _SurfaceParts(root, accessors, images), texture_uses(root, slot)
-    for mesh, placement in zip(root.entries("meshes"), places, strict=True):
-        for primitive in mesh.entries("primitives"):
+    for mesh, placement in zip(accessors.meshes, places, strict=True):
+        for primitive in mesh:
             parts.take(primitive, placement, slot, materials)
     if not any(parts.maps[part.material] for part in parts):
         raise SlotImages(slot).refusal(root.name, is_bare=parts.counts["bare"] > 0)
     surface, notices = parts.scene().surface(slot)
     # Triangles of different looks or spaces do not meet.
     spaces = [(members[0].placement.space, members[0].look) for members in parts.groups.values()]
-    numbers = [[*dict.fromkeys(spaces)].index(space) for space in spaces]
-    if any(numbers):
+    number_of = {space: number for number, space in enumerate(dict.fromkeys(spaces))}
+    if len(number_of) > 1:
         rows = [np.count_nonzero(parts.rows_of(members)) for members in parts.groups.values()]
-        surface = dataclasses.replace(surface, space_of=np.repeat(np.array(numbers, np.int32), rows))
+        numbers = np.array([number_of[space] for space in spaces], np.int32)
+        surface = dataclasses.replace(surface, space_of=np.repeat(numbers, rows))
     sentences = {
         "instanced": "{} textured part(s) are shown at several places; each is smoothed once, at its first place.",
         "bare": f"{{}} primitive(s) have no texture coordinates for their {slot} texture.",
@@ -276,18 +267,22 @@ class _SurfaceParts(_Parts):
         self._seen: set[Hashable] = set()
 
     def take(
-        self, primitive: Entry, placement: Placement, slot: Slot, materials: Sequence[Sequence[TextureUse]]
+        self,
+        primitive: Primitive,
+        placement: Placement,
+        slot: Slot,
+        materials: Sequence[Sequence[TextureUse]],
     ) -> None:
         found = self.drawn(primitive, placement)
         if found is None:
             return
         place = self.accessors.identity(found[0])
-        for look, use in looks(primitive, materials):
-            key: tuple[Hashable, ...] = place, drawing_key(primitive, self.accessors)
+        for look, use in _looks(primitive.entry, materials):
+            key: tuple[Hashable, ...] = place, primitive.drawing_key()
             name, uses = "", dict[Slot, TextureUse]()
-            if use is not None and use.coordinates in primitive.entry("attributes"):
-                index = attribute_accessor(primitive, use.coordinates, self.accessors)
-                key += use.texture, use.transform, self.accessors.identity(index)
+            if use is not None and use.coordinates in primitive:
+                coordinates = self.accessors.identity(primitive.accessor(use.coordinates))
+                key += use.texture, use.transform, coordinates
                 name, uses = use.material, {slot: use}
             self.counts["bare"] += use is not None and not uses
             number = self.material(use.info.place if use and uses else None, name, uses)
@@ -311,15 +306,17 @@ def read_textured_mesh(
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
     parts = _MeshParts(root, accessors, images)
     for index, placement, name in instances(root):
-        for number, primitive in enumerate(root.entries("meshes")[index].entries("primitives")):
+        for number, primitive in enumerate(accessors.meshes[index]):
             parts.take(primitive, placement, name, colours.get((index, number)))
     if not parts.groups:
         raise InputError(root.name, "its scene has no triangles, so there is nothing to show a texture")
-    groups = tuple(dict.fromkeys(part.group for part in parts))
-    group_of = parts.of_triangles([groups.index(part.group) for part in parts])
+    groups = {name: number for number, name in enumerate(dict.fromkeys(part.group for part in parts))}
+    group_of = parts.of_triangles([groups[part.group] for part in parts])
     normals = np.concatenate([parts.normals(part) for part in parts])
     scene = parts.scene()
-    mesh = scene.mesh(parts.made_material, parts.left_out, (groups, group_of), normals.reshape(-1, 3), source)
+    mesh = scene.mesh(
+        parts.made_material, parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3), source
+    )
     return dataclasses.replace(mesh, colours=parts.vertex_colours(stored))
 
 
@@ -333,16 +330,15 @@ class _MeshParts(_Parts):
         self._entries = root.entries("materials")
         self._by_slot = {slot: texture_uses(root, slot) for slot in SLOT_PATHS}
 
-    def take(self, primitive: Entry, placement: Placement, group: str, colours: Float32s | None) -> None:
-        attributes = primitive.entry("attributes")
-        if drawing_mode(primitive) < TRIANGLES and "POSITION" in attributes:
+    def take(self, primitive: Primitive, placement: Placement, group: str, colours: Float32s | None) -> None:
+        if primitive.mode < TRIANGLES and "POSITION" in primitive:
             self.left_out.append("points and lines")
         found = self.drawn(primitive, placement)
         if found is None:
             return
         index, uses = None, dict[Slot, TextureUse]()
-        if "material" in primitive:
-            index = primitive.integer("material", below=len(self._entries))
+        if "material" in primitive.entry:
+            index = primitive.entry.integer("material", below=len(self._entries))
             uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
         if index is not None:
             self.left_out += self._entries[index].entry("extensions").value
@@ -351,7 +347,7 @@ class _MeshParts(_Parts):
         self.groups[len(self.groups)] = [part]
         self._colours.append(self._of_part(part, colours))
         coordinates = {use.coordinates for use in uses.values()} or {"TEXCOORD_0"}
-        for name in attributes.value:
+        for name in primitive.attributes.value:
             if name.startswith("TEXCOORD_"):
                 self.left_out += () if name in coordinates else ("further texture coordinates",)
             elif name not in _KNOWN and not name.startswith(("JOINTS_", "WEIGHTS_")):
@@ -361,19 +357,17 @@ class _MeshParts(_Parts):
         """Return the colours of the vertices of a part, shape (n, 3) or (n, 4)."""
         if colours is not None and "baseColor" in self.maps[part.material] and (colours[:, :3] != 1).any():
             self.left_out.append("the tint of textures by their vertex colours")
-        if colours is None and OWN_COLOURS in part.primitive.entry("attributes"):
-            index = attribute_accessor(part.primitive, OWN_COLOURS, self.accessors)
-            colours = fractions(self.accessors.finite(index, "colour"))
+        if colours is None and OWN_COLOURS in part.primitive:
+            colours = fractions(self.accessors.finite(part.primitive.accessor(OWN_COLOURS), "colour"))
         used = self.rows_of([part])
         is_fitting = colours is not None and colours.shape in ((len(used), 3), (len(used), 4))
         return colours[used] if colours is not None and is_fitting else None
 
     def normals(self, part: _Part) -> Float64s:
         """Return the normals of the corners of a part, shape (F, 3, 3); NaN if there are none."""
-        count = self.accessors[part.position].count
-        if "NORMAL" not in part.primitive.entry("attributes"):
+        if "NORMAL" not in part.primitive:
             return np.full((len(part.faces), 3, 3), np.nan)
-        index = fitting_accessor(part.primitive, "NORMAL", self.accessors, "VEC3", count)
+        index = part.primitive.fitting("NORMAL", "VEC3", self.accessors[part.position].count)
         return part.placement.normals(self.accessors, index)[part.faces]
 
     def made_material(
