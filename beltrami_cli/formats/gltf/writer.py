@@ -45,32 +45,53 @@ _COMPONENT_TYPE = {np.dtype(name): number for number, name in COMPONENTS.items()
 _MOST_FOR_U16 = 65535  # vertices: index 65535 would mean the restart of a strip
 
 
-Model = tuple[Tree, "Arrays", Mapping[str, ImageFile]]
-"""The JSON of a file but for its buffer and images, the numbers behind it, and the images by their files' names."""
+Model = tuple[list[Tree], Tree, Mapping[str, ImageFile]]
+"""Meshes, the members of the JSON that paint these, and images by the names of their files."""
 
 
-def _binary(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh, stem: str) -> Written:
-    """Write a mesh as one binary file."""
-    tree, arrays, images = make(mesh, stem)
+def _written(mesh: MeshContents | TexturedMesh, stem: str, *, is_binary: bool) -> Written:
+    """Write a mesh as one binary file, or as JSON text with sidecar files for its numbers and its images."""
+    arrays, sidecars, shown = Arrays(), dict[str, bytes](), list[Tree]()
+    make: Callable[[Any, str, Arrays], Model] = _textured if isinstance(mesh, TexturedMesh) else _coloured
+    meshes, painting, images = make(mesh, stem, arrays)
+    arrays.notices += not_converted(mesh, keeps_frame=True)
     for name, image in images.items():
-        view = arrays.add_bytes(image.data)
-        shown = {"bufferView": view, "mimeType": MEDIA[image.suffix], "name": name.rpartition(".")[0]}
-        tree.setdefault("images", []).append(shown)
-    tree["buffers"] = [{"byteLength": len(arrays.binary)}]
-    text = json.dumps(tree, ensure_ascii=False, separators=(",", ":"))
-    pieces = glb_pieces([Chunk(JSON_CHUNK, text.encode()), Chunk(BIN_CHUNK, bytes(arrays.binary))])
-    return Written(pieces, notices=tuple(arrays.notices))
+        if is_binary:
+            place = {"bufferView": arrays.add_bytes(image.data), "mimeType": MEDIA[image.suffix]}
+        else:
+            place, sidecars[name] = {"uri": quote(name)}, image.data
+        shown.append(place | {"name": name.rpartition(".")[0]})
+    binary, name = bytes(arrays.binary), f"{stem}.bin"
+    buffer = {"byteLength": len(binary)} | ({} if is_binary else {"uri": quote(name)})
+    tree = {
+        "asset": {"version": "2.0", "generator": "beltrami"},
+        **_scene(meshes, mesh.frame),
+        "meshes": meshes,
+        **painting,
+        "accessors": arrays.accessors,
+        "bufferViews": arrays.views,
+        "images": shown,
+        "buffers": [buffer],
+    }
+    tree = {key: value for key, value in tree.items() if value != []}
+    separators, indent = ((",", ":"), None) if is_binary else (None, 2)
+    text = json.dumps(tree, ensure_ascii=False, separators=separators, indent=indent).encode()
+    if is_binary:
+        pieces = glb_pieces([Chunk(JSON_CHUNK, text), Chunk(BIN_CHUNK, binary)])
+        return Written(pieces, notices=tuple(arrays.notices))
+    return Written([text + b"\n"], {name: binary, **sidecars}, tuple(arrays.notices))
 
 
-def _text(make: Callable[[Any, str], Model], mesh: MeshContents | TexturedMesh, stem: str) -> Written:
-    """Write a mesh as JSON text, with its numbers and its images in sidecar files, ``stem.bin`` and others."""
-    tree, arrays, images = make(mesh, stem)
-    if images:
-        tree["images"] = [{"uri": quote(name), "name": name.rpartition(".")[0]} for name in images]
-    tree["buffers"] = [{"byteLength": len(arrays.binary), "uri": quote(f"{stem}.bin")}]
-    text = json.dumps(tree, ensure_ascii=False, indent=2) + "\n"
-    sidecars = {f"{stem}.bin": bytes(arrays.binary), **{name: image.data for name, image in images.items()}}
-    return Written([text.encode()], sidecars, tuple(arrays.notices))
+def _scene(meshes: list[Tree], frame: Frame) -> Tree:
+    """Return the scene, which shows each mesh once."""
+    nodes: list[Tree] = [{"mesh": number, "name": each["name"]} for number, each in enumerate(meshes)]
+    shown = list(range(len(meshes)))
+    if frame != Frame():
+        unit, is_upright = frame.unit, frame.up == "Y"
+        y, z = ([0, unit, 0, 0], [0, 0, unit, 0]) if is_upright else ([0, 0, -unit, 0], [0, unit, 0, 0])
+        matrix = [unit, 0, 0, 0, *y, *z, 0, 0, 0, 1]  # column by column: metres, and y up
+        nodes, shown = [*nodes, {"name": "root", "matrix": matrix, "children": shown}], [len(meshes)]
+    return {"scene": 0, "scenes": [{"nodes": shown}], "nodes": nodes}
 
 
 class Arrays:
@@ -115,52 +136,24 @@ class Arrays:
         return len(self.views) - 1
 
 
-def _coloured(contents: MeshContents, stem: str) -> Model:
+def _coloured(contents: MeshContents, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with colours of vertices, which become linear, as glTF demands; `stem` is its name."""
-    arrays = Arrays()
-    notices = arrays.notices
-    positions = _single_precision(contents.positions, stem, notices)
-    colours = _stored_colours(contents, notices)
+    positions = _single_precision(contents.positions, stem, arrays.notices)
+    colours = _stored_colours(contents, arrays.notices)
     faces = triangulate(contents.positions, contents.corners, contents.offsets)
     if np.any(np.diff(contents.offsets) > 3):
-        notices.append("Quads and polygons are cut into triangles.")
-    notices += not_converted(contents, keeps_frame=True)
+        arrays.notices.append("Quads and polygons are cut into triangles.")
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(_unit_normals(contents.normals))
-    primitive: Tree = {"attributes": attributes, "material": 0}
-    if len(faces):
-        primitive["indices"] = arrays.add_faces(faces, len(positions))
-    else:
-        primitive["mode"] = 0
+    drawing = {"indices": arrays.add_faces(faces, len(positions))} if len(faces) else {"mode": 0}
     # glTF's default material is bare metal, which shows colours black without a sky.
     bare = {"metallicFactor": 0, "roughnessFactor": 1}
     material: Tree = {"pbrMetallicRoughness": bare, "doubleSided": True}
     if contents.alpha is not None and np.any(contents.alpha < 1):
         material["alphaMode"] = "BLEND"
-    meshes = [{"primitives": [primitive], "name": stem}]
-    return _model(meshes, {"materials": [material]}, arrays, contents.frame), arrays, {}
-
-
-def _model(meshes: list[Tree], painting: Tree, arrays: Arrays, frame: Frame) -> Tree:
-    """Return the JSON of a file whose scene shows each mesh once, with the members that paint these."""
-    nodes: list[Tree] = [{"mesh": number, "name": each["name"]} for number, each in enumerate(meshes)]
-    shown = list(range(len(meshes)))
-    if frame != Frame():
-        unit, is_upright = frame.unit, frame.up == "Y"
-        y, z = ([0, unit, 0, 0], [0, 0, unit, 0]) if is_upright else ([0, 0, -unit, 0], [0, unit, 0, 0])
-        matrix = [unit, 0, 0, 0, *y, *z, 0, 0, 0, 1]  # column by column: metres, and y up
-        nodes, shown = [*nodes, {"name": "root", "matrix": matrix, "children": shown}], [len(meshes)]
-    return {
-        "asset": {"version": "2.0", "generator": "beltrami"},
-        "scene": 0,
-        "scenes": [{"nodes": shown}],
-        "nodes": nodes,
-        "meshes": meshes,
-        **painting,
-        "accessors": arrays.accessors,
-        "bufferViews": arrays.views,
-    }
+    primitive = {"attributes": attributes, "material": 0, **drawing}
+    return [{"primitives": [primitive], "name": stem}], {"materials": [material]}, {}
 
 
 def _single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
@@ -202,24 +195,27 @@ _MODES = {"mask": "MASK", "blend": "BLEND"}
 _KEPT = f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
 
 
-def _textured(mesh: TexturedMesh, stem: str) -> Model:
+def _textured(mesh: TexturedMesh, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with its textures; vertices are split where their corners differ."""
     mesh = _with_bare_materials(mesh)
-    parts = _Parts(mesh, stem)
+    positions = _single_precision(mesh.positions, stem, arrays.notices)
+    colours = None if mesh.colours is None else _stored_colours(mesh.colours, arrays.notices)
     meshes: list[Tree] = []
-    for number, name in enumerate(mesh.groups):
+    for number in np.unique(mesh.group_numbers).tolist():
         faces = np.flatnonzero(mesh.group_numbers == number)
-        if len(faces):
-            meshes.append({"primitives": parts.primitives(faces), "name": plain_name(name) or stem})
+        material_of = mesh.material_numbers[faces]
+        primitives = [
+            _primitive(mesh, faces[material_of == material], positions, colours, arrays)
+            | {"material": material}
+            for material in np.unique(material_of).tolist()
+        ]
+        meshes.append({"primitives": primitives, "name": plain_name(mesh.groups[number]) or stem})
     painting: Tree = {"materials": [], "textures": [], "samplers": []}
-    for material in mesh.materials:
-        painting["materials"].append(_material(material, painting, stem))
-    parts.arrays.notices += not_converted(mesh, keeps_frame=True)
-    tree = _model(
-        meshes, {key: entries for key, entries in painting.items() if entries}, parts.arrays, mesh.frame
-    )
+    for each in mesh.materials:
+        painting["materials"].append(_material(each, painting, stem))
     images = {name: image.file for name, image in zip(image_names(mesh, stem), mesh.images, strict=True)}
-    return tree, parts.arrays, images
+    arrays.notices[:] = dict.fromkeys(arrays.notices)
+    return meshes, painting, images
 
 
 def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
@@ -235,45 +231,26 @@ def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
     return dataclasses.replace(mesh, materials=shown, material_of=numbers)
 
 
-class _Parts:
-    """The primitives of a mesh, and the arrays behind them."""
-
-    def __init__(self, mesh: TexturedMesh, stem: str) -> None:
-        self._mesh, self.arrays = mesh, Arrays()
-        self._positions = _single_precision(mesh.positions, stem, self.arrays.notices)
-        self._colours = None if mesh.colours is None else _stored_colours(mesh.colours, self.arrays.notices)
-
-    def primitives(self, faces: Int64s) -> list[Tree]:
-        material_of = self._mesh.material_numbers[faces]
-        shown = np.unique(material_of).tolist()
-        return [self._primitive(faces[material_of == material], material) for material in shown]
-
-    def _primitive(self, faces: Int64s, material: int) -> Tree:
-        mesh, arrays = self._mesh, self.arrays
-        corners = mesh.faces[faces].ravel()
-        tables: dict[str, Array] = {"TEXCOORD_0": mesh.uv[faces].reshape(-1, 2).astype("<f4")}
-        if mesh.normals is not None:
-            tables["NORMAL"] = mesh.normals[faces].reshape(-1, 3)
-            if 0 < np.count_nonzero(np.isfinite(tables["NORMAL"])) < tables["NORMAL"].size:
-                self._note("Not converted: normals of parts that have them at some corners only.")
-        tables = {name: table for name, table in tables.items() if np.isfinite(table).all()}
-        vertex_of, first = group_equal_rows(
-            corners, *(column for table in tables.values() for column in table.T)
-        )
-        attributes = {"POSITION": arrays.add(self._positions[corners[first]], bounds=True)}
-        for name, table in tables.items():
-            attributes[name] = arrays.add(_unit_normals(table[first]) if name == "NORMAL" else table[first])
-        if self._colours is not None:
-            is_textured = "baseColor" in mesh.materials[material].maps
-            attributes[OWN_COLOURS if is_textured else "COLOR_0"] = arrays.add(self._colours[corners[first]])
-            if is_textured:
-                self._note(_KEPT)
-        indices = arrays.add_faces(vertex_of.reshape(-1, 3), len(first))
-        return {"attributes": attributes, "indices": indices, "material": material}
-
-    def _note(self, notice: str) -> None:
-        if notice not in self.arrays.notices:
-            self.arrays.notices.append(notice)
+def _primitive(
+    mesh: TexturedMesh, faces: Int64s, positions: Stored, colours: Stored | None, arrays: Arrays
+) -> Tree:
+    """Return a primitive for triangles of one material; its numbers go into the arrays."""
+    corners = mesh.faces[faces].ravel()
+    tables: dict[str, Array] = {"TEXCOORD_0": mesh.uv[faces].reshape(-1, 2).astype("<f4")}
+    if mesh.normals is not None:
+        tables["NORMAL"] = mesh.normals[faces].reshape(-1, 3)
+        if 0 < np.count_nonzero(np.isfinite(tables["NORMAL"])) < tables["NORMAL"].size:
+            arrays.notices.append("Not converted: normals of parts that have them at some corners only.")
+    tables = {name: table for name, table in tables.items() if np.isfinite(table).all()}
+    vertex_of, first = group_equal_rows(corners, *(column for table in tables.values() for column in table.T))
+    attributes = {"POSITION": arrays.add(positions[corners[first]], bounds=True)}
+    for name, table in tables.items():
+        attributes[name] = arrays.add(_unit_normals(table[first]) if name == "NORMAL" else table[first])
+    if colours is not None:
+        is_textured = "baseColor" in mesh.materials[mesh.material_numbers[faces[0]]].maps
+        attributes[OWN_COLOURS if is_textured else "COLOR_0"] = arrays.add(colours[corners[first]])
+        arrays.notices += [_KEPT] if is_textured else []
+    return {"attributes": attributes, "indices": arrays.add_faces(vertex_of.reshape(-1, 3), len(first))}
 
 
 def _index(entry: Tree, entries: list[Tree]) -> int:
@@ -319,5 +296,5 @@ def _plain(value: float) -> float | int:
     return int(clipped) if clipped in (0, 1) else clipped
 
 
-write_glb, write_textured_glb = partial(_binary, _coloured), partial(_binary, _textured)
-write_gltf, write_textured_gltf = partial(_text, _coloured), partial(_text, _textured)
+write_glb = write_textured_glb = partial(_written, is_binary=True)
+write_gltf = write_textured_gltf = partial(_written, is_binary=False)
