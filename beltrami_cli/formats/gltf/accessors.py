@@ -66,11 +66,12 @@ class Sparse:
     values: Layout
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Accessor:
-    """A checked accessor."""
+    """A checked accessor, whose bytes are read when they are asked for."""
 
     entry: Entry  # its JSON, for messages
+    buffers: Buffers
     component: np.dtype[np.generic]
     width: int  # components of one element
     shape: str  # glTF's type: "SCALAR", "VEC3", ...
@@ -79,17 +80,77 @@ class Accessor:
     view: int | None
     layout: Layout | None  # None: all elements are zero, but for sparse ones
     sparse: Sparse | None
+    is_decoded: bool = False  # by Draco
+
+    @property
+    def layouts(self) -> list[Layout]:
+        """Where the numbers lie: the elements, and sparse ones that replace some of them."""
+        both = self.layout, self.sparse.values if self.sparse else None
+        return [layout for layout in both if layout is not None]
+
+    @property
+    def identity(self) -> Hashable:
+        """The same for accessors that describe the same bytes in the same way."""
+        if self.layout is None or self.sparse is not None:
+            return self.entry.place
+        return self.layout, self.component.str, self.width, self.normalised
+
+    def require_bytes(self) -> None:
+        """Load the buffer, so that the count is known to be backed by bytes."""
+        if self.layout is not None:
+            self.buffers.stored(self.layout.buffer)
+        elif self.count > self.buffers.bytes_at_hand:
+            raise self.entry.fault("count", f"{self.count} zeros are more than the file has bytes")
+
+    def stored(self) -> Stored:
+        """Return the numbers as stored, shape (count, width), sparse replacements applied."""
+        self.require_bytes()
+        if self.layout is not None:
+            numbers = self._numbers(self.layout, self.component)
+        else:
+            numbers = np.zeros((self.count, self.width), self.component)
+        if self.sparse is not None:
+            numbers = numbers.copy()  # it may be a view of the buffer
+            numbers[self.replaced()] = self._numbers(self.sparse.values, self.component)
+        return numbers
+
+    def replaced(self) -> Int64s:
+        """Return the elements that a sparse accessor replaces, in order; none if it is not sparse."""
+        if self.sparse is None:
+            return np.empty(0, np.int64)
+        rows = self._numbers(self.sparse.indices, self.sparse.index_type)[:, 0].astype(np.int64)
+        if rows[-1] >= self.count or np.any(np.diff(rows) <= 0):
+            raise self.entry.fault("sparse.indices", f"must increase and stay below {self.count}")
+        return rows
+
+    def values(self) -> Float64s:
+        """Return the finite numbers that are meant, shape (count, width), fractions where normalised."""
+        stored = self.finite("element")
+        numbers = stored.astype(np.float64)
+        if self.component.kind != "f" and self.normalised:
+            numbers = np.maximum(numbers / np.iinfo(stored.dtype).max, -1.0)
+        return numbers
+
+    def finite(self, what: str) -> Stored:
+        """Return the numbers as stored; `what` is the word for an element in the error if one is not finite."""
+        stored = self.stored()
+        if stored.dtype.kind == "f":
+            require_finite(stored, self.entry.name, f"{self.entry.place}: {what}")
+        return stored
+
+    def _numbers(self, layout: Layout, component: np.dtype[Any]) -> Stored:
+        octets = element_bytes(self.buffers.stored(layout.buffer), layout)
+        return np.ascontiguousarray(octets).view(component)
 
 
 class Accessors:
-    """All accessors of one file; descriptions are checked at once, bytes are read when asked for."""
+    """All accessors and primitives of one file; descriptions are checked at once."""
 
     def __init__(self, root: Entry, buffers: Buffers) -> None:
         self.buffers = buffers
         self.views = read_views(root, buffers)
-        self.all = [_accessor(entry, self.views) for entry in root.entries("accessors")]
-        self._added: list[Accessor] = []  # decoded by Draco; their indices follow the JSON's
-        self._decoded: dict[Hashable, int] = {}
+        self.all = [_accessor(entry, self.views, buffers) for entry in root.entries("accessors")]
+        self._decoded: dict[Hashable, Accessor] = {}  # by Draco
         self._meshes: dict[int, Any] = {}
         self._drawn = 0
         self._root = root
@@ -98,7 +159,7 @@ class Accessors:
         return len(self.all)
 
     def __getitem__(self, index: int) -> Accessor:
-        return self.all[index] if index < len(self.all) else self._added[index - len(self.all)]
+        return self.all[index]
 
     @cached_property
     def meshes(self) -> list[list[Primitive]]:
@@ -108,34 +169,30 @@ class Accessors:
             for mesh in self._root.entries("meshes")
         ]
 
-    def is_added(self, index: int) -> bool:
-        return index >= len(self.all)
-
-    def decoded_attribute(self, packed: Entry, name: str, index: int) -> int:
-        """Return the accessor of an attribute that Draco has compressed, which accessor `index` describes."""
-        (view, mesh), accessor = self._draco(packed), self[index]
+    def decoded_attribute(self, packed: Entry, name: str, described: Accessor) -> Accessor:
+        """Return an attribute that Draco has compressed."""
+        view, mesh = self._draco(packed)
         number = packed.entry("attributes").integer(name)
-        key = view, number, accessor.component.str, accessor.shape, accessor.normalised
+        key = view, number, described.component.str, described.shape, described.normalised
         if key not in self._decoded:
             data = (each["data"] for each in mesh.attributes if each["unique_id"] == number)
             numbers = next(data, None)
             if numbers is None:
                 cause = f"is {number}, but there is no such attribute in the data"
                 raise packed.entry("attributes").fault(name, cause)
-            self._decoded[key] = self._add(accessor, _fitted(np.asarray(numbers), accessor))
+            self._add(key, described, _fitted(np.asarray(numbers), described))
         return self._decoded[key]
 
-    def decoded_indices(self, packed: Entry, index: int) -> int:
-        """Return the accessor of triangles that Draco has compressed, which accessor `index` describes."""
+    def decoded_indices(self, packed: Entry, described: Accessor) -> Accessor:
+        """Return the triangles that Draco has compressed."""
         view, mesh = self._draco(packed)
-        key = view, "faces"
-        if key not in self._decoded:
+        if (view, "faces") not in self._decoded:
             numbers = np.asarray(mesh.faces).astype("<u4").reshape(-1, 1)
             if not len(numbers):
                 raise packed.fault("bufferView", "holds no triangles")
-            accessor = replace(self[index], shape="SCALAR", width=1, normalised=False)
-            self._decoded[key] = self._add(accessor, numbers)
-        return self._decoded[key]
+            scalar = replace(described, shape="SCALAR", width=1, normalised=False)
+            self._add((view, "faces"), scalar, numbers)
+        return self._decoded[view, "faces"]
 
     def _draco(self, packed: Entry) -> tuple[int, Any]:
         """Return a view that Draco has compressed, and its mesh, which is decoded once."""
@@ -144,15 +201,14 @@ class Accessors:
             self._meshes[view] = _draco_mesh(packed, self.buffers.viewed(self.views[view]))
         return view, self._meshes[view]
 
-    def _add(self, described: Accessor, numbers: Stored) -> int:
-        """Add an accessor for decoded numbers, shape (n, width), with another one's description."""
+    def _add(self, key: Hashable, described: Accessor, numbers: Stored) -> None:
+        """Add decoded numbers, shape (n, width), with the description of an accessor."""
         octets = numbers.tobytes()
         buffer = self.buffers.add(len(octets), lambda: octets)
         size, count = numbers.dtype.itemsize * numbers.shape[1], len(numbers)
         layout = Layout(buffer, 0, size, size, count)
-        bare = replace(described, view=None, sparse=None)
-        self._added.append(replace(bare, component=numbers.dtype, count=count, layout=layout))
-        return len(self.all) + len(self._added) - 1
+        bare = replace(described, view=None, sparse=None, is_decoded=True)
+        self._decoded[key] = replace(bare, component=numbers.dtype, count=count, layout=layout)
 
     def count_drawn(self, primitive: Entry, corners: int) -> None:
         """Count the corners that primitives draw, and refuse far more than bytes: small files can repeat them."""
@@ -160,63 +216,6 @@ class Accessors:
         if self._drawn > _LEAST_DRAWN + _MOST_DRAWN * self.buffers.bytes_at_hand:
             cause = f"with it, {self._drawn} corners are drawn of {self.buffers.bytes_at_hand} bytes"
             raise primitive.fault("", cause, "the same triangles are used again and again: export each once")
-
-    def require_bytes(self, index: int) -> None:
-        """Load the buffer of an accessor, so that its count is known to be backed by bytes."""
-        accessor = self[index]
-        if accessor.layout is not None:
-            self.buffers.stored(accessor.layout.buffer)
-        elif accessor.count > self.buffers.bytes_at_hand:
-            raise accessor.entry.fault("count", f"{accessor.count} zeros are more than the file has bytes")
-
-    def stored(self, index: int) -> Stored:
-        """Return the numbers as stored, shape (count, width), sparse replacements applied."""
-        accessor = self[index]
-        if accessor.layout is not None:
-            numbers = self._numbers(accessor.layout, accessor.component)
-        else:
-            self.require_bytes(index)
-            numbers = np.zeros((accessor.count, accessor.width), accessor.component)
-        if accessor.sparse is not None:
-            numbers = numbers.copy()  # it may be a view of the buffer
-            numbers[self.replaced(index)] = self._numbers(accessor.sparse.values, accessor.component)
-        return numbers
-
-    def replaced(self, index: int) -> Int64s:
-        """Return the elements that a sparse accessor replaces, in order; none if it is not sparse."""
-        accessor = self[index]
-        if accessor.sparse is None:
-            return np.empty(0, np.int64)
-        rows = self._numbers(accessor.sparse.indices, accessor.sparse.index_type)[:, 0].astype(np.int64)
-        if rows[-1] >= accessor.count or np.any(np.diff(rows) <= 0):
-            raise accessor.entry.fault("sparse.indices", f"must increase and stay below {accessor.count}")
-        return rows
-
-    def values(self, index: int) -> Float64s:
-        """Return the finite numbers that an accessor means, shape (count, width), fractions where normalised."""
-        accessor, stored = self[index], self.finite(index, "element")
-        numbers = stored.astype(np.float64)
-        if accessor.component.kind != "f" and accessor.normalised:
-            numbers = np.maximum(numbers / np.iinfo(stored.dtype).max, -1.0)
-        return numbers
-
-    def finite(self, index: int, what: str) -> Stored:
-        """Return the numbers as stored; `what` is the word for an element in the error if one is not finite."""
-        stored, entry = self.stored(index), self[index].entry
-        if stored.dtype.kind == "f":
-            require_finite(stored, entry.name, f"{entry.place}: {what}")
-        return stored
-
-    def identity(self, index: int) -> Hashable:
-        """Return the same for accessors that describe the same bytes in the same way."""
-        accessor = self[index]
-        if accessor.layout is None or accessor.sparse is not None:
-            return index
-        return accessor.layout, accessor.component.str, accessor.width, accessor.normalised
-
-    def _numbers(self, layout: Layout, component: np.dtype[Any]) -> Stored:
-        octets = element_bytes(self.buffers.stored(layout.buffer), layout)
-        return np.ascontiguousarray(octets).view(component)
 
 
 def _fitted(numbers: Array, accessor: Accessor) -> Stored:
@@ -258,7 +257,7 @@ def fractions(stored: Stored) -> Float32s:
     return (stored / np.float64(np.iinfo(stored.dtype).max)).astype(np.float32)
 
 
-def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:
+def _accessor(entry: Entry, views: Sequence[View], buffers: Buffers) -> Accessor:
     component = _component(entry)
     shape = entry.text("type") or ""
     if shape not in SHAPES:
@@ -273,7 +272,7 @@ def _accessor(entry: Entry, views: Sequence[View]) -> Accessor:
     layout = None if index is None else _layout(entry, views[index], index, size, count)
     sparse = _sparse(entry.entry("sparse"), views, size, count) if "sparse" in entry else None
     normalised = entry.flag("normalized")
-    return Accessor(entry, component, SHAPES[shape], shape, count, normalised, index, layout, sparse)
+    return Accessor(entry, buffers, component, SHAPES[shape], shape, count, normalised, index, layout, sparse)
 
 
 def _component(entry: Entry) -> np.dtype[np.generic]:
@@ -334,28 +333,27 @@ class Primitive:
     def __contains__(self, name: str) -> bool:
         return name in self.attributes
 
-    def accessor(self, name: str) -> int:
-        """Return the accessor of an attribute."""
-        index = self.attributes.integer(name, below=len(self._accessors))
+    def accessor(self, name: str) -> Accessor:
+        """Return an attribute."""
+        accessor = self._accessors[self.attributes.integer(name, below=len(self._accessors))]
         if self.packed is None or name not in self.packed.entry("attributes"):
-            return index
-        return self._accessors.decoded_attribute(self.packed, name, index)
+            return accessor
+        return self._accessors.decoded_attribute(self.packed, name, accessor)
 
-    def fitting(self, name: str, shape: str, count: int | None = None) -> int:
-        """Return the accessor of an attribute: of a shape, of so many elements if it is said, and no large integers."""
-        index = self.accessor(name)
-        accessor = self._accessors[index]
+    def fitting(self, name: str, shape: str, count: int | None = None) -> Accessor:
+        """Return an attribute: of a shape, of so many elements if it is said, and no large integers."""
+        accessor = self.accessor(name)
         wanted = accessor.count if count is None else count
         if (accessor.shape, accessor.count) != (shape, wanted) or accessor.component.name == "uint32":
             cause = f"is {accessor.count} {accessor.shape} of {accessor.component.name}, not {wanted} {shape}"
             raise self.attributes.fault(name, cause)
-        return index
+        return accessor
 
-    def position(self) -> int:
-        """Return the accessor of positions, whose bytes are there."""
-        index = self.fitting("POSITION", "VEC3")
-        self._accessors.require_bytes(index)
-        return index
+    def position(self) -> Accessor:
+        """Return the positions, whose bytes are there."""
+        accessor = self.fitting("POSITION", "VEC3")
+        accessor.require_bytes()
+        return accessor
 
     @property
     def mode(self) -> int:
@@ -364,27 +362,26 @@ class Primitive:
         return mode if self.packed is None else TRIANGLES
 
     @property
-    def indices(self) -> int | None:
+    def indices(self) -> Accessor | None:
         if self.packed is None and "indices" not in self.entry:
             return None
-        index = self.entry.integer("indices", below=len(self._accessors))
-        return index if self.packed is None else self._accessors.decoded_indices(self.packed, index)
+        accessor = self._accessors[self.entry.integer("indices", below=len(self._accessors))]
+        return accessor if self.packed is None else self._accessors.decoded_indices(self.packed, accessor)
 
     def drawing_key(self) -> Hashable:
         """Return equal keys for primitives that draw their vertices in the same way."""
-        return self.mode, None if self.indices is None else self._accessors.identity(self.indices)
+        return self.mode, self.indices and self.indices.identity
 
     def triangles(self, count: int) -> Int64s:
         """Return the triangles, shape (F, 3), as vertex indices in [0, count), with glTF's winding."""
-        index = self.indices
-        self._accessors.count_drawn(self.entry, count if index is None else self._accessors[index].count)
+        indices = self.indices
+        self._accessors.count_drawn(self.entry, count if indices is None else indices.count)
         corners = np.arange(count)
-        if index is not None:
-            accessor = self._accessors[index]
-            if accessor.shape != "SCALAR" or accessor.component.kind != "u":
-                cause = f"is {accessor.shape} of {accessor.component.name}, not indices"
+        if indices is not None:
+            if indices.shape != "SCALAR" or indices.component.kind != "u":
+                cause = f"is {indices.shape} of {indices.component.name}, not indices"
                 raise self.entry.fault("indices", cause)
-            corners = self._accessors.stored(index)[:, 0].astype(np.int64)
+            corners = indices.stored()[:, 0].astype(np.int64)
             if corners.max() >= count:
                 cause = f"names vertex {corners.max()}, but there are only {count}"
                 raise self.entry.fault("indices", cause)

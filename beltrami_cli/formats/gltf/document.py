@@ -302,7 +302,7 @@ def _numbers(accessors: Accessors, source: Tree, tree: Tree) -> dict[str, bytes]
             continue
         views |= set(named_views(accessor))
         try:
-            parts[f"numbers of accessors[{index}]"] = accessors.stored(index).tobytes()
+            parts[f"numbers of accessors[{index}]"] = accessors[index].stored().tobytes()
         except InputError as error:
             parts[f"numbers of accessors[{index}]"] = str(error.cause).encode()
     for index, view in enumerate(tree.get("bufferViews", [])):

@@ -26,6 +26,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Bytes
 from beltrami_cli.formats.gltf.accessors import (
     DRACO,
+    Accessor,
     Accessors,
     Layout,
     Primitive,
@@ -205,10 +206,10 @@ def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
 class Column:
     """Numbers of one vertex attribute that painted primitives share."""
 
-    accessor: int  # where they are read
+    accessor: Accessor  # where they are read
     members: Set[int]  # all accessors over these numbers that primitives name as this attribute
     users: Mapping[tuple[int, int], Primitive]  # painted primitives that do, by mesh and index in the mesh
-    position: int  # accessor of the positions that they belong to
+    position: Accessor  # positions that they belong to
     before: Stored  # shape (rows, width)
     after: Stored
 
@@ -226,7 +227,7 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
     ] = {}  # the column that a primitive follows, or an accessor wherever it is named
     for number in changed:
         column = columns[number]
-        if edit.accessors.is_added(column.accessor):
+        if column.accessor.is_decoded:
             _detach(edit, attribute, column)
             followed |= dict.fromkeys(column.users, number)
         elif is_alone[number]:
@@ -250,7 +251,7 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
 
 def _overwrite(edit: Edit, column: Column) -> None:
     """Put numbers where they are; of a sparse accessor each where it is read, the elements that it replaces too."""
-    accessor, rows = edit.accessors[column.accessor], edit.accessors.replaced(column.accessor)
+    accessor, rows = column.accessor, column.accessor.replaced()
     own, octets = np.ones(len(column.after), bool), column.after.view(np.uint8)
     own[rows] = False
     if accessor.sparse is not None:
@@ -258,7 +259,9 @@ def _overwrite(edit: Edit, column: Column) -> None:
     if accessor.layout is not None:
         _elements(edit, accessor.layout)[own] = octets[own]
     elif octets[own].any():  # no more zeros
-        _point_at(edit.tree["accessors"][column.accessor], _put_numbers(edit, column), keep_sparse=True)
+        view = _put_numbers(edit, column)
+        for index in column.members:
+            _point_at(edit.tree["accessors"][index], view, keep_sparse=True)
 
 
 def _elements(edit: Edit, layout: Layout) -> Uint8s:
@@ -273,8 +276,7 @@ def _put_numbers(edit: Edit, column: Column) -> int:
         "bufferViews", {"target": VERTEX_DATA} | ({"byteStride": stride} if stride != size else {})
     )
     # Where the old numbers are, or the positions, or anywhere.
-    layouts = [*_value_layouts(edit.accessors, column.accessor), edit.accessors[column.position].layout]
-    homes = [layout.buffer for layout in layouts if layout is not None]
+    homes = [layout.buffer for layout in [*column.accessor.layouts, *column.position.layouts]]
     packed = [primitive.packed for primitive in column.users.values()]
     homes += [edit.accessors.views[each.integer("bufferView")].buffer for each in packed if each is not None]
     edit.put(edit.growing_buffer(homes), (view, None), octets.tobytes())
@@ -292,10 +294,10 @@ def _detach(edit: Edit, attribute: str, column: Column) -> None:
 def _require_same_order(edit: Edit, primitive: Primitive, attribute: str) -> None:
     """Raise an InputError if viewers that do not decode Draco would give the numbers to other vertices."""
     accessors, packed, decoded = edit.accessors, primitive.packed, primitive.indices
-    plain = primitive.entry.integer("indices")
+    plain = accessors[primitive.entry.integer("indices")]
     if packed is None or accessors[primitive.attributes.integer(attribute)].layout is None:
         return
-    if decoded is None or not np.array_equal(accessors.stored(plain), accessors.stored(decoded)):
+    if decoded is None or not np.array_equal(plain.stored(), decoded.stored()):
         cause = "holds vertices in another order than its uncompressed fallback"
         raise packed.fault("bufferView", cause, "remove one of the two, and smooth the other")
 
@@ -349,7 +351,7 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
     def canonical(layout: Layout) -> Layout:
         return replace(layout, buffer=accessors.buffers.canonical(layout.buffer))
 
-    own = [[canonical(layout) for layout in _value_layouts(accessors, column.accessor)] for column in columns]
+    own = [[canonical(layout) for layout in column.accessor.layouts] for column in columns]
     members = {member for column in columns for member in column.members}
     others = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
     ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
@@ -365,13 +367,6 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
         and all((element_bytes(counts[layout.buffer], layout) == 1).all() for layout in layouts)
         for column, layouts in zip(columns, own, strict=True)
     ]
-
-
-def _value_layouts(accessors: Accessors, index: int) -> list[Layout]:
-    """Return where the numbers of an accessor lie: its elements, and sparse ones that replace some of them."""
-    accessor = accessors[index]
-    layouts = [accessor.layout, accessor.sparse.values if accessor.sparse else None]
-    return [layout for layout in layouts if layout is not None]
 
 
 def _others(tree: Tree, accessors: Accessors, members: set[int]) -> Iterator[Layout]:

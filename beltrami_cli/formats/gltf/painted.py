@@ -17,7 +17,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import UnpaintedError
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.gltf.accessors import Accessors, Primitive, Stored, fractions
+from beltrami_cli.formats.gltf.accessors import Accessor, Accessors, Primitive, Stored, fractions
 from beltrami_cli.formats.gltf.container import Entry, primitives_of
 from beltrami_cli.formats.gltf.edit import Column, Edit, exchange
 from beltrami_cli.surface.geometry import unit_vectors
@@ -43,22 +43,22 @@ class Placement:
         """Return triangles facing outwards: a mirrored node turns them inside out."""
         return faces[:, ::-1] if np.linalg.det(self.matrix[:3, :3]) < 0 else faces
 
-    def positions(self, accessors: Accessors, index: int, used: slice | Bools = slice(None)) -> Float64s:
+    def positions(self, accessor: Accessor, used: slice | Bools = slice(None)) -> Float64s:
         """Return all or the used positions of an accessor, shape (n, 3), in the common space."""
-        positions = accessors.values(index)[used]
+        positions = accessor.values()[used]
         with np.errstate(over="ignore", invalid="ignore"):
             moved: Float64s = positions @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         if not np.isfinite(moved).all():
-            raise accessors[index].entry.fault("", "positions overflow in world space")
+            raise accessor.entry.fault("", "positions overflow in world space")
         return moved
 
-    def normals(self, accessors: Accessors, index: int) -> Float64s:
+    def normals(self, accessor: Accessor) -> Float64s:
         """Return the unit normals of an accessor, shape (n, 3), in the common space; zero vectors stay zero."""
         a, b, c = self.matrix[:3, :3].T
         # The cofactor matrix is the inverse transpose times the determinant, and exists for flat scales too.
         cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
         sign = -1.0 if a @ cofactors[:, 0] < 0 else 1.0
-        return unit_vectors(accessors.values(index) @ (sign * cofactors).T)
+        return unit_vectors(accessor.values() @ (sign * cofactors).T)
 
 
 def placements(root: Entry) -> list[Placement]:
@@ -138,7 +138,9 @@ def _local(node: Entry) -> Float64s:
 class Block:
     """The rows of one pair of accessors, from `first_row` on."""
 
-    accessors: dict[str, int]  # by attribute: positions, colours, and normals if the first primitive has any
+    accessors: dict[
+        str, Accessor
+    ]  # by attribute: positions, colours, and normals if the first primitive has any
     placement: Placement  # of the mesh that uses the pair first
     first_row: int
     count: int
@@ -158,7 +160,7 @@ class Surface:
     """All blocks and their triangles: of primitives that have COLOR_0, in file order."""
 
     def __init__(self, name: str, accessors: Accessors, places: Sequence[Placement]) -> None:
-        self.accessors = accessors
+        self._accessors = accessors
         self.blocks: list[Block] = []
         self._block_of: dict[Hashable, Block] = {}
         self._faces: dict[Hashable, Int32s] = {}
@@ -188,11 +190,11 @@ class Surface:
     def _block(self, primitive: Primitive, placement: Placement, number: tuple[int, int]) -> Block | None:
         """Return the block of a primitive; None if its colours already have rows at other positions."""
         position, colour = primitive.position(), self._colour(primitive)
-        count = self.accessors[colour].count
-        if self.accessors[position].count != count:
-            cause = f"has {count} elements, but POSITION has {self.accessors[position].count}"
+        count = colour.count
+        if position.count != count:
+            cause = f"has {count} elements, but POSITION has {position.count}"
             raise primitive.attributes.fault("COLOR_0", cause)
-        key, place = self.accessors.identity(colour), self.accessors.identity(position)
+        key = colour.identity
         if key not in self._block_of:
             named = {"POSITION": position, "COLOR_0": colour}
             if "NORMAL" in primitive:
@@ -205,7 +207,7 @@ class Surface:
             self._counts["instanced"] += placement.nodes > 1
         block = self._block_of[key]
         block.users[number] = primitive
-        if self.accessors.identity(block.accessors["POSITION"]) != place:
+        if block.accessors["POSITION"].identity != position.identity:
             self._counts["elsewhere"] += 1
             return None
         if block.placement is not placement:
@@ -213,14 +215,13 @@ class Surface:
             self._counts["instanced"] += not same or block.placement.space != placement.space
         return block
 
-    def _colour(self, primitive: Primitive) -> int:
-        index = primitive.accessor("COLOR_0")
-        accessor = self.accessors[index]
+    def _colour(self, primitive: Primitive) -> Accessor:
+        accessor = primitive.accessor("COLOR_0")
         if accessor.shape not in ("VEC3", "VEC4") or accessor.component.name not in _COLOUR_TYPES:
             cause = f"is {accessor.shape} of {accessor.component.name}, not a colour"
             raise primitive.attributes.fault("COLOR_0", cause)
         self._counts["plain"] += accessor.component.kind == "u" and not accessor.normalised
-        return index
+        return accessor
 
     def notices(self) -> list[str]:
         """Return what the user should know about what was left out."""
@@ -238,14 +239,12 @@ class Surface:
     @cached_property
     def stored_colours(self) -> list[Stored]:
         """Colours of every block as stored, each of shape (rows of the block, 3 or 4)."""
-        return [self.accessors.finite(block.accessors["COLOR_0"], "colour") for block in self.blocks]
+        return [block.accessors["COLOR_0"].finite("colour") for block in self.blocks]
 
     def vertices(self) -> PaintedVertices:
         """Return the rows of all blocks."""
         spaces = np.concatenate([np.full(each.count, each.placement.space, np.int32) for each in self.blocks])
-        places = [
-            block.placement.positions(self.accessors, block.accessors["POSITION"]) for block in self.blocks
-        ]
+        places = [block.placement.positions(block.accessors["POSITION"]) for block in self.blocks]
         types = {numbers.dtype.name for numbers in self.stored_colours}
         return PaintedVertices(
             positions=np.concatenate(places),
@@ -271,7 +270,7 @@ class Surface:
         """Return unit normals in world space if every block has them; zero vectors stay zero."""
         if any("NORMAL" not in block.accessors for block in self.blocks):
             return None
-        parts = [block.placement.normals(self.accessors, block.accessors["NORMAL"]) for block in self.blocks]
+        parts = [block.placement.normals(block.accessors["NORMAL"]) for block in self.blocks]
         return np.concatenate(parts).astype(np.float32)
 
     def attribute_names(self) -> tuple[str, ...]:
@@ -285,8 +284,7 @@ class Surface:
         """Read an attribute of all blocks, shape (V, G)."""
         parts: list[Float64s] = []
         for block in self.blocks:
-            index = block.first_user.accessor(name)
-            values = self.accessors.values(index)
+            values = block.first_user.accessor(name).values()
             if len(values) != block.count or (parts and values.shape[1] != parts[0].shape[1]):
                 cause = (
                     f"is {len(values)} x {values.shape[1]} numbers, which do not fit {block.count} vertices"
@@ -317,8 +315,8 @@ class Surface:
     def require_movable(self) -> None:
         """Check that positions can be replaced: floats, not compressed by Draco, and not scaled to nothing."""
         for block in self.blocks:
-            accessor = self.accessors[block.accessors["POSITION"]]
-            if self.accessors.is_added(block.accessors["POSITION"]):
+            accessor = block.accessors["POSITION"]
+            if accessor.is_decoded:
                 remedy = "decompress the model first with a glTF optimiser"
                 raise accessor.entry.fault("", "Draco positions cannot be replaced", remedy)
             if accessor.component.kind != "f":
@@ -360,26 +358,26 @@ class Surface:
 
     def _exchange(self, edit: Edit, attribute: str, renewed: Callable[[Block, Stored], Stored]) -> None:
         """Exchange an attribute of all blocks, which may share its numbers; only new rows are written."""
-        accessors = self.accessors
+        accessors = self._accessors
         members: dict[Hashable, set[int]] = defaultdict(set)  # accessors that primitives name, painted or not
         for _, primitive in primitives_of(edit.container.tree):
             index = primitive.get("attributes", {}).get(attribute, -1)
-            if 0 <= index < len(accessors.all):
-                members[accessors.identity(index)].add(index)
+            if 0 <= index < len(accessors):
+                members[accessors[index].identity].add(index)
         columns: dict[Hashable, Column] = {}
         for block in self.blocks:
             if attribute not in block.accessors:
                 continue
-            index = block.accessors[attribute]
-            before, key = accessors.stored(index), accessors.identity(index)
-            after, position = renewed(block, before), block.accessors["POSITION"]
+            accessor, position = block.accessors[attribute], block.accessors["POSITION"]
+            before, key = accessor.stored(), accessor.identity
+            after = renewed(block, before)
             if key not in columns:
-                columns[key] = Column(index, members[key], block.users, position, before, after)
+                columns[key] = Column(accessor, members[key], block.users, position, before, after)
                 continue
             earlier = columns[key].after
             mine, theirs = (after != before).any(axis=1), (earlier != before).any(axis=1)
             if attribute == "POSITION" and not np.array_equal(after[mine | theirs], earlier[mine | theirs]):
                 cause = "is shared by parts that would move apart"
-                raise accessors[index].entry.fault("", cause, "give each part positions of its own")
+                raise accessor.entry.fault("", cause, "give each part positions of its own")
             earlier[mine] = after[mine]
         exchange(edit, attribute, list(columns.values()))

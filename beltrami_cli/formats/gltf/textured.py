@@ -12,7 +12,7 @@ import numpy as np
 from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import display_colour
-from beltrami_cli.formats.gltf.accessors import TRIANGLES, Accessors, Primitive, fractions
+from beltrami_cli.formats.gltf.accessors import TRIANGLES, Accessor, Accessors, Primitive, fractions
 from beltrami_cli.formats.gltf.container import Entry
 from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
@@ -125,8 +125,8 @@ class _Part:
 
     primitive: Primitive
     placement: Placement
-    position: int  # accessor of the positions
-    faces: Int64s  # (F, 3), indices into it
+    position: Accessor
+    faces: Int64s  # (F, 3), indices of positions
     material: int  # number in `_Parts`
     look: int = 0
     group: str = ""  # name of the object
@@ -135,15 +135,15 @@ class _Part:
 class _Parts:
     """Triangles of primitives, while these are taken one by one, and the scene that they make."""
 
-    def __init__(self, root: Entry, accessors: Accessors, images: Images) -> None:
-        self.root, self.accessors, self._images = root, accessors, images
+    def __init__(self, name: str, images: Images) -> None:
+        self._name, self._images = name, images
         self.groups: dict[Hashable, list[_Part]] = {}  # by what shares vertices
         # Materials: their names, their textures, and the images that these show.
         self._numbers: dict[Hashable, int] = {}
         self._names: list[str] = []
         self._uses: list[Mapping[Slot, TextureUse]] = []
         self.maps: list[Mapping[Slot, ShownMap]] = []
-        self._coordinates: dict[int, Float64s] = {}
+        self._coordinates: dict[Accessor, Float64s] = {}
 
     def __iter__(self) -> Iterator[_Part]:
         return chain(*self.groups.values())
@@ -167,17 +167,17 @@ class _Parts:
             return ShownMap(name, None, str(error))
         return ShownMap(name, image_key(image), "", self._images.wrap(use.texture), use.alpha_hides)
 
-    def drawn(self, primitive: Primitive, placement: Placement) -> tuple[int, Int64s] | None:
-        """Return the accessor of the positions and the triangles of a primitive; None if it draws none."""
+    def drawn(self, primitive: Primitive, placement: Placement) -> tuple[Accessor, Int64s] | None:
+        """Return the positions and the triangles of a primitive; None if it draws none."""
         if primitive.mode < TRIANGLES or "POSITION" not in primitive:
             return None
         position = primitive.position()
-        faces = placement.facing(primitive.triangles(self.accessors[position].count))
+        faces = placement.facing(primitive.triangles(position.count))
         return (position, faces) if len(faces) else None
 
     def rows_of(self, parts: Sequence[_Part]) -> Bools:
         """Return which positions the parts of one group use."""
-        used = np.zeros(self.accessors[parts[0].position].count, bool)
+        used = np.zeros(parts[0].position.count, bool)
         for part in parts:
             used[part.faces] = True
         return used
@@ -195,12 +195,12 @@ class _Parts:
             corners += [row_of[part.faces].ravel() for part in parts]
             rows += int(np.count_nonzero(used))
             if rows > _MOST_ROWS:
-                raise self.accessors[first.position].entry.fault("", f"more than {_MOST_ROWS} vertices")
-            positions.append(first.placement.positions(self.accessors, first.position, used))
+                raise first.position.entry.fault("", f"more than {_MOST_ROWS} vertices")
+            positions.append(first.placement.positions(first.position, used))
         material_of = self.of_triangles([part.material for part in self])
         keys = {image_key(index): index for index in range(len(self._images))}
         return Scene(
-            name=self.root.name,
+            name=self._name,
             positions=np.concatenate(positions),
             corners=np.concatenate(corners).astype(np.int32),
             offsets=3 * np.arange(len(material_of) + 1),
@@ -222,10 +222,10 @@ class _Parts:
             name = "TEXCOORD_0" if use is None else use.coordinates
             uv = np.full((len(part.faces), 3, 2), np.nan)
             if name in part.primitive and (slot is None or use is not None):
-                index = part.primitive.fitting(name, "VEC2", self.accessors[part.position].count)
-                if index not in self._coordinates:  # parts of one large mesh may share it
-                    self._coordinates[index] = self.accessors.values(index)
-                uv = self._coordinates[index][part.faces]
+                accessor = part.primitive.fitting(name, "VEC2", part.position.count)
+                if accessor not in self._coordinates:  # parts of one large mesh may share it
+                    self._coordinates[accessor] = accessor.values()
+                uv = self._coordinates[accessor][part.faces]
                 uv = uv if use is None else use.placed(uv)
             found.append(uv.reshape(-1, 2))
         return np.concatenate(found)
@@ -235,7 +235,7 @@ def gather_textured(
     root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
-    parts, materials = _SurfaceParts(root, accessors, images), texture_uses(root, slot)
+    parts, materials = _SurfaceParts(root.name, images), texture_uses(root, slot)
     for mesh, placement in zip(accessors.meshes, places, strict=True):
         for primitive in mesh:
             parts.take(primitive, placement, slot, materials)
@@ -260,8 +260,8 @@ def gather_textured(
 class _SurfaceParts(_Parts):
     """Each primitive where it stands first, with all textures that it can have in one slot."""
 
-    def __init__(self, root: Entry, accessors: Accessors, images: Images) -> None:
-        super().__init__(root, accessors, images)
+    def __init__(self, name: str, images: Images) -> None:
+        super().__init__(name, images)
         self.counts = dict.fromkeys(("instanced", "bare"), 0)
         self.missing: dict[str, None] = {}  # notices
         self._seen: set[Hashable] = set()
@@ -276,13 +276,12 @@ class _SurfaceParts(_Parts):
         found = self.drawn(primitive, placement)
         if found is None:
             return
-        place = self.accessors.identity(found[0])
+        place = found[0].identity
         for look, use in _looks(primitive.entry, materials):
             key: tuple[Hashable, ...] = place, primitive.drawing_key()
             name, uses = "", dict[Slot, TextureUse]()
             if use is not None and use.coordinates in primitive:
-                coordinates = self.accessors.identity(primitive.accessor(use.coordinates))
-                key += use.texture, use.transform, coordinates
+                key += use.texture, use.transform, primitive.accessor(use.coordinates).identity
                 name, uses = use.material, {slot: use}
             self.counts["bare"] += use is not None and not uses
             number = self.material(use.info.place if use and uses else None, name, uses)
@@ -304,7 +303,7 @@ def read_textured_mesh(
     root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
 ) -> records.TexturedMesh:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
-    parts = _MeshParts(root, accessors, images)
+    parts = _MeshParts(root, images)
     for index, placement, name in instances(root):
         for number, primitive in enumerate(accessors.meshes[index]):
             parts.take(primitive, placement, name, colours.get((index, number)))
@@ -323,8 +322,8 @@ def read_textured_mesh(
 class _MeshParts(_Parts):
     """Each primitive at every place, with its colours, and with the textures of all slots."""
 
-    def __init__(self, root: Entry, accessors: Accessors, images: Images) -> None:
-        super().__init__(root, accessors, images)
+    def __init__(self, root: Entry, images: Images) -> None:
+        super().__init__(root.name, images)
         self.left_out: list[str] = []
         self._colours: list[Float32s | None] = []
         self._entries = root.entries("materials")
@@ -358,7 +357,7 @@ class _MeshParts(_Parts):
         if colours is not None and "baseColor" in self.maps[part.material] and (colours[:, :3] != 1).any():
             self.left_out.append("the tint of textures by their vertex colours")
         if colours is None and OWN_COLOURS in part.primitive:
-            colours = fractions(self.accessors.finite(part.primitive.accessor(OWN_COLOURS), "colour"))
+            colours = fractions(part.primitive.accessor(OWN_COLOURS).finite("colour"))
         used = self.rows_of([part])
         is_fitting = colours is not None and colours.shape in ((len(used), 3), (len(used), 4))
         return colours[used] if colours is not None and is_fitting else None
@@ -367,8 +366,8 @@ class _MeshParts(_Parts):
         """Return the normals of the corners of a part, shape (F, 3, 3); NaN if there are none."""
         if "NORMAL" not in part.primitive:
             return np.full((len(part.faces), 3, 3), np.nan)
-        index = part.primitive.fitting("NORMAL", "VEC3", self.accessors[part.position].count)
-        return part.placement.normals(self.accessors, index)[part.faces]
+        normals = part.primitive.fitting("NORMAL", "VEC3", part.position.count)
+        return part.placement.normals(normals)[part.faces]
 
     def made_material(
         self, number: int, maps: Mapping[Slot, records.MaterialMap], images: MeshImages
