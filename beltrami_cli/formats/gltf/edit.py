@@ -222,9 +222,8 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
     uses = list(accessor_uses(edit.tree))
     shared = {holder[member] for place, holder, member in uses if place is None or member != attribute}
     is_alone = _alone(edit, columns, shared)
-    followed: dict[
-        Hashable, int
-    ] = {}  # the column that a primitive follows, or an accessor wherever it is named
+    # The column that a primitive follows, or an accessor wherever this attribute is.
+    followed: dict[Hashable, int] = {}
     for number in changed:
         column = columns[number]
         if column.accessor.is_decoded:
@@ -236,11 +235,11 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
                 _update_bounds(edit.tree["accessors"][index], column)
         else:
             followed |= dict.fromkeys(column.members, number)
-    changes = [
-        (holder, member, None if place is None or member != attribute else
-         followed.get(place, followed.get(holder[member])))
-        for place, holder, member in uses
-    ]  # fmt: skip
+    changes: list[Use] = []
+    for place, holder, member in uses:
+        is_attribute = place is not None and member == attribute
+        change = followed.get(place, followed.get(holder[member])) if is_attribute else None
+        changes.append((holder, member, change))
     views: dict[int, int] = {}
     for (_, number), index in edit.own("accessors", changes).items():
         if number not in views:
@@ -272,9 +271,8 @@ def _put_numbers(edit: Edit, column: Column) -> int:
     """Put new numbers into a view of their own; return its index."""
     octets, size = padded_elements(column.after)
     stride = octets.shape[1]
-    view = edit.add(
-        "bufferViews", {"target": VERTEX_DATA} | ({"byteStride": stride} if stride != size else {})
-    )
+    strided = {"byteStride": stride} if stride != size else {}
+    view = edit.add("bufferViews", {"target": VERTEX_DATA, **strided})
     # Where the old numbers are, or the positions, or anywhere.
     homes = [layout.buffer for layout in [*column.accessor.layouts, *column.position.layouts]]
     packed = [primitive.packed for primitive in column.users.values()]
@@ -322,23 +320,19 @@ def _update_bounds(accessor: Tree, column: Column) -> None:
 
 def accessor_uses(tree: Tree) -> Iterator[tuple[tuple[int, int] | None, Tree, str]]:
     """Iterate over the members that name accessors: the primitive if it is an attribute of one, holder and key."""
-    holders: list[tuple[tuple[int, int] | None, Any]] = []
+    # Primitives, objects, and the members of these that name accessors: all if none are given.
+    holders: list[tuple[tuple[int, int] | None, Any, tuple[str, ...]]] = []
     for number, primitive in primitives_of(tree):
-        holders.append((number, primitive.get("attributes", {})))
-        holders += [(None, target) for target in objects(primitive.get("targets"))]
-        if "indices" in primitive:
-            yield None, primitive, "indices"
+        holders += [(number, primitive.get("attributes"), ()), (None, primitive, ("indices",))]
+        holders += [(None, target, ()) for target in objects(primitive.get("targets"))]
     for animation in objects(tree.get("animations")):
-        for sampler in objects(animation.get("samplers")):
-            yield from ((None, sampler, key) for key in ("input", "output") if key in sampler)
-    for skin in objects(tree.get("skins")):
-        if "inverseBindMatrices" in skin:
-            yield None, skin, "inverseBindMatrices"
+        holders += [(None, each, ("input", "output")) for each in objects(animation.get("samplers"))]
+    holders += [(None, skin, ("inverseBindMatrices",)) for skin in objects(tree.get("skins"))]
     for extensions in objects([node.get("extensions") for node in objects(tree.get("nodes"))]):
-        holders += [(None, each.get("attributes")) for each in objects(list(extensions.values()))]
-    for place, holder in holders:
-        members = holder.items() if isinstance(holder, dict) else ()
-        yield from ((place, holder, key) for key, index in members if isinstance(index, int))
+        holders += [(None, each.get("attributes"), ()) for each in objects(list(extensions.values()))]
+    for place, holder, keys in holders:
+        if isinstance(holder, dict):
+            yield from ((place, holder, key) for key in keys or holder if isinstance(holder.get(key), int))
 
 
 def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool]:

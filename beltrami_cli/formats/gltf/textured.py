@@ -120,6 +120,16 @@ def _affine(transform: Entry) -> tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
+class _Material:
+    """A material as it is shown: its textures, and the images of these."""
+
+    number: int
+    name: str
+    uses: Mapping[Slot, TextureUse]
+    maps: Mapping[Slot, ShownMap]
+
+
+@dataclass(frozen=True)
 class _Part:
     """Triangles of a primitive at one place."""
 
@@ -127,7 +137,7 @@ class _Part:
     placement: Placement
     position: Accessor
     faces: Int64s  # (F, 3), indices of positions
-    material: int  # number in `_Parts`
+    material: _Material
     look: int = 0
     group: str = ""  # name of the object
 
@@ -138,24 +148,18 @@ class _Parts:
     def __init__(self, name: str, images: Images) -> None:
         self._name, self._images = name, images
         self.groups: dict[Hashable, list[_Part]] = {}  # by what shares vertices
-        # Materials: their names, their textures, and the images that these show.
-        self._numbers: dict[Hashable, int] = {}
-        self._names: list[str] = []
-        self._uses: list[Mapping[Slot, TextureUse]] = []
-        self.maps: list[Mapping[Slot, ShownMap]] = []
+        self._materials: dict[Hashable, _Material] = {}
         self._coordinates: dict[Accessor, Float64s] = {}
 
     def __iter__(self) -> Iterator[_Part]:
         return chain(*self.groups.values())
 
-    def material(self, key: Hashable, name: str, uses: Mapping[Slot, TextureUse]) -> int:
-        """Return the number of a material, which is added when it is asked for first."""
-        if key not in self._numbers:
-            self._numbers[key] = len(self._names)
-            self._names.append(name)
-            self._uses.append(uses)
-            self.maps.append({slot: self._map(use) for slot, use in uses.items()})
-        return self._numbers[key]
+    def material(self, key: Hashable, name: str, uses: Mapping[Slot, TextureUse]) -> _Material:
+        """Return a material, which is added when it is asked for first."""
+        if key not in self._materials:
+            maps = {slot: self._map(use) for slot, use in uses.items()}
+            self._materials[key] = _Material(len(self._materials), name, uses, maps)
+        return self._materials[key]
 
     def _map(self, use: TextureUse) -> ShownMap:
         name = self._images.textures[use.texture].place
@@ -197,7 +201,7 @@ class _Parts:
             if rows > _MOST_ROWS:
                 raise first.position.entry.fault("", f"more than {_MOST_ROWS} vertices")
             positions.append(first.placement.positions(first.position, used))
-        material_of = self.of_triangles([part.material for part in self])
+        material_of = self.of_triangles([part.material.number for part in self])
         keys = {image_key(index): index for index in range(len(self._images))}
         return Scene(
             name=self._name,
@@ -205,8 +209,8 @@ class _Parts:
             corners=np.concatenate(corners).astype(np.int32),
             offsets=3 * np.arange(len(material_of) + 1),
             material_of=material_of,
-            materials=self._names,
-            maps=self.maps,
+            materials=[each.name for each in self._materials.values()],
+            maps=[each.maps for each in self._materials.values()],
             uv=self._uv,
             tiles={},
             read=lambda key: self._images.data(keys[key]),
@@ -218,7 +222,7 @@ class _Parts:
         """Return texture coordinates of all corners, shape (K, 2), as a slot places them (None: as they are stored)."""
         found = []
         for part in self:
-            use = None if slot is None else self._uses[part.material].get(slot)
+            use = None if slot is None else part.material.uses.get(slot)
             name = "TEXCOORD_0" if use is None else use.coordinates
             uv = np.full((len(part.faces), 3, 2), np.nan)
             if name in part.primitive and (slot is None or use is not None):
@@ -239,7 +243,7 @@ def gather_textured(
     for mesh, placement in zip(accessors.meshes, places, strict=True):
         for primitive in mesh:
             parts.take(primitive, placement, slot, materials)
-    if not any(parts.maps[part.material] for part in parts):
+    if not any(part.material.maps for part in parts):
         raise SlotImages(slot).refusal(root.name, is_bare=parts.counts["bare"] > 0)
     surface, notices = parts.scene().surface(slot)
     # Triangles of different looks or spaces do not meet.
@@ -284,8 +288,8 @@ class _SurfaceParts(_Parts):
                 key += use.texture, use.transform, primitive.accessor(use.coordinates).identity
                 name, uses = use.material, {slot: use}
             self.counts["bare"] += use is not None and not uses
-            number = self.material(use.info.place if use and uses else None, name, uses)
-            shown = self.maps[number].get(slot)
+            material = self.material(use.info.place if use and uses else None, name, uses)
+            shown = material.maps.get(slot)
             is_shown = shown is not None and shown.path is not None
             if look and not is_shown:
                 left = f"The {slot} texture of {name!r} is left as it is: {shown and shown.reason}."
@@ -295,7 +299,7 @@ class _SurfaceParts(_Parts):
             if key not in self._seen:
                 self._seen.add(key)
                 group = place, placement.matrix.tobytes(), placement.space, look
-                part = _Part(primitive, placement, *found, number, look)
+                part = _Part(primitive, placement, *found, material, look)
                 self.groups.setdefault(group, []).append(part)
 
 
@@ -341,8 +345,7 @@ class _MeshParts(_Parts):
             uses = {slot: found[index][0] for slot, found in self._by_slot.items() if found[index]}
         if index is not None:
             self.left_out += self._entries[index].entry("extensions").value
-        number = self.material(index, "", uses)
-        part = _Part(primitive, placement, *found, number, group=group)
+        part = _Part(primitive, placement, *found, self.material(index, "", uses), group=group)
         self.groups[len(self.groups)] = [part]
         self._colours.append(self._of_part(part, colours))
         coordinates = {use.coordinates for use in uses.values()} or {"TEXCOORD_0"}
@@ -354,7 +357,7 @@ class _MeshParts(_Parts):
 
     def _of_part(self, part: _Part, colours: Float32s | None) -> Float32s | None:
         """Return the colours of the vertices of a part, shape (n, 3) or (n, 4)."""
-        if colours is not None and "baseColor" in self.maps[part.material] and (colours[:, :3] != 1).any():
+        if colours is not None and "baseColor" in part.material.maps and (colours[:, :3] != 1).any():
             self.left_out.append("the tint of textures by their vertex colours")
         if colours is None and OWN_COLOURS in part.primitive:
             colours = fractions(part.primitive.accessor(OWN_COLOURS).finite("colour"))
@@ -373,7 +376,7 @@ class _MeshParts(_Parts):
         self, number: int, maps: Mapping[Slot, records.MaterialMap], images: MeshImages
     ) -> records.Material:
         del images
-        index = [*self._numbers][number]
+        index = [*self._materials][number]
         if not isinstance(index, int):
             return records.Material(metalness=1.0)
         entry = self._entries[index]
