@@ -33,7 +33,7 @@ _MOST_VARIANTS = 1 << 16
 _KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TextureUse:
     """A texture as one slot of one material uses it."""
 
@@ -45,7 +45,7 @@ class TextureUse:
     alpha_hides: bool  # whether the material's alphaMode makes anything of opacity; OPAQUE does not
 
     def placed(self, uv: Float64s) -> Float64s:
-        """Return texture coordinates, shape (..., 2), with the transform applied."""
+        """Return texture coordinates, shape (n, 2), with the transform applied."""
         a, b, c, d, e, f = self.transform
         with np.errstate(over="ignore", invalid="ignore"):
             moved: Float64s = uv @ np.array([[a, d], [b, e]]) + np.array([c, f])
@@ -149,7 +149,7 @@ class _Parts:
         self._name, self._images = name, images
         self.groups: dict[Hashable, list[_Part]] = {}  # by what shares vertices
         self._materials: dict[Hashable, _Material] = {}
-        self._coordinates: dict[Accessor, Float64s] = {}
+        self._coordinates: dict[tuple[Accessor, TextureUse | None], Float64s] = {}
 
     def __iter__(self) -> Iterator[_Part]:
         return chain(*self.groups.values())
@@ -227,10 +227,10 @@ class _Parts:
             uv = np.full((len(part.faces), 3, 2), np.nan)
             if name in part.primitive and (slot is None or use is not None):
                 accessor = part.primitive.fitting(name, "VEC2", part.position.count)
-                if accessor not in self._coordinates:  # parts of one large mesh may share it
-                    self._coordinates[accessor] = accessor.values()
-                uv = self._coordinates[accessor][part.faces]
-                uv = uv if use is None else use.placed(uv)
+                if (accessor, use) not in self._coordinates:  # parts of one large mesh may share it
+                    stored = accessor.values()
+                    self._coordinates[accessor, use] = stored if use is None else use.placed(stored)
+                uv = self._coordinates[accessor, use][part.faces]
             found.append(uv.reshape(-1, 2))
         return np.concatenate(found)
 
