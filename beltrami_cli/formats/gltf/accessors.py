@@ -204,7 +204,7 @@ class Accessors:
     def _add(self, key: Hashable, described: Accessor, numbers: Stored) -> None:
         """Add decoded numbers, shape (n, width), with the description of an accessor."""
         octets = numbers.tobytes()
-        buffer = self.buffers.add(len(octets), lambda: octets)
+        buffer = self.buffers.add(lambda: octets)
         size, count = numbers.dtype.itemsize * numbers.shape[1], len(numbers)
         layout = Layout(buffer, 0, size, size, count)
         bare = replace(described, view=None, sparse=None, is_decoded=True)

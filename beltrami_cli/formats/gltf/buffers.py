@@ -173,7 +173,7 @@ class Buffers:
         self._container, self._folder = container, folder
         self._entries = container.root.entries("buffers")
         self._loaded: dict[int, Bytes] = {}
-        self._decoded: list[tuple[int, Callable[[], Bytes]]] = []
+        self._decoded: list[Callable[[], Bytes]] = []
         self.lengths = [entry.integer("byteLength", least=0) for entry in self._entries]
         self.uris = [entry.text("uri") for entry in self._entries]
         first: dict[Hashable, int] = {}
@@ -183,20 +183,10 @@ class Buffers:
     def __len__(self) -> int:
         return len(self._entries)
 
-    def add(self, length: int, decode: Callable[[], Bytes]) -> int:
+    def add(self, decode: Callable[[], Bytes]) -> int:
         """Add a buffer that is decoded when it is needed; return its index, behind the buffers of the JSON."""
-        self._decoded.append((length, decode))
+        self._decoded.append(decode)
         return len(self) + len(self._decoded) - 1
-
-    def extent(self, index: int) -> int:
-        """Return a length that no view of this buffer, or of another over the same file, goes beyond."""
-        if index >= len(self):
-            return self._decoded[index - len(self)][0]
-        return max(
-            self.lengths[other]
-            for other in range(len(self))
-            if self.canonical(other) == self.canonical(index)
-        )
 
     def canonical(self, index: int) -> int:
         """Return the first buffer that is the same file as this one, usually itself."""
@@ -213,8 +203,8 @@ class Buffers:
     def stored(self, index: int) -> Bytes:
         """Return all bytes of a buffer, at least as many as its byteLength says (padding may follow)."""
         if index not in self._loaded:
-            is_made = index >= len(self)
-            self._loaded[index] = self._decoded[index - len(self)][1]() if is_made else self._read(index)
+            is_decoded = index >= len(self)
+            self._loaded[index] = self._decoded[index - len(self)]() if is_decoded else self._read(index)
         return self._loaded[index]
 
     def _read(self, index: int) -> Bytes:
@@ -257,7 +247,7 @@ def read_views(root: Entry, buffers: Buffers) -> list[View]:
         if packed is None:
             views.append(View(buffer, offset, length, stride))
         else:
-            decoded = buffers.add(length, partial(unpacked, packed, buffers.stored))
+            decoded = buffers.add(partial(unpacked, packed, buffers.stored))
             views.append(View(decoded, 0, length, stride, packed, (buffer, offset)))
     return views
 

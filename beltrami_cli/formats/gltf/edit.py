@@ -17,6 +17,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -348,13 +349,17 @@ def _alone(edit: Edit, columns: Sequence[Column], shared: set[int]) -> list[bool
     own = [[canonical(layout) for layout in column.accessor.layouts] for column in columns]
     members = {member for column in columns for member in column.members}
     others = [canonical(layout) for layout in _others(edit.container.tree, accessors, members)]
-    ranges = [(layout.buffer, layout.start, layout.end) for layouts in own for layout in layouts]
+    ranges = [(layout.buffer, layout.start, layout.end) for layout in chain(*own)]
     buffer, start, end = np.array(ranges, np.int64).reshape(-1, 3).T
-    counts = {each: np.zeros(accessors.buffers.extent(each), np.uint8) for each, _, _ in ranges}
-    for layout in [*(layout for layouts in own for layout in layouts), *others]:
-        if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any():
-            uses = element_bytes(counts[layout.buffer], layout)
-            uses[...] = np.minimum(uses + 1, 2)
+    used = [
+        layout
+        for layout in [*chain(*own), *others]
+        if ((buffer == layout.buffer) & (start < layout.end) & (layout.start < end)).any()
+    ]
+    counts = {n: np.zeros(max(each.end for each in used if each.buffer == n), np.uint8) for n, *_ in ranges}
+    for layout in used:
+        uses = element_bytes(counts[layout.buffer], layout)
+        uses[...] = np.minimum(uses + 1, 2)
     return [
         bool(layouts)
         and not column.members & shared
