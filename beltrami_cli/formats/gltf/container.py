@@ -125,12 +125,6 @@ class Entry:
     def text(self, key: str) -> str | None:
         return None if self.value.get(key) is None else self._of_kind(key, "")
 
-    def texts(self, key: str) -> list[str]:
-        array = self._of_kind(key, list[Any]())
-        if not all(isinstance(value, str) for value in array):
-            raise self.fault(key, "must be an array of strings")
-        return array
-
     def entry(self, key: str) -> Entry:
         return Entry(self.name, self.at(key), self._of_kind(key, Tree()))
 
@@ -400,7 +394,7 @@ class _Style:
     colon: str
 
     def revised(self, text: str, old: object, new: Any, lead: str) -> str:
-        """Return a value as text, whose unchanged parts are those of the source; `lead` is as in `written`."""
+        """Return a value as text, with the unchanged parts as in the source; `lead` is as in `written`."""
         if old == new:
             return text
         if not (old and isinstance(old, dict | list) and type(old) is type(new)):

@@ -189,8 +189,8 @@ class GltfDocument(Document):
             "slots": list(self.slots()),
             "skins": len(root.entries("skins")),
             "animations": len(root.entries("animations")),
-            "extensions used": root.texts("extensionsUsed"),
-            "extensions required": root.texts("extensionsRequired"),
+            "extensions used": self.container.tree.get("extensionsUsed", []),
+            "extensions required": self.container.tree.get("extensionsRequired", []),
         }
 
 
@@ -221,7 +221,7 @@ def fingerprint(
     container: Container, accessors: Accessors, images: Images
 ) -> tuple[dict[str, bytes], dict[str, Texture]]:
     """Return all parts of a glTF file but its colours and images, and its images."""
-    # Entries that a patch may add, and those that say where its images and colours are, become None.
+    # Entries that a patch may add or that say where images and colours are stored become None.
     tree, paintings = container.copy_of_tree(), dict[str, Texture]()
     parts = {f"chunk {n} of type {c.kind:#x}": bytes(c.data) for n, c in enumerate(container.unknown_chunks)}
     parts["what follows the last chunk"] = bytes(container.tail)

@@ -33,7 +33,7 @@ _MOST_VARIANTS = 1 << 16
 _KNOWN = ("POSITION", "NORMAL", "COLOR_0", OWN_COLOURS)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class TextureUse:
     """A texture as one slot of one material uses it."""
 
@@ -149,7 +149,7 @@ class _Parts:
         self._name, self._images = name, images
         self.groups: dict[Hashable, list[_Part]] = {}  # by what shares vertices
         self._materials: dict[Hashable, _Material] = {}
-        self._coordinates: dict[tuple[Accessor, TextureUse | None], Float64s] = {}
+        self._coordinates: dict[Hashable, Float64s] = {}
 
     def __iter__(self) -> Iterator[_Part]:
         return chain(*self.groups.values())
@@ -227,10 +227,11 @@ class _Parts:
             uv = np.full((len(part.faces), 3, 2), np.nan)
             if name in part.primitive and (slot is None or use is not None):
                 accessor = part.primitive.fitting(name, "VEC2", part.position.count)
-                if (accessor, use) not in self._coordinates:  # parts of one large mesh may share it
+                key = accessor, None if use is None else use.transform
+                if key not in self._coordinates:  # parts of one large mesh may share them
                     stored = accessor.values()
-                    self._coordinates[accessor, use] = stored if use is None else use.placed(stored)
-                uv = self._coordinates[accessor, use][part.faces]
+                    self._coordinates[key] = stored if use is None else use.placed(stored)
+                uv = self._coordinates[key][part.faces]
             found.append(uv.reshape(-1, 2))
         return np.concatenate(found)
 
@@ -239,10 +240,10 @@ def gather_textured(
     root: Entry, accessors: Accessors, places: Sequence[Placement], images: Images, slot: Slot
 ) -> tuple[records.TexturedSurface, list[str]]:
     """Gather all triangles of a file and the images that one slot shows on them, with notices for the user."""
-    parts, materials = _SurfaceParts(root.name, images), texture_uses(root, slot)
+    parts = _SurfaceParts(root, images, slot)
     for mesh, placement in zip(accessors.meshes, places, strict=True):
         for primitive in mesh:
-            parts.take(primitive, placement, slot, materials)
+            parts.take(primitive, placement)
     if not any(part.material.maps for part in parts):
         raise SlotImages(slot).refusal(root.name, is_bare=parts.counts["bare"] > 0)
     surface, notices = parts.scene().surface(slot)
@@ -264,36 +265,32 @@ def gather_textured(
 class _SurfaceParts(_Parts):
     """Each primitive where it stands first, with all textures that it can have in one slot."""
 
-    def __init__(self, name: str, images: Images) -> None:
-        super().__init__(name, images)
+    def __init__(self, root: Entry, images: Images, slot: Slot) -> None:
+        super().__init__(root.name, images)
+        self._slot, self._uses = slot, texture_uses(root, slot)
         self.counts = dict.fromkeys(("instanced", "bare"), 0)
         self.missing: dict[str, None] = {}  # notices
         self._seen: set[Hashable] = set()
 
-    def take(
-        self,
-        primitive: Primitive,
-        placement: Placement,
-        slot: Slot,
-        materials: Sequence[Sequence[TextureUse]],
-    ) -> None:
+    def take(self, primitive: Primitive, placement: Placement) -> None:
         found = self.drawn(primitive, placement)
         if found is None:
             return
         place = found[0].identity
-        for look, use in _looks(primitive.entry, materials):
+        for look, use in _looks(primitive.entry, self._uses):
             key: tuple[Hashable, ...] = place, primitive.drawing_key()
             name, uses = "", dict[Slot, TextureUse]()
             if use is not None and use.coordinates in primitive:
                 key += use.texture, use.transform, primitive.accessor(use.coordinates).identity
-                name, uses = use.material, {slot: use}
+                name, uses = use.material, {self._slot: use}
             self.counts["bare"] += use is not None and not uses
             material = self.material(use.info.place if use and uses else None, name, uses)
-            shown = material.maps.get(slot)
+            shown = material.maps.get(self._slot)
             is_shown = shown is not None and shown.path is not None
             if look and not is_shown:
-                left = f"The {slot} texture of {name!r} is left as it is: {shown and shown.reason}."
-                self.missing |= {left: None} if shown else {}
+                if shown is not None:
+                    left = f"The {self._slot} texture of {name!r} is left as it is"
+                    self.missing[f"{left}: '{shown.name}' {shown.reason}."] = None
                 continue
             self.counts["instanced"] += not look and is_shown and (placement.nodes > 1 or key in self._seen)
             if key not in self._seen:
