@@ -107,6 +107,7 @@ class SidecarFiles:
     """The buffers and images of a glTF file that are separate files, by relative path."""
 
     def __init__(self, root: Entry, folder: ModelFolder) -> None:
+        self.any = False
         self.present: dict[str, None] = {}  # inside the folder
         self.missing: dict[str, None] = {}
         self.notices: dict[str, None] = {}  # of the missing ones
@@ -114,6 +115,7 @@ class SidecarFiles:
             uri = entry.text("uri")
             if uri is None or is_data(uri):
                 continue
+            self.any = True
             try:
                 path = located(uri, folder)
                 self.present |= {} if is_outside(path) else {path: None}

@@ -8,9 +8,9 @@ the text of the source is walked along the new tree, and only members that diffe
 from __future__ import annotations
 
 import json
-import math
 import re
 import struct
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -146,10 +146,7 @@ class Entry:
 def _is_finite(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    try:
-        return math.isfinite(float(value))
-    except OverflowError:
-        return False
+    return abs(value) <= sys.float_info.max
 
 
 def spelled(value: object) -> str:

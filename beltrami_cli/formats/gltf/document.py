@@ -59,11 +59,10 @@ class GltfDocument(Document):
         self.accessors = Accessors(self.root, self.buffers)
         self.places = placements(self.root)
         self.images = Images(self.root, self.accessors, self._folder)
-        files = SidecarFiles(self.root, self._folder)
-        self._references = [*files.present]
+        self._files = SidecarFiles(self.root, self._folder)
         if self.container.has_bom:
             self.notices = ["The JSON starts with a byte order mark, which glTF does not allow; it is kept."]
-        self.notices += files.notices
+        self.notices += self._files.notices
 
     @cached_property
     def surface(self) -> Surface:
@@ -110,14 +109,17 @@ class GltfDocument(Document):
     def sidecar_names(
         self, images: PlannedImages, naming: Naming, *, colours: bool, places: bool = False, form: str | None = None
     ) -> list[str]:  # fmt: skip
+        form = form or self.format
+        if form == "glb" and not (self.format == "glb" and self._files.any):
+            return []
         edit = Edit(self.container, self.accessors, self.container.copy_of_tree())
         if colours:
             self.surface.replace_all(edit, places=places)
         repaint(edit, self.images, images)
-        return sidecar_names(edit, naming, form or self.format, self._folder)
+        return sidecar_names(edit, naming, form, self._folder)
 
     def references(self) -> Sequence[str]:
-        return self._references
+        return [*self._files.present]
 
     def contents(self) -> MeshContents:
         shown = self.painted()

@@ -1,8 +1,8 @@
 """What changes in a glTF file, while the changes are collected: numbers of vertices, and images in place of others.
 
-An entry of the JSON that something else uses, too, is copied before it changes (`Edit.own`), and only the places that
-follow the change name the copy. New bytes take the place of the old ones if nothing else reads those, otherwise free
-bytes or the end of the buffer (`Edit.put`); no other view ever moves.
+An entry of the JSON that something else uses, too, is copied before it changes (`Edit.separate`), and only the places
+that follow the change name the copy. New bytes take the place of the old ones if nothing else reads those, otherwise
+free bytes or the end of the buffer (`Edit.put`); no other view ever moves.
 
 Numbers of vertices are overwritten where they are if nothing else uses their bytes, and get a new view otherwise.
 Attributes that Draco has compressed always get one, in the order in which decoders give the vertices: encoding a mesh
@@ -43,7 +43,7 @@ VERTEX_DATA, INDEX_DATA = 34962, 34963  # what a view is for (ARRAY_BUFFER, ELEM
 Holder = tuple[int, str | None]  # a view, or the extension of one that names its compressed bytes
 Use = tuple[
     Any, Any, Hashable
-]  # an object or array, its member that is an index, and the change that it follows
+]  # a holder, its member that is an index, and the change that the member follows
 
 
 @dataclass
@@ -68,10 +68,10 @@ class Edit:
             self.buffers[index] = bytearray(self.accessors.buffers.stored(index))
         return self.buffers[index]
 
-    def own(
+    def separate(
         self, kind: str, uses: Iterable[Use], copied: Callable[[Tree], Tree] = deepcopy
     ) -> dict[tuple[int, Any], int]:
-        """Give each change entries of its own; return their indices by old index and change.
+        """Give each change entries that nothing else uses; return their indices by old index and change.
 
         `uses` are all places that name entries, each with the change that it follows, None if it follows none.
         """
@@ -79,17 +79,17 @@ class Edit:
         places: dict[int, dict[Hashable, list[tuple[Any, Any]]]] = defaultdict(lambda: defaultdict(list))
         for holder, member, change in uses:
             places[holder[member]][change].append((holder, member))
-        found = {}
-        for index, by_change in places.items():
+        index_of = {}
+        for old, by_change in places.items():
             is_shared = by_change.pop(None, None) is not None
             for change, members in by_change.items():
-                found[index, change] = index
+                index_of[old, change] = old
                 if is_shared:
-                    found[index, change] = self.add(kind, copied(entries[index]))
+                    index_of[old, change] = self.add(kind, copied(entries[old]))
                     for holder, member in members:
-                        holder[member] = found[index, change]
+                        holder[member] = index_of[old, change]
                 is_shared = True
-        return found
+        return index_of
 
     def add(self, kind: str, entry: Tree) -> int:
         """Add an entry; return its index, which nothing in the file may name yet: it would mean this one."""
@@ -154,11 +154,30 @@ class Edit:
 
     def _store(self, buffer: int, new: dict[Holder, Bytes]) -> None:
         """Put new bytes into one buffer: each where old ones leave room, or at the end."""
+        vacant, data = self._vacated(buffer, new.keys()), self.open(buffer)
+        for (view, extension), octets in new.items():
+            size = len(octets)
+            chosen = next((n for n, (start, end) in enumerate(vacant) if size <= end - start), None)
+            if chosen is None:
+                data += bytes(-len(data) % 4)
+                start = len(data)
+                data += octets
+            else:
+                start, end = vacant[chosen]
+                data[start : start + size] = octets
+                vacant[chosen] = start + size + -size % 4, end
+            named = self.tree["bufferViews"][view]
+            named = named if extension is None else named["extensions"][extension]
+            named |= {"buffer": buffer, "byteOffset": start, "byteLength": size}
+        self.tree["buffers"][buffer]["byteLength"] = len(data)
+
+    def _vacated(self, buffer: int, holders: Set[Holder]) -> list[tuple[int, int]]:
+        """Clear the bytes that the holders alone name, cut them off at the end, and return the free spans."""
         places, data = self._places(buffer), self.open(buffer)
         left = [
             (part.offset, part.end)
             for holder, part in places
-            if holder in new
+            if holder in holders
             and not any(
                 other != holder and near.offset < part.end and part.offset < near.end
                 for other, near in places
@@ -176,22 +195,7 @@ class Edit:
         last = max((end for _, end in taken), default=0)
         if left and data.count(0, last) == len(data) - last:
             del data[last:]
-        vacant = [(start, end) for start, end in _gaps(taken) if data.count(0, start, end) == end - start]
-        for (view, extension), octets in new.items():
-            size = len(octets)
-            chosen = next((n for n, (start, end) in enumerate(vacant) if size <= end - start), None)
-            if chosen is None:
-                data += bytes(-len(data) % 4)
-                start = len(data)
-                data += octets
-            else:
-                start, end = vacant[chosen]
-                data[start : start + size] = octets
-                vacant[chosen] = start + size + -size % 4, end
-            named = self.tree["bufferViews"][view]
-            named = named if extension is None else named["extensions"][extension]
-            named |= {"buffer": buffer, "byteOffset": start, "byteLength": size}
-        self.tree["buffers"][buffer]["byteLength"] = len(data)
+        return [(start, end) for start, end in _gaps(taken) if data.count(0, start, end) == end - start]
 
 
 def _gaps(spans: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
@@ -242,7 +246,7 @@ def exchange(edit: Edit, attribute: str, columns: Sequence[Column]) -> None:
         change = followed.get(place, followed.get(holder[member])) if is_attribute else None
         changes.append((holder, member, change))
     views: dict[int, int] = {}
-    for (_, number), index in edit.own("accessors", changes).items():
+    for (_, number), index in edit.separate("accessors", changes).items():
         if number not in views:
             views[number] = _put_numbers(edit, columns[number])
         _point_at(edit.tree["accessors"][index], views[number])

@@ -68,7 +68,7 @@ def put_images(edit: Edit, files: Mapping[int, ImageFile]) -> None:
     ]
     named = [holder for holder in holders if isinstance(holder.get("bufferView"), int)]
     uses = [(holder, "bufferView", file_of.get(id(holder))) for holder in named]
-    for (old, file), view in edit.own("bufferViews", uses, copied=lambda _: {}).items():
+    for (old, file), view in edit.separate("bufferViews", uses, copied=lambda _: {}).items():
         home = edit.growing_buffer([edit.tree["bufferViews"][old]["buffer"]])
         edit.put(home, (view, None), file.data)
 
@@ -94,8 +94,6 @@ def written(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> Writt
 
 def sidecar_names(edit: Edit, naming: Naming, form: str, folder: ModelFolder) -> list[str]:
     """Return the names of the sidecar files that `written` returns."""
-    if form == "glb" != edit.container.kind:
-        return []
     edit.finish()
     return _placed(edit, naming, form, folder).written().sidecar_names
 

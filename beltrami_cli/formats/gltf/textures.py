@@ -2,7 +2,7 @@
 
 An image whose every use is replaced by the same new file just gets other bytes. Where it is still used by another
 slot, another texture or an extension, the new file becomes a new image, and only what belongs to the slot is
-pointed at it. Textures are treated likewise: changed if all that name them follow, copied otherwise (`Edit.own`).
+pointed at it. Textures are treated likewise: changed if all that name them follow, copied otherwise (`Edit.separate`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from beltrami_cli.formats.document import NewImages
 from beltrami_cli.formats.gltf.accessors import Accessors
 from beltrami_cli.formats.gltf.buffers import file_key, is_data, located, read
 from beltrami_cli.formats.gltf.container import Entry, Tree, objects
-from beltrami_cli.formats.gltf.edit import Edit, Use
+from beltrami_cli.formats.gltf.edit import Edit
 from beltrami_cli.formats.gltf.saving import MEDIA, media_type, put_images
 from beltrami_cli.formats.image import format_of, label_of, read_image, write_image
 from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, INSTALL, missing_package
@@ -187,34 +187,36 @@ def repaint(edit: Edit, images: Images, new: NewImages) -> None:
         (info, "index", None if slot is None else wanted.get((slot, shown.get(info["index"], -1))))
         for info, slot in _infos(tree)
     ]
-    changed = edit.own("textures", infos)
-    if {(shown[texture], file) for texture, file in changed} != {
-        (i, file) for (_, i), file in wanted.items()
-    }:
+    changed = edit.separate("textures", infos)
+    replaced = {(shown[texture], file) for texture, file in changed}
+    if replaced != {(image, file) for (_, image), file in wanted.items()}:
         raise ValueError("an image is not used in the slot that it was handed back for")
     showing = _Showing(edit, images)
     for (old, file), texture in changed.items():
         showing.show(tree["textures"][texture], old, file, f"textures[{texture}]")
-    uses: list[Use] = [
-        (holder, "source", showing.files.get(id(holder)))
-        for texture in tree["textures"]
-        for holder in [texture, *objects(list(texture.get("extensions", {}).values()))]
-        if isinstance(holder.get("source"), int)
-    ]
-    lights = tree.get("extensions", {}).get("EXT_lights_image_based", {})
-    stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
-    for value in stack:
-        if isinstance(value, list):
-            stack += [child for child in value if isinstance(child, list)]
-            uses += [(value, place, None) for place, child in enumerate(value) if isinstance(child, int)]
+    uses = [(holder, member, showing.files.get(id(holder))) for holder, member in _image_uses(tree)]
     named = {holder[member] for holder, member, _ in uses}
-    files = {index: file for (_, file), index in edit.own("images", uses).items()}
+    files = {index: file for (_, file), index in edit.separate("images", uses).items()}
     # An image that nothing shows follows those over the same bytes.
     by_bytes = {images.canonical(index): file for index, file in files.items()}
     unused = set(range(len(images))) - named
     files |= {n: by_bytes[images.canonical(n)] for n in unused if images.canonical(n) in by_bytes}
     put_images(edit, files)
     _declare(tree, before)
+
+
+def _image_uses(tree: Tree) -> Iterator[tuple[Any, Any]]:
+    """Iterate over the places that name images: the object or array, and its member."""
+    for texture in tree["textures"]:
+        for holder in [texture, *objects(list(texture.get("extensions", {}).values()))]:
+            if isinstance(holder.get("source"), int):
+                yield holder, "source"
+    lights = tree.get("extensions", {}).get("EXT_lights_image_based", {})
+    stack: list[Any] = [light.get("specularImages") for light in objects(lights.get("lights"))]
+    for value in stack:
+        if isinstance(value, list):
+            stack += [child for child in value if isinstance(child, list)]
+            yield from ((value, place) for place, child in enumerate(value) if isinstance(child, int))
 
 
 def _wanted(edit: Edit, images: Images, new: NewImages) -> dict[tuple[Slot, int], ImageFile]:
@@ -251,9 +253,9 @@ class _Showing:
         extensions = texture.pop("extensions", {})
         holders = {"": texture} | {name: extensions[name] for name in IMAGE_EXTENSIONS if name in extensions}
         media = MEDIA[file.suffix.lower()]
-        own = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), "")
-        was_plain = media_type(self._images.data(image)) == media and own not in extensions
-        target = "" if was_plain else own
+        fitting = next((name for name, kind in IMAGE_EXTENSIONS.items() if kind == media), "")
+        was_plain = media_type(self._images.data(image)) == media and fitting not in extensions
+        target = "" if was_plain else fitting
         has_fallback = target == WEBP in extensions
         named = {
             name: source for name, each in holders.items() if isinstance(source := each.get("source"), int)
@@ -269,7 +271,7 @@ class _Showing:
                 del texture["source"]
             elif name != target:
                 del extensions[name]
-                if name not in (own, present):
+                if name not in (fitting, present):
                     lost = f"{place} loses its {_kind_of(name)} image ({name})"
                     self._edit.notices.append(f"{lost}, which would show the old colours.")
         # Of several descriptions of the same image, the texture keeps the one that it names.
