@@ -436,3 +436,26 @@ def test_images_that_share_bytes_are_one_and_all_stay_in_use(tmp_path):
     target = save(repainted(source, new_image(1), texture.key), "out.glb", tmp_path)
     assert all(opened(target)[0][key] == model.tree[key] for key in ("images", "textures", "materials"))
     assert {data for data, _ in shown(target).values()} == {new_image(1).data}
+
+
+@pytest.mark.parametrize("place", ["view", "file"])
+@pytest.mark.parametrize("others", ["emissive", "nothing"])
+def test_an_image_over_the_bytes_of_another_changes_unless_something_shows_it(tmp_path, place, others):
+    model = Textured(place)
+    first = model.image(picture(1))
+    model.tree["images"].append(dict(model.tree["images"][first], name="again"))
+    slots = {"baseColor": model.texture(first)}
+    if others != "nothing":
+        slots[others] = model.texture(first + 1)
+    model.triangles(SQUARE, SQUARE[:, :2], model.material(**slots))
+    source, new = model.written_to(tmp_path), new_image(1)
+    (tmp_path / "out").mkdir()
+    target = save(repainted(source, new, keeps=True), source.name, tmp_path / "out")
+    for name in model.files:
+        (tmp_path / "out" / name).parent.mkdir(exist_ok=True)
+        if not (tmp_path / "out" / name).exists():
+            (tmp_path / "out" / name).write_bytes(model.files[name])
+    tree, buffers, files = opened(target)
+    kept = picture(1) if others != "nothing" else new.data
+    assert [image_bytes(tree, buffers, files, index) for index in (0, 1)] == [new.data, kept]
+    assert len(tree["images"]) == 2

@@ -393,6 +393,19 @@ def test_every_variant_of_a_material_is_a_surface_of_its_own(tmp_path):
     assert len(set(spaces)) == 3
 
 
+def test_primitives_over_the_same_positions_bring_their_vertices_alone(tmp_path):
+    model = Textured()
+    material = model.material(baseColor=model.texture(model.image(picture(1))))
+    mesh = square(model, material)
+    (primitive,) = model.tree["meshes"][mesh]["primitives"]
+    halves = [primitive | {"indices": model.indices(half.astype("<u2"))} for half in CORNERS]
+    model.tree["meshes"][mesh]["primitives"] = halves
+    converted = open_document(str(model.written_to(tmp_path))).textured_mesh()
+    np.testing.assert_array_equal(converted.positions[converted.faces], SQUARE[CORNERS])
+    np.testing.assert_array_equal(converted.uv, UV[CORNERS])
+    assert len(converted.positions) == CORNERS.size
+
+
 @pytest.mark.parametrize("reason", ["missing", "outside", "web", "coordinates", "no image", "packed", "dds"])
 def test_what_cannot_be_read_is_reported_and_left_out(tmp_path, reason, monkeypatch):
     monkeypatch.setattr("beltrami_cli.formats.gltf.textures.missing_package", lambda known: "alktx2")
