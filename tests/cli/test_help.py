@@ -55,8 +55,14 @@ LIBRARIES = {"jinja2", "scipy", "OpenImageIO", "rich", "trimesh", "xatlas"}
         (["--help"], {*LIBRARIES, "numpy", *(f"beltrami_cli.cli.{name}" for name in COMMANDS)}),
         (["bake", "--help"], {*LIBRARIES, "numpy", "beltrami_cli._native"}),
         (["smooth", "--help"], {*LIBRARIES, "numpy", "beltrami_cli._native"}),
-        (["smooth", str(SAMPLES / "knot-noisy.ply"), "clean.ply"], LIBRARIES),
-        (["smooth", str(SAMPLES / "mirrored-noisy.obj"), "clean.obj"], {"scipy", "numpy.f2py"}),
+        pytest.param(
+            ["smooth", str(SAMPLES / "knot-noisy.ply"), "clean.ply"], LIBRARIES, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            ["smooth", str(SAMPLES / "mirrored-noisy.obj"), "clean.obj"],
+            {"scipy", "numpy.f2py"},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=lambda words: " ".join(words[:2]) if isinstance(words, list) else "",
 )

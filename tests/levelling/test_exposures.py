@@ -29,6 +29,7 @@ def head():
     return ExposureScene.of(HEAD)
 
 
+@pytest.mark.slow
 def test_known_exposures_are_taken_out_by_half_or_whole_and_the_mean_stays(head):
     truth, exposed = head.exposed(1)
     whole, half = (head.levelled(exposed, strength)[0] for strength in (1.0, 0.5))
@@ -266,6 +267,7 @@ def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
     assert np.abs(found[:, 1] - found[:, 0]).max() < 2 / 255
 
 
+@pytest.mark.slow
 def test_gains_of_light_are_taken_out_of_display_values(head):
     truth, exposed = head.exposed(1, in_light=True)
     assert fall(exposed, head.levelled(exposed)[0], truth) >= 20
