@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beltrami_cli.errors import InputError, OutputError
+from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 from beltrami_cli.formats.registry import open_document
@@ -36,7 +36,6 @@ from formats.gltf_files import (
     Model,
     Textured,
     coloured,
-    data_uri,
     joined,
     numbers,
     opened,
@@ -153,25 +152,6 @@ def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
     written = document.patch(1 - document.painted().colours, Naming("out"))
     assert list(written.sidecars) == ["out-2.bin"]
     assert json.loads(joined(written))["buffers"][0]["uri"] == "out-2.bin"
-
-
-def test_no_view_is_added_where_something_names_one_that_is_not_there():
-    tree = {
-        "asset": {"version": "2.0"},
-        "buffers": [{"byteLength": 36, "uri": data_uri(np.eye(3, dtype=np.float32).tobytes(), "x/y")}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
-            {"componentType": 5126, "count": 3, "type": "VEC3"},
-        ],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
-        "extras": {"bufferView": 2},
-    }
-    new = np.full((3, 3), 0.5, np.float32)
-    GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, Naming("x", keeps=True))
-    tree["extras"]["bufferView"] = 1
-    with pytest.raises(InputError, match=r"names bufferViews\[1\]"):
-        GltfDocument(json.dumps(tree).encode(), "x.gltf", None).patch(new, Naming("x", keeps=True))
 
 
 @st.composite

@@ -6,11 +6,9 @@ import dataclasses
 import io
 import json
 import random
-import shutil
 import sys
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,17 +18,16 @@ from beltrami_cli.batch.item import Outcome
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.usd.layers import packed as as_package
+from formats.gltf_comparison import with_better_image
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
-from formats.gltf_files import Model, Textured
+from formats.gltf_files import Textured
+from formats.gltf_files import coloured as with_levels
 from formats.image_files import encode
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from formats.read_only_files import OBJECT, coff, model, stl, threemf
 from formats.usd_files import BOUND, COLOURS, material_text, mesh_text, scene
 from formats.usd_files import coloured as with_colours
 from fuzz.targets import SEPARATOR
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 CORE = ("triangulated", "grid", "atlas")
 CORPUS = Path(__file__).with_name("corpus")
@@ -96,51 +93,30 @@ def obj_seeds() -> dict[str, bytes]:
 
 
 def gltf_seeds() -> dict[str, bytes]:
-    plain = Model()
-    attributes = {
-        "POSITION": plain.packed(PLACES, bounds=True),
-        "COLOR_0": plain.packed(LEVELS, normalized=True),
-    }
-    plain.mesh(
-        {"attributes": attributes, "indices": plain.indices(np.array([0, 1, 2, 0, 2, 3], "<u2"))},
-        translation=[1, 2, 3],
-    )
-    mixed = Model()
-    positions, colours = mixed.interleaved(PLACES, LEVELS[:, :3].astype("<f4") / 255)
-    mixed.mesh({"attributes": {"POSITION": positions, "COLOR_0": colours}, "mode": 5})
-    sparse = Model()
-    colour = sparse.sparse(LEVELS.astype("<u2") * 257, [1, 3], None, normalized=True)
-    sparse.mesh({"attributes": {"POSITION": sparse.packed(PLACES), "COLOR_0": colour}, "mode": 6})
-    seeds = {
-        "plain": plain.glb(),
-        "text": plain.data_text(indent=1),
-        "interleaved": mixed.glb(),
-        "sparse": sparse.data_text(),
-    }
-    seeds["buffer"] = files(plain.text("b.bin"), b_bin=bytes(plain.binary))
-    levels = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
+    chance, seeds = np.random.default_rng(7), {}
+    for arrangement, kind, mode in (
+        ("dense", "u1", 4),
+        ("interleaved", "f4", 5),
+        ("sparse on zeros", "u2", 6),
+    ):
+        model = with_levels(arrangement, chance, kind, count=4).model
+        corners = model.indices(np.array([0, 1, 2, 0, 2, 3], "<u2"))
+        model.tree["meshes"][0]["primitives"][0] |= {"mode": mode, "indices": corners}
+        seeds[arrangement.replace(" ", "-")] = model.glb()
+    seeds["text"] = model.data_text(indent=1)
+    seeds["buffer"] = files(model.text("b.bin"), b_bin=bytes(model.binary))
+    levels = chance.integers(0, 256, (len(GRID), 4)).astype("u1")
     seeds |= {"draco": draco_model(levels).glb(), "meshopt": meshopt_model(levels).glb()}
-    return seeds | dict(textured_gltf_seeds())
-
-
-def textured_gltf_seeds() -> Iterator[tuple[str, bytes]]:
-    for known, extension in (("ktx2", "KHR_texture_basisu"), ("avif", "EXT_texture_avif")):
-        packed = Textured()
-        image = packed.image(write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{known}").data)
-        texture = packed.texture(None, extensions={extension: {"source": image}})
-        packed.triangles(
-            PLACES, PLACES[:, :2], packed.material(baseColor=texture), corners=[0, 1, 2, 0, 2, 3]
-        )
-        yield f"textured-{known}", packed.glb()
+    for known in ("ktx2", "avif"):
+        seeds[f"textured-{known}"] = with_better_image(known, stored_as(known)).glb()
     for place in ("view", "data"):
         textured = Textured(place)
-        info = {
-            "index": textured.texture(textured.image(PICTURE)),
-            "extensions": {"KHR_texture_transform": {"scale": [2, 2]}},
-        }
+        transform = {"KHR_texture_transform": {"scale": [2, 2]}}
+        info = {"index": textured.texture(textured.image(PICTURE)), "extensions": transform}
         material = textured.material("skin", baseColor=info, emissive=0)
         textured.triangles(PLACES, PLACES[:, :2], material, corners=[0, 1, 2, 0, 2, 3])
-        yield f"textured-{place}", textured.glb() if place == "view" else textured.data_text()
+        seeds[f"textured-{place}"] = textured.glb() if place == "view" else textured.data_text()
+    return seeds
 
 
 def stored_package() -> bytes:
@@ -167,9 +143,11 @@ def image_seeds(chance: np.random.Generator) -> dict[str, bytes]:
         f"{kind}": encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind)
         for kind in ("png", "jpeg", "tiff", "bmp", "targa", "webp")
     }
-    for kind in ("ktx2", "avif"):
-        images[kind] = write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{kind}").data
-    return images
+    return images | {kind: stored_as(kind) for kind in ("ktx2", "avif")}
+
+
+def stored_as(kind: str) -> bytes:
+    return write_image(new_picture(PIXELS, "x"), PIXELS, suffix=f".{kind}").data
 
 
 def other_seeds() -> dict[str, dict[str, bytes]]:
@@ -253,11 +231,10 @@ def _varied(number: int) -> bytes:
 
 
 def main() -> None:
-    """Write all seeds anew."""
-    shutil.rmtree(CORPUS, ignore_errors=True)
+    """Write all seeds; inputs that once did harm lie beside them, and stay."""
     seeds = {"ply": ply_seeds(), "obj": obj_seeds(), "gltf": gltf_seeds(), **other_seeds(), **data_seeds()}
     for target, made in seeds.items():
-        (CORPUS / target).mkdir(parents=True)
+        (CORPUS / target).mkdir(parents=True, exist_ok=True)
         for name, data in made.items():
             (CORPUS / target / name).write_bytes(data)
 
