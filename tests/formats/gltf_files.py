@@ -269,12 +269,6 @@ def grid(side):
     return columns, rows, np.stack([lower, upper], axis=1).reshape(-1, 3)
 
 
-def gltf_files(*folders):
-    """Return the glTF files in folders and all below them."""
-    found = (file for folder in folders for file in Path(folder).rglob("*"))
-    return sorted(file for file in found if file.suffix in (".glb", ".gltf"))
-
-
 @contextlib.contextmanager
 def only_input_errors():
     """Allow input errors, whose message is one line, and no others."""

@@ -80,7 +80,9 @@ def _use_vertices(document: Document, folder: Path) -> None:
 
 
 def _convert(document: Document) -> None:
-    """Write a textured model in the formats that have textures."""
+    """Write a glTF file in its other form, and a textured model in the formats that have textures."""
+    if document.format == "gltf":
+        document.patch(None, Naming("out"), form="glb")
     if document.slots():
         mesh = document.textured_mesh()
         for form in ("glb", "obj", "ply"):
