@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import sys
+from functools import partial
 
 import DracoPy
 import numpy as np
@@ -55,20 +56,16 @@ def triangles(positions, faces):
     return {tuple(face[(at := face.index(min(face))) :] + face[:at]) for face in turned}
 
 
-def of_draco(colours, **more):
-    return lambda: draco_model(colours, **more)
-
-
 def of_meshopt(kind, indices, mode, extension):
-    colours = COLOURS.astype(f"<{kind}") / (255 if kind == "f4" else 1)
-    return lambda: meshopt_model(colours.astype(f"<{kind}"), indices=indices, mode=mode, extension=extension)
+    colours = (COLOURS / (255 if kind == "f4" else 1)).astype(f"<{kind}")
+    return partial(meshopt_model, colours, indices=indices, mode=mode, extension=extension)
 
 
 COMPRESSED = [
-    (of_draco(COLOURS[:, :3].copy(), in_order=True), 255),
-    (of_draco(COLOURS, in_order=True, mode=5), 255),
-    (of_draco(COLOURS[:, :3].copy(), mode=5), 255),
-    (of_draco(COLOURS), 255),
+    (partial(draco_model, COLOURS[:, :3].copy(), in_order=True), 255),
+    (partial(draco_model, COLOURS, in_order=True, mode=5), 255),
+    (partial(draco_model, COLOURS[:, :3].copy(), mode=5), 255),
+    (partial(draco_model, COLOURS), 255),
     (of_meshopt("u1", "<u2", "TRIANGLES", EXTENSIONS[0]), 255),
     (of_meshopt("u1", "<u4", "INDICES", EXTENSIONS[1]), 255),
     (of_meshopt("u2", "<u2", "INDICES", EXTENSIONS[0]), 65535),
@@ -116,19 +113,12 @@ def test_new_colours_lie_beside_the_compressed_data_which_stays(in_order):
     assert set(json_differences(old, new)) == changed | bounds
     accessor = new["accessors"][colour]
     assert (accessor["min"], accessor["max"]) == (found.min(axis=0).tolist(), found.max(axis=0).tolist())
-
-
-def test_what_was_patched_is_read_back_and_then_patched_in_place():
-    opened = document(draco_model(COLOURS))
-    colours = opened.painted().colours
-    first = joined(opened.patch(1 - colours, Naming("out")))
-    again = GltfDocument(first, "out.glb", None)
-    painted = again.painted()
-    assert triangles(painted.positions, painted.faces) == triangles(GRID, CORNERS)
-    np.testing.assert_allclose(painted.colours, 1 - colours, atol=1e-6)
-    second = joined(again.patch(colours, Naming("out")))
-    assert len(second) == len(first)
-    np.testing.assert_array_equal(GltfDocument(second, "out.glb", None).painted().colours, colours)
+    again = GltfDocument(after, "out.glb", None)
+    assert triangles(again.painted().positions, again.painted().faces) == triangles(GRID, CORNERS)
+    np.testing.assert_allclose(again.painted().colours, 1 - painted.colours, atol=1e-6)
+    second = joined(again.patch(painted.colours, Naming("out")))  # in place
+    assert len(second) == len(after)
+    np.testing.assert_array_equal(GltfDocument(second, "out.glb", None).painted().colours, painted.colours)
 
 
 @settings(max_examples=20, deadline=None)
@@ -175,41 +165,30 @@ def test_textures_on_compressed_meshes_are_replaced():
     assert GltfDocument(after, "out.glb", None).textured("baseColor").textures[0].data == new.data
 
 
-def with_fallback(turned):
-    """Give a compressed primitive its geometry uncompressed, too, perhaps with its vertices turned round."""
-    model = Textured()
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_an_uncompressed_substitute_gets_the_same_colours_if_its_vertices_are_in_the_same_order(is_turned):
+    model, rows = Textured(), np.arange(len(GRID))[:: -1 if is_turned else 1]
     primitive = draco_primitive(model, COLOURS, in_order=True)
-    mesh, rows = (
-        DracoPy.decode(draco_bytes(COLOURS, in_order=True)),
-        np.arange(len(GRID))[:: -1 if turned else 1],
-    )
-    corners = np.argsort(rows)[mesh.faces].astype("<u4").reshape(-1, 1)
-    found = {key: mesh.get_attribute_by_type(kind)["data"] for key, kind in (("POSITION", 0), ("COLOR_0", 2))}
-    plain = {"POSITION": found["POSITION"].astype("<f4"), "COLOR_0": found["COLOR_0"].astype("<u1")}
-    for key, array in plain.items():
-        view = model.view(np.ascontiguousarray(array[rows]).tobytes())
-        model.tree["accessors"][primitive["attributes"][key]]["bufferView"] = view
-    model.tree["accessors"][primitive["indices"]]["bufferView"] = model.view(corners.tobytes())
+    mesh = DracoPy.decode(draco_bytes(COLOURS, in_order=True))
+    plain = {
+        primitive["attributes"]["POSITION"]: mesh.get_attribute_by_type(0)["data"].astype("<f4")[rows],
+        primitive["attributes"]["COLOR_0"]: mesh.get_attribute_by_type(2)["data"].astype("<u1")[rows],
+        primitive["indices"]: np.argsort(rows)[mesh.faces].astype("<u4"),
+    }
+    for accessor, array in plain.items():
+        model.tree["accessors"][accessor]["bufferView"] = model.view(array.tobytes())
     model.mesh(primitive)
-    return model
-
-
-def test_an_uncompressed_substitute_gets_the_same_colours():
-    model = with_fallback(turned=False)
     opened = document(model)
-    after = joined(opened.patch(1 - opened.painted().colours, Naming("out")))
-    tree, buffers = unpacked(after)
+    colours = 1 - opened.painted().colours
+    if is_turned:
+        with pytest.raises(InputError, match="another order than its uncompressed fallback"):
+            opened.patch(colours, Naming("out"))
+        return
+    tree, buffers = unpacked(joined(opened.patch(colours, Naming("out"))))
     attributes = tree["meshes"][0]["primitives"][0]["attributes"]
     points = numbers(tree, buffers, attributes["POSITION"])
     found = by_point(points, numbers(tree, buffers, attributes["COLOR_0"])[:, :3])
     assert found == by_point(GRID, 255 - COLOURS[:, :3])
-
-
-def test_a_substitute_in_another_order_is_refused_rather_than_painted_wrong():
-    opened = document(with_fallback(turned=True))
-    colours = opened.painted().colours
-    with pytest.raises(InputError, match="another order than its uncompressed fallback"):
-        opened.patch(1 - colours, Naming("out"))
 
 
 @pytest.mark.parametrize("claimed", [None, b"\xff\xff\xff\x7f"])

@@ -139,10 +139,11 @@ def stored_threemf() -> bytes:
 
 
 def image_seeds(chance: np.random.Generator) -> dict[str, bytes]:
-    images = {
-        f"{kind}": encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind)
-        for kind in ("png", "jpeg", "tiff", "bmp", "targa", "webp")
-    }
+    integers = ("png", "jpeg", "tiff", "bmp", "targa", "webp", "pnm", "dpx", "sgi", "fits", "rla")
+    images = {kind: encode(chance.integers(0, 256, (3, 5, 3), np.uint8), kind) for kind in integers}
+    images |= {kind: encode(chance.random((3, 5, 3), np.float32), kind) for kind in ("openexr", "hdr")}
+    flat = np.full((40, 40, 3), 90, np.uint8)  # encoders of these fail on very few pixels
+    images |= {kind: encode(flat, kind) for kind in ("jpegxl", "jpeg2000")}
     return images | {kind: stored_as(kind) for kind in ("ktx2", "avif")}
 
 
@@ -182,7 +183,7 @@ def other_seeds() -> dict[str, dict[str, bytes]]:
         },
         "npz": {"cloud": packed.getvalue()},
         "volume": {"npz": volume.getvalue(), "nrrd": nrrd.encode() + np.arange(8, dtype="<f4").tobytes()},
-        "image": {kind: bytes([kind == "targa"]) + data for kind, data in images.items()},
+        "image": {kind: bytes([{"targa": 1, "rla": 4}.get(kind, 0)]) + data for kind, data in images.items()},
         "core": {name: bytes([number]) + _varied(number) for number, name in enumerate(CORE)},
         "arrays": {
             "plain": bytes([1, 16, 0, 0, 0, 0, 6, 0]) + chance.random(120).tobytes(),

@@ -127,7 +127,9 @@ def read_package(data: bytes) -> None:
 
 def read_picture(data: bytes) -> None:
     """Read an image, and write it as it was."""
-    picture = read_image(data[1:], "x" + (".png", ".tga", ".exr", ".hdr")[data[0] % 4] if data else "x")
+    suffixes = (".png", ".tga", ".exr", ".hdr", ".rla")
+    picture = read_image(data[1:], "x" + suffixes[data[0] % len(suffixes)] if data else "x")
+    assert np.isfinite(picture.pixels).all()
     if picture.pixels.size < MOST_SAMPLES:
         write_image(picture, picture.pixels)
 
