@@ -116,7 +116,7 @@ BLENDER_PYTHON ?= python3.11
 test-blender: $(VENV)/.installed-test
 	$(BLENDER_PYTHON) -m venv $(VENV)-blender
 	$(VENV)-blender/bin/python -m pip install --quiet --disable-pip-version-check '$(BLENDER)' pytest
-	BELTRAMI=$(abspath $(BIN))/beltrami $(VENV)-blender/bin/python -m pytest -q -s --noconftest -c /dev/null -o pythonpath=$(abspath tests) tests/blender
+	BELTRAMI=$(abspath $(BIN))/beltrami $(VENV)-blender/bin/python -m pytest -q -s --noconftest -c /dev/null -o pythonpath=$(abspath tests) tests/blender benchmarks/bench_blender.py
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
