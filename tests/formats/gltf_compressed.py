@@ -8,11 +8,13 @@ import DracoPy
 import meshoptimizer
 import numpy as np
 
-from formats.gltf_files import Textured, grid, numbers
+from formats.gltf_files import Textured, numbers
+from oracles.surfaces import plane
 
 SIDE = 6
-COLUMNS, ROWS, FACES = grid(SIDE)
-GRID = np.stack([COLUMNS, ROWS, (ROWS * COLUMNS) % 3], axis=1).astype("<f4")
+GRID, FACES = plane(SIDE, SIDE)
+GRID[:, 2] = GRID[:, 0] * GRID[:, 1] % 3
+GRID = GRID.astype("<f4")
 UV = GRID[:, :2].astype("f8") / (SIDE - 1)
 CORNERS = FACES.astype("<u4")
 DRACO = "KHR_draco_mesh_compression"

@@ -260,15 +260,6 @@ def numbers(tree, buffers, index):
     return found
 
 
-def grid(side):
-    """Return the columns and rows of the vertices of a grid, and its triangles."""
-    rows, columns = np.divmod(np.arange(side * side), side)
-    first = np.arange(side * (side - 1)).reshape(-1, side)[:, :-1].ravel()
-    lower = np.stack([first, first + 1, first + side], axis=1)
-    upper = np.stack([first + 1, first + side + 1, first + side], axis=1)
-    return columns, rows, np.stack([lower, upper], axis=1).reshape(-1, 3)
-
-
 @contextlib.contextmanager
 def only_input_errors():
     """Allow input errors, whose message is one line, and no others."""

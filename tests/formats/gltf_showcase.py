@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from formats.gltf_files import Textured, grid
+from formats.gltf_files import Textured
 from formats.image_files import encode, noise
+from oracles.surfaces import plane
 
 SIDE = 5
-COLUMNS, ROWS, FACES = grid(SIDE)
-GRID = np.stack([COLUMNS, ROWS, np.sin(COLUMNS)], axis=1).astype("<f4")
+GRID, FACES = plane(SIDE, SIDE)
+GRID[:, 2] = np.sin(GRID[:, 0])
+GRID = GRID.astype("<f4")
 UV = np.ascontiguousarray(GRID[:, :2] / (SIDE - 1))
 CORNERS = FACES.astype("<u2")
 STRIP = np.concatenate(

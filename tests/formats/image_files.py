@@ -54,6 +54,13 @@ def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int =
     )
 
 
+def painting(channels: int = 3, side: int = 32) -> NDArray[np.uint8]:
+    """Smooth colours with noise."""
+    rows, columns = np.mgrid[:side, :side] * (200 // side)
+    plain = np.stack([rows, columns, (rows + columns) // 2, 255 - rows][:channels], axis=-1)
+    return np.clip(plain + np.random.default_rng(3).normal(0, 4, plain.shape), 1, 255).astype(np.uint8)
+
+
 def with_alpha(pixels: NDArray[Any]) -> NDArray[Any]:
     """Give rows of pixels, by turns, an alpha of 0, of 1, and any."""
     pixels[::3, :, -1] = 0

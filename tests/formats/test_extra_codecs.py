@@ -19,7 +19,8 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_comparison import EXTENSIONS, with_better_image
 from formats.gltf_files import opened
-from formats.image_files import encode
+from formats.image_files import encode, painting
+from oracles.paintings import psnr
 
 ONCE = KernelParameters(iterations=1, t=2, beta=20)
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], "f4")
@@ -33,13 +34,6 @@ def needs(*known):
 BOTH = [pytest.param(known, marks=needs(known)) for known in ("ktx2", "avif")]
 
 
-def painting(channels=3, side=32):
-    """Return smooth colours with noise."""
-    rows, columns = np.mgrid[:side, :side] * (200 // side)
-    plain = np.stack([rows, columns, (rows + columns) // 2, 255 - rows][:channels], axis=-1)
-    return np.clip(plain + np.random.default_rng(3).normal(0, 4, plain.shape), 1, 255).astype(np.uint8)
-
-
 def file_of(known, channels=3, **options):
     pixels = painting(channels)
     if options:
@@ -48,10 +42,6 @@ def file_of(known, channels=3, **options):
         filled = np.dstack([pixels, np.full(pixels.shape[:2], 255, np.uint8)])[..., :4]
         return alktx2.encode_raw_rgba_to_ktx2(filled.tobytes(), 32, 32, channels == 4, **options)
     return write_image(new_picture(pixels, "x"), pixels, suffix=f".{known}").data
-
-
-def psnr(before, after):
-    return 10 * np.log10(255**2 / np.mean((before.astype(float) - after) ** 2))
 
 
 @pytest.mark.parametrize("channels", [3, 4])
@@ -63,7 +53,7 @@ def test_what_is_written_is_read_again_and_its_cost_is_told(known, channels):
     assert (again.format, again.pixels.shape, file.suffix) == (known, pixels.shape, f".{known}")
     size = measure_image(file.data)
     assert (size.width, size.height, size.channels) == (32, 32, channels)
-    reached = psnr(pixels[..., :3], again.pixels[..., :3])
+    reached = psnr(again.pixels[..., :3] / 255, pixels[..., :3] / 255)
     assert reached > 30
     assert f"PSNR of {reached:.1f} dB" in file.notices[0]
     assert "not exact" in file.notices[0]
@@ -135,7 +125,7 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
     if fallback and suffix is None:
         images = open_document(str(target)).images
         plain, better = (read_image(images.data(index), "x").pixels for index in (0, 1))
-        assert psnr(plain, better) > psnr(painting(), better) + 3
+        assert psnr(plain / 255, better / 255) > psnr(painting() / 255, better / 255) + 3
 
 
 @pytest.mark.parametrize("known", BOTH)

@@ -23,7 +23,7 @@ from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.records import srgb_to_linear
 from cli.commands import beltrami
-from formats.image_files import encode, jpeg_segment
+from formats.image_files import encode, jpeg_segment, painting
 from formats.tiff_files import exr_file
 
 SIDE = 24
@@ -274,13 +274,6 @@ def in_one_file(first, others, order="<"):
     return with_segments(first, index_of(order, length, places)) + b"".join(others)
 
 
-def photograph():
-    """Return smooth colours with noise."""
-    rows, columns = np.mgrid[:64, :64] * 3
-    plain = np.stack([rows, columns, 120 + (rows - columns) // 2], axis=-1)
-    return np.clip(plain + np.random.default_rng(1).normal(0, 5, plain.shape), 0, 255).astype(np.uint8)
-
-
 def gain_map():
     """Return a gain map that makes a picture up to four times as bright."""
     grey = np.tile(np.linspace(40, 240, 32).astype(np.uint8), (32, 1))[..., None]
@@ -301,7 +294,7 @@ def ultra_hdr(order="<"):
         f'Item:Length="{len(gain)}"/></rdf:li>'
     )
     container = xmp("", f"<Container:Directory><rdf:Seq>{items}</rdf:Seq></Container:Directory>")
-    plain = encode(photograph(), "jpeg", compression="jpeg:95")
+    plain = encode(painting(side=64), "jpeg", compression="jpeg:95")
     return in_one_file(with_segments(plain, container, jpeg_segment(0xE2, _ISO + bytes(4))), [gain], order)
 
 
@@ -329,7 +322,7 @@ def test_a_gain_map_is_kept_and_not_applied(order):
     source = ultra_hdr(order)
     picture = read_image(source, "x.jpg")
     assert (picture.stored, picture.pixels.shape, picture.notices) == ("uint8", (64, 64, 3), ())
-    assert np.abs(picture.pixels.mean() - photograph().mean()) < 1
+    assert np.abs(picture.pixels.mean() - painting(side=64).mean()) < 1
     size = measure_image(source, "x.jpg")
     assert (size.channels, size.sample) == (3, 1)
     new = write_image(picture, picture.pixels // 2 + 60).data
@@ -347,7 +340,7 @@ def test_a_gain_map_is_kept_and_not_applied(order):
 @pytest.mark.parametrize("quality", [30, 98])  # smaller and larger than the source
 def test_the_index_finds_all_pictures_again(order, quality):
     others = [encode(np.full((16, 16, 3), level, np.uint8), "jpeg") for level in (50, 200)]
-    source = in_one_file(encode(photograph(), "jpeg", compression="jpeg:80"), others, order)
+    source = in_one_file(encode(painting(side=64), "jpeg", compression="jpeg:80"), others, order)
     assert len(pictures_of(source)) == 3
     picture = read_image(source, "x.jpg")
     new = write_image(picture, picture.pixels[::-1], jpeg_quality=quality).data
@@ -365,12 +358,12 @@ def test_other_formats_report_the_loss_and_claim_no_gain_map(suffix):
     assert any("what follows it in the JPEG file is dropped" in notice for notice in losses(picture, suffix))
     new = write_image(picture, picture.pixels, suffix=suffix).data
     assert not any(word in new for word in (b"hdrgm", b"GainMap", _ISO))
-    assert not losses(read_image(encode(photograph(), "jpeg"), "x.jpg"), ".png")
+    assert not losses(read_image(encode(painting(side=64), "jpeg"), "x.jpg"), ".png")
 
 
 @pytest.mark.parametrize("damage", [b"MPF\0II*\0\xff\xff\xff\xff", b"MPF\0", b"MPF\0II*\0\x08\0\0\0\0\0"])
 def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
-    source = with_segments(encode(photograph(), "jpeg"), jpeg_segment(0xE2, damage)) + b"video"
+    source = with_segments(encode(painting(side=64), "jpeg"), jpeg_segment(0xE2, damage)) + b"video"
     picture = read_image(source, "x.jpg")
     new = write_image(picture, picture.pixels // 2).data
     assert jpeg_segment(0xE2, damage) in new
@@ -379,7 +372,7 @@ def test_an_index_that_cannot_be_read_stays_as_it_is(damage):
 
 @pytest.mark.parametrize("progressive", [0, 1])
 def test_the_end_of_a_picture_is_found_behind_all_its_scans(progressive):
-    plain = encode(photograph(), "jpeg", jpeg__progressive=progressive)
+    plain = encode(painting(side=64), "jpeg", jpeg__progressive=progressive)
     picture = read_image(plain + b"\xff\xd8\xff", "x.jpg")
     assert write_image(picture, 255 - picture.pixels).data.count(b"\xff\xd9\xff\xd8\xff") == 1
     np.testing.assert_array_equal(picture.pixels, read_image(plain, "x.jpg").pixels)

@@ -13,7 +13,7 @@ from beltrami_cli.formats.colours import full_scale, intensity_scale
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens, read_numbers
 from cli.commands import beltrami
-from formats.ply_files import Table, build
+from small_models import ply
 
 COUNT = 1000
 NAMES = {"colours": ("red", "green", "blue"), "intensity": ("intensity",)}
@@ -28,9 +28,8 @@ def scan(bits, what="colours"):
 
 
 def as_ply(kind, numbers, what="colours"):
-    properties = [*((name, "float") for name in "xyz"), *((name, kind) for name in NAMES[what])]
     rows = [[n, 0, 0, *row] for n, row in enumerate(numbers.tolist())]
-    return build([Table("vertex", properties, rows)], "ascii").data
+    return ply(f"float x y z, {kind} {' '.join(NAMES[what])}", rows)
 
 
 def scale_of(data):
@@ -55,12 +54,8 @@ def test_dim_colours_of_16_bit_are_not_taken_for_14_bit():
 
 
 def test_opacity_says_the_range_of_dark_colours():
-    names = [
-        *((name, "float") for name in "xyz"),
-        *((c, "ushort") for c in ("red", "green", "blue", "alpha")),
-    ]
     rows = [[n, 0, 0, 40, 50, 200, 65535] for n in range(3)]
-    assert scale_of(build([Table("vertex", names, rows)], "ascii").data) == 65535
+    assert scale_of(ply("float x y z, ushort red green blue alpha", rows)) == 65535
 
 
 def test_files_that_fit_into_different_bits_are_compared_on_one_scale(tmp_path):

@@ -138,20 +138,6 @@ def test_damaged_coordinates_are_refused_with_their_line(tmp_path, line, cause):
     assert "line 11" in str(raised.value)
 
 
-def test_moved_files_keep_their_names_and_the_obj_its_bytes(tmp_path):
-    document = model(tmp_path, "newmtl one\nKd 1 1 1\nmap_Kd -o 1 1 a.png # c\n".replace(" # c", ""))
-    written = document.patch(None, Naming("out", keeps=True), images={("baseColor", "a.png"): NEW})
-    assert joined(written) == (tmp_path / "model.obj").read_bytes()
-    assert dict(written.sidecars) == {"a.png": b"new image"}
-    other = ImageFile(b"new", ".exr")
-    written = document.patch(None, Naming("out", keeps=True), images={("baseColor", "a.png"): other})
-    assert joined(written) == (tmp_path / "model.obj").read_bytes()
-    assert dict(written.sidecars) == {
-        "a.exr": b"new",
-        "m.mtl": b"newmtl one\nKd 1 1 1\nmap_Kd -o 1 1 a.exr\n",
-    }
-
-
 def test_an_image_in_two_slots_is_replaced_in_one(tmp_path):
     mtl = "newmtl one\nmap_Kd a.png\nmap_Ke a.png\n"
     document = model(tmp_path, mtl)
