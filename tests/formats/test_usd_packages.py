@@ -20,7 +20,7 @@ from beltrami_cli.formats.usd.layers import Package, layer_from
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from cli.commands import beltrami
+from cli.commands import beltrami, refused
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
@@ -139,24 +139,20 @@ def damaged(scan, kind):
     }[kind]
 
 
-@pytest.mark.parametrize("kind", ["noise", "no text", "no layer first", "way out", "absolute"])
-def test_damaged_packages_are_refused_in_one_line(scan, kind, tmp_path):
-    source = package(tmp_path / "a.usdz", damaged(scan, kind))
-    done = beltrami("smooth", source, tmp_path / "b.usdz", code=3)
-    assert done.stderr.decode().count("\n") == 1
-    assert not (tmp_path / "b.usdz").exists()
-
-
 @pytest.mark.parametrize(
-    ("kind", "words"), [("cut off", r"\(UsdError: [\w ]+ corrupt"), ("no text", r"\(UsdError: a.usda:2:")]
-)
-def test_what_is_wrong_with_a_layer_is_said_without_names_of_code(scan, kind, words, tmp_path):
+    ("kind", "words"),
+    [
+        ("cut off", r"\(UsdError: [\w ]+ corrupt"), ("no text", r"\(UsdError: a.usda:2:"), ("noise", ""),
+        ("no layer first", ""), ("way out", ""), ("absolute", ""),
+    ],
+)  # fmt: skip
+def test_damaged_packages_are_refused_in_one_line_without_names_of_code(scan, kind, words, tmp_path):
     """Neither functions and sources of usd-core, nor the folder that the layers lie in for a while."""
     source = package(tmp_path / "a.usdz", damaged(scan, kind))
-    with pytest.raises(InputError, match=words) as refused:
-        smooth_file(source, tmp_path / "b.usdz")
-    assert "pxr" not in str(refused.value)
-    assert "/beltrami-" not in str(refused.value)
+    line = refused(tmp_path, "smooth", source, tmp_path / "b.usdz", code=3)
+    assert re.search(words, line)
+    assert "pxr" not in line
+    assert "/beltrami-" not in line
 
 
 @pytest.mark.usefixtures("usd_core_here")
