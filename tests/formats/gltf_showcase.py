@@ -152,7 +152,7 @@ def quantised(model):
 
 
 def others(model):
-    """Make a strip, a fan, points, and a mesh whose colours and positions are partly sparse."""
+    """Make a strip, a fan and points."""
 
     def primitive(number, **more):
         attributes = {
@@ -165,18 +165,6 @@ def others(model):
     model.mesh(primitive(2, mode=5, indices=model.indices(STRIP)), translation=[0, 10, 0])
     model.mesh(primitive(3, mode=6, indices=model.indices(CORNERS[:8].ravel()[:7])), translation=[0, 20, 0])
     model.mesh(primitive(4, mode=0, material=4), translation=[0, 30, 0])
-    sparse, base = noisy("f4", 3, 5), noisy("f4", 3, 6)
-    sparse[4:] = base[4:]
-    lifted = GRID.copy()
-    lifted[:2, 2] += 0.25
-    attributes = {
-        "POSITION": model.sparse(lifted, [0, 1], GRID, bounds=True),
-        "TEXCOORD_0": model.packed(UV),
-        "COLOR_0": model.sparse(sparse, [0, 1, 2, 3], base),
-    }
-    model.mesh(
-        {"attributes": attributes, "indices": model.indices(CORNERS), "material": 2}, translation=[0, 40, 0]
-    )
 
 
 def around(model):

@@ -27,11 +27,6 @@ def test_a_byte_order_mark_is_reported_and_kept():
     assert joined(document.patch(1 - document.painted().colours, Naming("out"))).startswith(data[:20])
 
 
-def test_form_is_recognised_by_content():
-    assert GltfDocument(small().glb(), "model.gltf", None).format == "glb"
-    assert GltfDocument(small().data_text(), "model.glb", None).format == "gltf"
-
-
 @pytest.mark.parametrize("uri", ["../up.bin", "%2e%2e/up.bin", "..%5cup.bin", "missing.bin", ""])
 def test_buffers_outside_the_folder_are_never_read(tmp_path, uri):
     model = small()

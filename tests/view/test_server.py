@@ -139,41 +139,35 @@ def test_a_body_that_ends_too_early(page_server):
         assert connection.recv(12) == b"HTTP/1.0 400"
 
 
-@pytest.mark.parametrize("name", ["values", "target", "overwrite"])
-def test_parts_of_another_type_save_nothing(name, page_server, live, monkeypatch):
-    saved = []
-    monkeypatch.setattr(live, "_save", lambda *_, **__: saved.append(1))
-    right = {"values": {}, "target": "out.ply", "overwrite": False}
-    kind = type(right[name])
-    for value in (each for each in VALUES if type(each) is not kind):
-        assert sent(page_server, "save", json.dumps({**right, name: value})) == MALFORMED
-    del right[name]
-    assert sent(page_server, "save", json.dumps(right)) == MALFORMED
-    assert saved == []
+CHANGE = {"values": {}, "target": "out.ply", "layer": 0, "focus": FOCUS}
+SAVE = {"values": {}, "target": "out.ply", "overwrite": False}
+WRONG = {
+    "layer": [-1, 1],
+    "focus": [[], [1], [[1]], [0, 0, float("nan")], [0, 0, "x"], [*FOCUS[:5], True], [*FOCUS, 1]],
+}
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "more"),
-    [
-        ("values", dict, ()),
-        ("target", str, ()),
-        ("layer", int, (-1, 1)),
-        ("focus", list, ([], [1], [[1]], [0, 0, float("nan")], [0, 0, "x"], [*FOCUS[:5], True], [*FOCUS, 1])),
-    ],
+    ("request_name", "name"), [*(("change", name) for name in CHANGE), *(("save", name) for name in SAVE)]
 )
-def test_parts_of_another_type_change_nothing(name, kind, more, page_server):
-    right = {"values": {}, "target": "out.ply", "layer": 0, "focus": FOCUS}
-    for value in (*more, *(each for each in VALUES if type(each) is not kind)):
-        assert sent(page_server, "change", json.dumps({**right, name: value})) == MALFORMED, value
+def test_parts_of_another_type_save_and_change_nothing(request_name, name, page_server, live, monkeypatch):
+    saved, right = [], {"change": CHANGE, "save": SAVE}[request_name]
+    monkeypatch.setattr(live, "_save", lambda *_, **__: saved.append(1))
+    for value in (*WRONG.get(name, ()), *(each for each in VALUES if type(each) is not type(right[name]))):
+        body = json.dumps({**right, name: value})
+        assert sent(page_server, request_name, body) == MALFORMED, value
+    if request_name == "save":
+        lacking = {key: value for key, value in right.items() if key != name}
+        assert sent(page_server, "save", json.dumps(lacking)) == MALFORMED
     assert not page_server.answered
+    assert saved == []
 
 
 @pytest.mark.slow
 def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server):
     connection = http.client.HTTPConnection(page_server.host, timeout=10)
-    request = {"values": {}, "target": "out.ply", "layer": 0, "focus": FOCUS}
     own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
-    connection.request("POST", f"/{page_server.token}/change", json.dumps(request), own)
+    connection.request("POST", f"/{page_server.token}/change", json.dumps(CHANGE), own)
     assert json.loads(connection.getresponse().readline()) == {"kind": "accepted", "command": "command"}
     assert page_server.answered
     connection.close()
@@ -196,6 +190,5 @@ def test_an_unexpected_error_is_answered(page_server, live, monkeypatch):
         raise ZeroDivisionError("of ours")
 
     monkeypatch.setattr(live, "_save", fail)
-    request = {"values": {}, "target": "out.ply", "overwrite": False}
     said = "unexpected error: ZeroDivisionError: of ours"
-    assert sent(page_server, "save", json.dumps(request)) == (500, said)
+    assert sent(page_server, "save", json.dumps(SAVE)) == (500, said)
