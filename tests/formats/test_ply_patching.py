@@ -180,14 +180,11 @@ def opened(folder, tables, encoding="ascii", newline="\n", *names):
     return document
 
 
-def pentagon(*, u="s", v="t", polygons=None):
-    """A concave pentagon (or other polygons) whose coordinates are half its places."""
+def pentagon():
+    """A concave pentagon whose coordinates are half its places."""
     rows = [[*place, place[0] / 2, place[1] / 2] for place in PLACES]
-    faces = [[face] for face in polygons or [[0, 1, 2, 3, 4]]]
-    return [
-        Table("vertex", [*XYZ, (u, "float"), (v, "float")], rows),
-        Table("face", [("vertex_indices", "uchar int")], faces),
-    ]
+    face = Table("face", [("vertex_indices", "uchar int")], [[[0, 1, 2, 3, 4]]])
+    return [Table("vertex", [*XYZ, ("s", "float"), ("t", "float")], rows), face]
 
 
 def wedges(polygons, numbers=None, bare=()):
@@ -201,36 +198,6 @@ def wedges(polygons, numbers=None, bare=()):
         Table("vertex", XYZ, [list(place) for place in PLACES]),
         Table("face", [*properties, *([("texnumber", "int")] if numbers else [])], rows),
     ]
-
-
-def assert_half_the_places(document, chosen=slice(None)):
-    surface = document.textured("baseColor")
-    plane = surface.positions[surface.faces][chosen, :, :2] / 2
-    np.testing.assert_allclose(surface.uv[chosen, :, 0], plane[..., 0], atol=1e-6)
-    np.testing.assert_allclose(1 - surface.uv[chosen, :, 1], plane[..., 1], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("encoding", "u", "v"),
-    [
-        ("ascii", "s", "t"),
-        (ENCODINGS[1], "u", "v"),
-        (ENCODINGS[2], "texture_u", "texture_v"),
-        ("ascii", "texture_s", "texture_t"),
-    ],
-)
-def test_coordinates_of_vertices_with_v_turned_down(tmp_path, encoding, u, v):
-    document = opened(tmp_path, pentagon(u=u, v=v), encoding)
-    assert not document.has_vertex_colours()
-    assert document.slots() == ("baseColor",)
-    surface = document.textured("baseColor")
-    assert document.textured("baseColor") is surface
-    assert_half_the_places(document)
-    assert surface.texture_of.tolist() == [0, 0, 0]
-    assert [(t.key, t.name, t.data) for t in surface.textures] == [("a b.png", "a b.png", b"image a b.png")]
-    assert list(document.references()) == ["a b.png"]
-    with pytest.raises(InputError, match="no normal texture"):
-        document.textured("normal")
 
 
 @pytest.mark.parametrize(
@@ -258,7 +225,8 @@ def test_coordinates_of_faces_are_cut_along_with_polygons(tmp_path, encoding, ne
 def test_coordinates_of_faces_go_before_those_of_vertices(tmp_path):
     tables = wedges([[0, 1, 2]])
     tables[0] = Table("vertex", [*XYZ, ("s", "float"), ("t", "float")], [[*place, 9, 9] for place in PLACES])
-    assert_half_the_places(opened(tmp_path, tables))
+    surface = opened(tmp_path, tables).textured("baseColor")
+    np.testing.assert_allclose(surface.uv[..., 0], surface.positions[surface.faces][..., 0] / 2, atol=1e-6)
 
 
 def test_several_images_are_one_if_they_are_the_same_and_shown_as_far_as_they_are_there(tmp_path):

@@ -203,7 +203,7 @@ def grid(properties, values, of_faces=(), faces=None):
     return [Table("vertex", [*XYZ, *properties], rows), Table("face", kinds, polygons)]
 
 
-def three(names, kind):
+def named(names, kind):
     return [(name, kind) for name in names.split()]
 
 
@@ -223,9 +223,9 @@ def changed(document):
 
 
 DIALECTS = {
-    "Red": (three("Red Green Blue", "uchar"), lambda c: c),
-    "scalar_R": (three("scalar_R scalar_G scalar_B", "float"), lambda c: [*map(float, c)]),
-    "int": (three("red green blue", "int"), lambda c: c),
+    "Red": (named("Red Green Blue", "uchar"), lambda c: c),
+    "scalar_R": (named("scalar_R scalar_G scalar_B", "float"), lambda c: [*map(float, c)]),
+    "int": (named("red green blue", "int"), lambda c: c),
     "list": ([("color", "uchar uchar")], lambda c: [c]),
     "list of four": ([("colors", "uchar uchar")], lambda c: [[*c, 255]]),
     "packed": ([("rgba", "uint")], lambda c: packed(c, "uint")),
@@ -250,7 +250,7 @@ def test_colours_under_other_names_are_the_same(dialect, encoding):
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_colours_of_faces_stay_colours_of_faces(encoding):
     levels = np.random.default_rng(2).integers(60, 180, (len(CORNERS), 3))
-    tables = grid([], [[]] * len(PLACES), three("red green blue", "uchar"), levels.tolist())
+    tables = grid([], [[]] * len(PLACES), named("red green blue", "uchar"), levels.tolist())
     document = open_bytes(build(tables, encoding).data, "in.ply", None)
     np.testing.assert_allclose(document.painted().colours, levels / 255, atol=1e-6)
     np.testing.assert_allclose(changed(document).painted().colours, 1 - levels / 255, atol=1e-6)
@@ -275,7 +275,7 @@ def test_the_dual_of_a_grid_of_squares_is_a_smaller_grid():
 def test_numbers_that_are_none_are_known_as_microsoft_spells_them(suffix, spelling):
     points = [[*place, *colour] for place, colour in zip(PLACES, COLOURS, strict=True)]
     points[5][:3] = [spelling] * 3
-    data = build([Table("vertex", [*XYZ, *three("red green blue", "uchar")], points)]).data
+    data = build([Table("vertex", [*XYZ, *named("red green blue", "uchar")], points)]).data
     data = data if suffix == "ply" else data[data.index(b"end_header\n") + 11 :]
     document = open_bytes(data, f"in.{suffix}", None)
     new = patched(document, 1 - document.painted().colours)
@@ -303,9 +303,16 @@ def listed(name):
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_texture_coordinates_of_all_dialects_are_the_same(tmp_path, encoding):
     (tmp_path / "t.png").write_bytes(b"an image")
-    for tables in (artec(), *map(listed, ("t", "TexCoord", "uv", "texture_uv"))):
+    of_vertices = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+    shares = [[x / (SIDE - 1), y / (SIDE - 1)] for x, y, _ in PLACES]
+    dialects = [artec(), *map(listed, ("t", "TexCoord", "uv", "texture_uv"))]
+    for tables in (*dialects, *(grid(named(" ".join(names), "float"), shares) for names in of_vertices)):
         (tmp_path / "in.ply").write_bytes(build(tables, encoding, comments=["TextureFile t.png"]).data)
         document = open_document(str(tmp_path / "in.ply"))
+        assert (document.has_vertex_colours(), document.slots()) == (False, ("baseColor",))
+        assert list(document.references()) == ["t.png"]
+        with pytest.raises(InputError, match="no normal texture"):
+            document.textured("normal")
         surface = document.textured("baseColor")
         shown = surface.positions[surface.faces][..., :2] / (SIDE - 1)
         np.testing.assert_allclose(surface.uv[..., 0], shown[..., 0], atol=1e-6)
@@ -319,6 +326,6 @@ def test_texture_coordinates_of_all_dialects_are_the_same(tmp_path, encoding):
 
 def test_gaussian_splats_are_refused_by_name():
     names = "f_dc_0 f_dc_1 f_dc_2 opacity scale_0 rot_0"
-    tables = [Table("vertex", [*XYZ, *three(names, "float")], [[0] * 9])]
+    tables = [Table("vertex", [*XYZ, *named(names, "float")], [[0] * 9])]
     with pytest.raises(InputError, match="Gaussian splats"):
         open_bytes(build(tables, ENCODINGS[1]).data, "in.ply", None).painted()
