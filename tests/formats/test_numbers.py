@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from beltrami_cli.formats.colours import full_scale, intensity_scale
 from beltrami_cli.formats.ply.document import PlyDocument
+from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens, read_numbers
 from cli.commands import beltrami
+from formats.patching import patched
 from small_models import ply
 
 COUNT = 1000
@@ -80,6 +82,31 @@ def test_one_spike_says_nothing_of_the_range(single):
     whole = np.rint(4000 * np.abs(values))
     whole[7] = -1
     assert intensity_scale(whole)[0] == 4095
+
+
+@pytest.mark.parametrize(
+    ("form", "text", "new", "expected"),
+    [
+        ("obj", "v 0 0 0 1 0 0", [0.2, 0, 0], "v 0 0 0 0.200000 0 0"),
+        ("obj", "v 0 0 0 0.50000000 0 0", [0.2, 0, 0], "v 0 0 0 0.20000000 0 0"),
+        ("obj", "v 0 0 0 0.5000000000000000 0 0", [0.25, 0, 0], "v 0 0 0 0.250000000 0 0"),
+        ("obj", "v 0 0 0 5e-1 0 1E0", [0.25, 0, 1], "v 0 0 0 0.25 0 1E0"),
+        ("obj", "v 0 0 0 200 0 7", [1.5, -1, 0.5], "v 0 0 0 255 0 128"),
+        ("xyz", "0 0 0 0.5 0.25 0.75", [0.5, 0.3, 0.75], "0 0 0 0.5 0.300000 0.75"),
+        ("xyz", "0 0 0 0.500000000 0 1", [0.5, 0.1, 1], "0 0 0 0.500000000 0.100000001 1"),
+        ("xyz", "0 0 0 5e-1 0 1", [0.5, 0.125, 1], "0 0 0 5e-1 0.125 1"),
+        ("xyz", "0 0 0 127.5 0 255", [0.5, 0.125, 1], "0 0 0 127.5 31.8750 255"),
+        ("xyz", "0 0 0 -1024\n0 0 1 2048", [[-0.25], [1]], "0 0 0 -512\n0 0 1 2048"),
+        ("xyz", "0 0 0 -1024\n0 0 1 2048", [[-1e-5], [1]], "0 0 0 0\n0 0 1 2048"),
+        ("xyz", "0 0 0 -9 1 2 3\n0 0 0 9 4 5 6", [[1, 0, 0], [0, 1, 0]], "0 0 0 -9 255 0 0\n0 0 0 9 0 255 0"),
+        ("xyz", "x y z b g r\n0 0 0 1 2 3", [1, 2 / 255, 0], "x y z b g r\n0 0 0 0 2 255"),
+        ("xyz", "0 0 0 200 0 7", [1.5, -1, 0.5], "0 0 0 255 0 128"),
+        ("xyz", "1\r0;0;0;200; 0;7\r", [0, 1, 0], "1\r0;0;0;0; 255;0\r"),
+    ],
+)
+def test_new_colours_are_spelled_as_the_old_ones(form, text, new, expected):
+    document = open_bytes(text.encode(), f"a.{form}", None)
+    assert patched(document, np.atleast_2d(new)) == expected.encode()
 
 
 texts = st.text(alphabet="1a.-e \t\n\r\v\f\0#", max_size=30).map(str.encode)

@@ -161,22 +161,6 @@ def test_only_changed_tokens_change(file, data):
         np.testing.assert_array_equal(again.painted().colours, expected.astype(np.float32))
 
 
-@pytest.mark.parametrize(
-    ("text", "new", "expected"),
-    [
-        (b"v 0 0 0 1 0 0\n", [0.2, 0, 0], b"v 0 0 0 0.200000 0 0\n"),
-        (b"v 0 0 0 0.50000000 0 0\n", [0.2, 0, 0], b"v 0 0 0 0.20000000 0 0\n"),
-        (b"v 0 0 0 0.5000000000000000 0 0\n", [0.25, 0, 0], b"v 0 0 0 0.250000000 0 0\n"),
-        (b"v 0 0 0 5e-1 0 1E0\n", [0.25, 0, 1], b"v 0 0 0 0.25 0 1E0\n"),
-        (b"v 0 0 0 200 0 7\n", [1.5, -1, 0.5], b"v 0 0 0 255 0 128\n"),
-    ],
-)
-def test_new_colours_are_spelled_as_the_old_ones(text, new, expected):
-    document = opened(text)
-    assert patched(document, [new]) == expected
-    assert any("0..255" in notice for notice in document.notices) == (b"200" in text)
-
-
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
 

@@ -141,27 +141,55 @@ def changed_columns(data, document):
     return [int(column) for column in np.flatnonzero((before != after).any(axis=0))]
 
 
+BY_VALUES = [
+    *((f"x y z {more}", 3) for more in ("r g b", "r g b class", "r g b i12", "r g b time class")),
+    ("x y z r g b i12 nx ny nz", 3), ("x y z r g b ux uy uz", 3), ("x y z rf gf bf i12", 3),
+    ("x y z rf gf bf ux uy uz class", 3), ("x y z r16 g16 b16 db", 3), ("x y z class r g b", 4),
+    ("x y z db rf gf bf", 4), ("x y z nx ny nz r g b", 6), ("x y z time class r g b", 5),
+]  # fmt: skip
+BY_NAMES = [
+    ("//X Y Z R G B Intensity\n", " "),
+    ("//X,Y,Z,R,G,B,Scalar field\n", ","),
+    ("# made on a b c d Monday\n# x y z r g b i\n", " "),
+    ("x,y,z,red,green,blue,scalar\n", ","),
+    ('"X";"Y";"Z";"Red";"Green";"Blue";"Scalar field #2"\n', ";"),
+    ("X\tY\tZ\tR\tG\tB\tGPS time\n", "\t"),
+    (f"//X Y Z R G B Return\n{COUNT}\n", " "),
+]
+BY_OPTION = [
+    ("x y z r g b i8", "x y z r g b scalar", [3, 4, 5]),
+    ("x y z i8 r g b", "X Y Z Intensity Red Green Blue", [4, 5, 6]),
+    ("x y z i12 return returns class", "x y z intensity return returns class", [3]),
+    ("i8 b g r z y x", "any b g r z y x", [1, 2, 3]),
+    ("x y z r g b class", "x y z a b c intensity", [6]),
+]
+COUNTED = {"head": f"{COUNT}\n", "name": "a.pts"}  # the intensity comes first if it can
+
+
 @pytest.mark.parametrize(
-    ("layout", "first"),
+    ("layout", "found", "more"),
     [
-        ("x y z r g b", 3),
-        ("x y z r g b class", 3),
-        ("x y z r g b i12", 3),
-        ("x y z r g b time class", 3),
-        ("x y z r g b i12 nx ny nz", 3),
-        ("x y z r g b ux uy uz", 3),
-        ("x y z rf gf bf i12", 3),
-        ("x y z rf gf bf ux uy uz class", 3),
-        ("x y z r16 g16 b16 db", 3),
-        ("x y z class r g b", 4),
-        ("x y z db rf gf bf", 4),
-        ("x y z nx ny nz r g b", 6),
-        ("x y z time class r g b", 5),
+        *(
+            (layout, [at, at + 1, at + 2], {"separator": "; " if "class" in layout else " "})
+            for layout, at in BY_VALUES
+        ),
+        *(
+            ("x y z r g b i8", [3, 4, 5], {"head": head, "separator": separator})
+            for head, separator in BY_NAMES
+        ),
+        *(
+            (layout, found, {"head": head, "columns": tuple(given.split())})
+            for layout, given, found in BY_OPTION
+            for head in ("", "x y z r g b other\n", "//X Y Z R G B Other\n")
+        ),
+        ("x y z i8 r g b", [4, 5, 6], COUNTED),
+        ("x y z r g b i12", [3, 4, 5], COUNTED),
     ],
 )
-def test_columns_that_can_be_the_colours_are_found_by_their_values(layout, first):
-    data = table(layout, "; " if "class" in layout else " ")
-    assert changed_columns(data, opened(data)) == [first, first + 1, first + 2]
+def test_colours_are_found_by_options_by_names_in_the_file_and_by_values(layout, found, more):
+    data = table(layout, more.get("separator", " "), more.get("head", ""))
+    document = opened(data, more.get("name", "a.xyz"), columns=more.get("columns", ()))
+    assert changed_columns(data, document) == found
 
 
 UNCLEAR = [
@@ -183,22 +211,6 @@ def test_two_readings_or_none_are_refused_with_the_option_that_decides(layout, c
 
 
 @pytest.mark.parametrize(
-    ("layout", "given", "found"),
-    [
-        ("x y z r g b i8", "x y z r g b scalar", [3, 4, 5]),
-        ("x y z i8 r g b", "X Y Z Intensity Red Green Blue", [4, 5, 6]),
-        ("x y z i12 return returns class", "x y z intensity return returns class", [3]),
-        ("i8 b g r z y x", "any b g r z y x", [1, 2, 3]),
-        ("x y z r g b class", "x y z a b c intensity", [6]),
-    ],
-)
-def test_given_names_count_for_more_than_those_in_the_file_and_the_values(layout, given, found):
-    for head in ("", "x y z r g b other\n", "//X Y Z R G B Other\n"):
-        data = table(layout, head=head)
-        assert changed_columns(data, opened(data, columns=tuple(given.split()))) == found
-
-
-@pytest.mark.parametrize(
     ("given", "cause"),
     [
         ("x y z r g b", "7 numbers each, but --columns has 6 names; give --columns"),
@@ -209,30 +221,6 @@ def test_given_names_count_for_more_than_those_in_the_file_and_the_values(layout
 def test_names_that_do_not_fit_are_refused(given, cause):
     with pytest.raises(InputError, match=cause):
         opened(table("x y z r g b class"), columns=tuple(given.split())).painted()
-
-
-@pytest.mark.parametrize(
-    ("head", "separator"),
-    [
-        ("//X Y Z R G B Intensity\n", " "),
-        ("//X,Y,Z,R,G,B,Scalar field\n", ","),
-        ("# made on a b c d Monday\n# x y z r g b i\n", " "),
-        ("x,y,z,red,green,blue,scalar\n", ","),
-        ('"X";"Y";"Z";"Red";"Green";"Blue";"Scalar field #2"\n', ";"),
-        ("X\tY\tZ\tR\tG\tB\tGPS time\n", "\t"),
-        (f"//X Y Z R G B Return\n{COUNT}\n", " "),
-    ],
-)
-def test_names_in_the_file_decide(head, separator):
-    data = table("x y z r g b i8", separator, head)
-    assert changed_columns(data, opened(data)) == [3, 4, 5]
-
-
-def test_in_files_with_a_count_of_points_the_intensity_comes_first_if_it_can():
-    data = table("x y z i8 r g b", head=f"{COUNT}\n")
-    assert changed_columns(data, opened(data, "a.pts")) == [4, 5, 6]
-    data = table("x y z r g b i12", head=f"{COUNT}\n")
-    assert changed_columns(data, opened(data, "a.pts")) == [3, 4, 5]
 
 
 @pytest.mark.parametrize(
@@ -291,25 +279,6 @@ def test_colours_that_stay_keep_their_bytes_to_the_last():
     other = same.copy()
     other[0, 1] = 21 / 255
     assert patched(document, other) == b"  1 2.50 3 010 21 030 # a\r\n\r\n// b\r\n4,5,6;\t40 50\t60"
-
-
-@pytest.mark.parametrize(
-    ("text", "new", "expected"),
-    [
-        (b"0 0 0 0.5 0.25 0.75", [0.5, 0.3, 0.75], b"0 0 0 0.5 0.300000 0.75"),
-        (b"0 0 0 0.500000000 0 1", [0.5, 0.1, 1], b"0 0 0 0.500000000 0.100000001 1"),
-        (b"0 0 0 5e-1 0 1", [0.5, 0.125, 1], b"0 0 0 5e-1 0.125 1"),
-        (b"0 0 0 127.5 0 255", [0.5, 0.125, 1], b"0 0 0 127.5 31.8750 255"),
-        (b"0 0 0 -1024\n0 0 1 2048", [[-0.25], [1]], b"0 0 0 -512\n0 0 1 2048"),
-        (b"0 0 0 -1024\n0 0 1 2048", [[-1e-5], [1]], b"0 0 0 0\n0 0 1 2048"),
-        (b"0 0 0 -9 1 2 3\n0 0 0 9 4 5 6", [[1, 0, 0], [0, 1, 0]], b"0 0 0 -9 255 0 0\n0 0 0 9 0 255 0"),
-        (b"x y z b g r\n0 0 0 1 2 3", [1, 2 / 255, 0], b"x y z b g r\n0 0 0 0 2 255"),
-        (b"0 0 0 200 0 7", [1.5, -1, 0.5], b"0 0 0 255 0 128"),
-        (b"1\r0;0;0;200; 0;7\r", [0, 1, 0], b"1\r0;0;0;0; 255;0\r"),
-    ],
-)
-def test_new_colours_are_spelled_as_the_old_ones(text, new, expected):
-    assert patched(opened(text), np.atleast_2d(new)) == expected
 
 
 def test_other_columns_are_attributes():
