@@ -182,12 +182,6 @@ def test_3mf_materials_parts_transforms_and_other_files():
     np.testing.assert_allclose(mesh.vertices[mesh.faces], ours.positions[ours.faces])
 
 
-def test_3mf_textures_are_refused_by_that_name():
-    textured = f'<texture2dgroup id="9" texid="8"/>{OBJECT}'.replace('pid="', 'pid="9')
-    with pytest.raises(InputError, match="its colours are textures, which are not read in files"):
-        opened(threemf(model(textured)), "x.3mf").painted()
-
-
 def doubling(depth):
     parts = ""
     for number in range(2, depth):
@@ -196,6 +190,7 @@ def doubling(depth):
     return model(OBJECT + parts, f'<item objectid="{depth - 1}"/>')
 
 
+TEXTURED = f'<texture2dgroup id="9" texid="8"/>{OBJECT}'.replace('pid="', 'pid="9')
 LAUGHS = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>' + model(OBJECT)
 
 
@@ -214,6 +209,7 @@ LAUGHS = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">
         (threemf(model(OBJECT, '<item objectid="1" transform="1 2"/>')), "a transform has 2 numbers"),
         (threemf(doubling(31)), "too many parts within parts"),
         (threemf(model(OBJECT, "")), "there are no polygons"),
+        (threemf(model(TEXTURED)), "its colours are textures, which are not read in files"),
     ],
 )
 def test_damaged_3mf_files_are_refused(data, message):
@@ -248,25 +244,28 @@ DAE = "\n".join(
 )
 
 
+IMAGE = '<library_images><image id="i"><init_from>a.png</init_from></image></library_images>'
+
+
 @needs_collada
 @pytest.mark.slow
-def test_dae_colours_in_their_place():
-    painted = opened(DAE.encode(), "x.dae").painted()
-    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 7])
-    seen = {
-        tuple(p[:2]): c for p, c in zip(painted.positions.tolist(), painted.colours.tolist(), strict=True)
-    }
-    np.testing.assert_allclose(seen[1, 0], [0, 0.5, 0])
-    np.testing.assert_allclose(seen[0, 1], [0.1, 0.2, 0.3])
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as archive:
-        archive.writestr("model.dae", DAE)
-    again = opened(packed.getvalue(), "x.zae").painted()
-    np.testing.assert_array_equal(again.colours, painted.colours)
-    with pytest.raises(InputError, match="document type"):
-        opened(b"<!DOCTYPE COLLADA []>" + DAE.encode(), "x.dae").painted()
-    with pytest.raises(InputError, match="it is damaged"):
-        opened(DAE[:-1].encode(), "x.dae").painted()
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<!DOCTYPE COLLADA []>" + DAE, "document type"),
+        (DAE[:-1], "it is damaged"),
+        (DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<"), "it is damaged, or not understood"),
+        (
+            DAE.replace("<library_geometries>", f"{IMAGE}<library_geometries>")
+            .replace('<input semantic="COLOR" source="#c" offset="1"/>', "")
+            .replace("0 0 1 1 2 2 0 0 2 2 3 3", "0 1 2 0 2 3"),
+            "its colours are textures, which are not read in files",
+        ),
+    ],
+)
+def test_damaged_and_textured_dae_files_are_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        opened(text.encode(), "x.dae").painted()
 
 
 MATERIAL = "".join(
@@ -280,28 +279,6 @@ BOUND = (
     '<instance_geometry url="#g"><bind_material><technique_common><instance_material symbol="s" target="#m"/>'
     "</technique_common></bind_material></instance_geometry>"
 )
-
-
-@needs_collada
-def test_dae_colours_stay_beside_a_material_and_in_their_precision():
-    text = DAE.replace("<library_geometries>", f"{MATERIAL}<library_geometries>")
-    text = text.replace('<triangles count="2">', '<triangles count="2" material="s">')
-    document = opened(text.replace('<instance_geometry url="#g"/>', BOUND).encode(), "x.dae")
-    colours = document.painted().colours
-    np.testing.assert_array_equal(
-        np.sort(colours.ravel()), np.float32([0] * 6 + [0.1, 0.2, 0.25, 0.3, 0.5, 1])
-    )
-    assert "materials" in document.contents().left_out
-
-
-@needs_collada
-def test_dae_textures_are_refused_by_that_name():
-    image = '<library_images><image id="i"><init_from>a.png</init_from></image></library_images><library_geometries>'
-    text = DAE.replace("<library_geometries>", image).replace(
-        '<input semantic="COLOR" source="#c" offset="1"/>', ""
-    )
-    with pytest.raises(InputError, match="its colours are textures, which are not read in files"):
-        opened(text.replace("0 0 1 1 2 2 0 0 2 2 3 3", "0 1 2 0 2 3").encode(), "x.dae").painted()
 
 
 SKIN = "\n".join(
@@ -322,24 +299,35 @@ SKIN = "\n".join(
         "</skin></controller></library_controllers>",
     ]
 )
-
-
-@needs_collada
-def test_dae_polygons_with_a_skin_are_where_they_were_bound():
-    skinned = DAE.replace('<instance_geometry url="#g"/>', '<instance_controller url="#k"/>')
-    skinned = skinned.replace("<library_visual_scenes>", f"{SKIN}<library_visual_scenes>")
-    document = opened(skinned.encode(), "x.dae")
-    painted = document.painted()
-    np.testing.assert_array_equal(painted.positions[painted.faces], SQUARE[FACES] + [0, 0, 3])
-    assert "skins" in document.contents().left_out
+PLACED = '<instance_geometry url="#g"/>'
+BESIDE = {
+    "": DAE,
+    "materials": DAE.replace("<library_geometries>", f"{MATERIAL}<library_geometries>")
+    .replace('<triangles count="2">', '<triangles count="2" material="s">')
+    .replace(PLACED, BOUND),
+    "skins": DAE.replace(PLACED, '<instance_controller url="#k"/>').replace(
+        "<library_visual_scenes>", f"{SKIN}<library_visual_scenes>"
+    ),
+    "what could not be read": DAE.replace(
+        "</visual_scene>", '<node><instance_geometry url="#gone"/></node></visual_scene>'
+    ),
+}
 
 
 @needs_collada
 @pytest.mark.slow
-def test_dae_polygons_that_cannot_be_read_are_mentioned():
-    with pytest.raises(InputError, match="it is damaged, or not understood"):
-        opened(DAE.replace("1 1 0 0 1 0<", "1,1 0 0 1 0<").encode(), "x.dae").painted()
-    broken = '<node><instance_geometry url="#gone"/></node></visual_scene>'
-    document = opened(DAE.replace("</visual_scene>", broken).encode(), "x.dae")
-    assert len(document.painted().faces) == 2
-    assert "what could not be read" in document.contents().left_out
+@pytest.mark.parametrize("left_out", BESIDE)
+@pytest.mark.parametrize("suffix", ["dae", "zae"])
+def test_dae_colours_are_read_in_their_place_and_precision_whatever_is_beside_them(left_out, suffix):
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("model.dae", BESIDE[left_out])
+    data = packed.getvalue() if suffix == "zae" else BESIDE[left_out].encode()
+    document = opened(data, f"x.{suffix}")
+    painted = document.painted()
+    # Polygons with a skin are where they were bound.
+    places = SQUARE[FACES] + [0, 0, 3 if left_out == "skins" else 7]
+    np.testing.assert_array_equal(painted.positions[painted.faces], places)
+    levels = np.float32([[1, 0, 0], [0, 0.5, 0], [0, 0, 0.25], [0.1, 0.2, 0.3]])
+    np.testing.assert_array_equal(painted.colours[painted.faces], levels[FACES])
+    assert {left_out} - {""} <= {*document.contents().left_out}
