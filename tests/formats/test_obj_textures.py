@@ -18,7 +18,7 @@ from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_files import joined
 from formats.image_files import encode, noise
-from hostile.folders import snapshot
+from hostile.folders import snapshot, write
 from hostile.textured_models import ONCE, OTHER, PICTURE
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -27,16 +27,8 @@ FACE = "f 1/1 2/2 3/3 4/4\n"
 NEW = ImageFile(b"new image", ".png")
 
 
-def folder_with(folder, files):
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return folder
-
-
 def model(folder, mtl="newmtl one\nmap_Kd a.png\n", obj=None, **files):
-    folder_with(folder, {"m.mtl": mtl, "a.png": b"image a", "b.png": b"image b", **files})
+    write(folder, {"m.mtl": mtl, "a.png": b"image a", "b.png": b"image b", **files})
     text = obj if obj is not None else f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl one\n{FACE}"
     (folder / "model.obj").write_bytes(text.encode())
     document = open_document(str(folder / "model.obj"))

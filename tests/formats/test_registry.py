@@ -29,8 +29,8 @@ from formats.tile_files import painting as painted_tiles
 from formats.tile_files import part, tiled_model
 from formats.usd_files import BOUND, COLOURS, PICTURE, material_text, mesh_text, scene
 from formats.usd_files import coloured as painted
-from formats.usd_files import write as write_files
 from formats.volume_files import npz
+from hostile.folders import write as write_files
 from hostile.textured_models import write_model
 
 

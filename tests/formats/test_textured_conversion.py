@@ -14,6 +14,7 @@ from formats.gltf_files import Textured, opened
 from formats.gltf_validator import issues, needs_validator
 from formats.image_files import encode, noise
 from formats.ply_files import Table, build
+from hostile.folders import write
 
 NAMES = ("skin", "glow", "bumps", "metal")
 IMAGES = {name: encode(noise("uint8", 3, 8, 8, seed), "png") for seed, name in enumerate(NAMES)}
@@ -55,17 +56,10 @@ f 3 4 5
 """
 
 
-def write(folder, **files):
-    folder.mkdir(exist_ok=True)
-    for name, data in files.items():
-        (folder / name.replace("_", ".")).write_bytes(data if isinstance(data, bytes) else data.encode())
-    return folder
-
-
 @pytest.fixture
 def model(tmp_path):
-    images = {f"{name}_png": data for name, data in IMAGES.items()}
-    return write(tmp_path / "in", model_obj=OBJ, m_mtl=MTL, **images) / "model.obj"
+    images = {f"{name}.png": data for name, data in IMAGES.items()}
+    return write(tmp_path / "in", {"model.obj": OBJ, "m.mtl": MTL, **images}) / "model.obj"
 
 
 def converted(source, target):
@@ -193,8 +187,10 @@ def test_smoothed_textures_and_colours_are_those_of_the_own_format(model, tmp_pa
 def test_images_that_gltf_cannot_hold_become_png_with_the_same_pixels(tmp_path):
     pixels = noise("uint8", 3, 8, 8)
     mtl = MTL.replace("skin.png", "skin.tga")
-    images = {f"{name}_png": data for name, data in IMAGES.items()}
-    folder = write(tmp_path / "in", model_obj=OBJ, m_mtl=mtl, skin_tga=encode(pixels, "targa"), **images)
+    images = {f"{name}.png": data for name, data in IMAGES.items()}
+    folder = write(
+        tmp_path / "in", {"model.obj": OBJ, "m.mtl": mtl, "skin.tga": encode(pixels, "targa"), **images}
+    )
     mesh, said = converted(folder / "model.obj", tmp_path / "out.glb")
     image = mesh.images[next(m for m in mesh.materials if m.maps).maps["baseColor"].image]
     assert image.file.suffix == ".png"
@@ -210,7 +206,7 @@ def test_transparent_images_stay_transparent_and_cut_outs_sharp(values, mode, tm
     pixels[..., 3] = np.resize(np.array(values, np.uint8), (8, 8))
     obj = OBJ.replace("outer skin", "skin").replace("map_Ke", "#")
     mtl = "newmtl skin\nmap_Kd skin.png\n"
-    folder = write(tmp_path / "in", model_obj=obj, m_mtl=mtl, skin_png=encode(pixels, "png"))
+    folder = write(tmp_path / "in", {"model.obj": obj, "m.mtl": mtl, "skin.png": encode(pixels, "png")})
     mesh, _ = converted(folder / "model.obj", tmp_path / "out.glb")
     assert {m.alpha for m in mesh.materials if m.maps} == {mode}
     back, _ = converted(tmp_path / "out.glb", tmp_path / "back.obj")
@@ -228,7 +224,7 @@ def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):
     ]
     tables = [Table("vertex", [(axis, "float") for axis in "xyz"], places), Table("face", properties, wedges)]
     data = build(tables, comments=["TextureFile skin.png", "TextureFile glow.png"]).data
-    folder = write(tmp_path / "in", x_ply=data, skin_png=IMAGES["skin"], glow_png=IMAGES["glow"])
+    folder = write(tmp_path / "in", {"x.ply": data, "skin.png": IMAGES["skin"], "glow.png": IMAGES["glow"]})
     before = open_document(str(folder / "x.ply")).textured_mesh()
     assert [before.materials[index].name for index in before.material_of] == ["glow", "skin", "untextured"]
     alone = {"materials": False, "groups": False, "normals": False}
@@ -264,8 +260,10 @@ def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_
         .replace("vt 1 1.5", "vt 1e300 1")
     )
     mtl = MTL.replace("outer skin", "Haut \xe4")
-    images = {f"{name}_png": data for name, data in IMAGES.items()}
-    folder = write(tmp_path / "in", model_obj=obj.encode("latin-1"), m_mtl=mtl.encode("latin-1"), **images)
+    images = {f"{name}.png": data for name, data in IMAGES.items()}
+    folder = write(
+        tmp_path / "in", {"model.obj": obj.encode("latin-1"), "m.mtl": mtl.encode("latin-1"), **images}
+    )
     for name in ("out.glb", "out.gltf", "out.ply", "back/out.obj"):
         source = folder / "model.obj" if "obj" not in name else tmp_path / "out.glb"
         mesh, _ = converted(source, tmp_path / name)

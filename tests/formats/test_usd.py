@@ -34,8 +34,8 @@ from formats.usd_files import (
     rows,
     scene,
     shader,
-    write,
 )
+from hostile.folders import write
 
 # Its own process, and what it makes of damaged files, is tested in test_usd_packages.py.
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("usd_core_here")]

@@ -124,13 +124,6 @@ def members(path: Path) -> dict[str, bytes]:
     return found
 
 
-def write(folder: Path, files: dict[str, str | bytes]) -> None:
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-
-
 def package(path: Path, files: Iterable[tuple[str, bytes]], method: int = zipfile.ZIP_STORED) -> Path:
     """Write a package that need not be right."""
     with zipfile.ZipFile(path, "w", method) as archive:

@@ -1,4 +1,4 @@
-"""Folders as they are on the disk, to be compared."""
+"""Folders as they are on the disk, to be made and compared."""
 
 from __future__ import annotations
 
@@ -18,3 +18,12 @@ def snapshot(folder):
             content = b""
         found[str(path.relative_to(folder))] = status.st_mode, content
     return found
+
+
+def write(folder, files):
+    """Write bytes or text under relative names; return the folder."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return folder
