@@ -171,48 +171,37 @@ def test_places_in_a_gltf_file_go_back_through_its_nodes(form):
     )
 
 
+def moved(model, moves=MOVES):
+    """Return the JSON, the buffers and the notices of a model whose positions moved."""
+    document = GltfDocument(model.glb(), "model.glb", None)
+    places = MovedVertices(document.painted().positions + moves)
+    written = document.patch(None, Naming("out"), places=places)
+    return *unpacked(joined(written)), written.notices
+
+
 def test_an_accessor_that_something_else_uses_is_spared():
     model = Model()
     primitive = square(model)
     primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}]
     model.mesh(primitive)
-    document = GltfDocument(model.glb(), "model.glb", None)
-    places = MovedVertices(CORNERS + MOVES)
-    tree, buffers = unpacked(joined(document.patch(None, Naming("out"), places=places)))
+    tree, buffers, _ = moved(model)
     (primitive,) = tree["meshes"][0]["primitives"]
     assert np.array_equal(numbers(tree, buffers, primitive["targets"][0]["POSITION"]), CORNERS)
     assert np.allclose(numbers(tree, buffers, primitive["attributes"]["POSITION"]), CORNERS + MOVES)
 
 
-def test_what_is_drawn_with_the_same_positions_moves_along():
+def test_what_has_the_same_positions_moves_along_or_is_refused():
     model = Model()
-    painted = square(model)
-    outline = {"attributes": {"POSITION": painted["attributes"]["POSITION"]}, "mode": 2}
-    model.mesh(painted, outline)
-    document = GltfDocument(model.glb(), "model.glb", None)
-    written = document.patch(None, Naming("out"), places=MovedVertices(CORNERS + MOVES))
-    tree, buffers = unpacked(joined(written))
+    first, second = square(model), square(model, colours=np.tile(np.array([90, 80, 70], "u1"), (4, 1)))
+    second["attributes"]["POSITION"] = first["attributes"]["POSITION"]
+    outline = {"attributes": {"POSITION": first["attributes"]["POSITION"]}, "mode": 2}
+    model.mesh(first, second, outline)
+    tree, buffers, notices = moved(model, np.concatenate([MOVES, MOVES]))
     assert tree["meshes"] == model.tree["meshes"]
     assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES)
-    assert any("normals" in notice for notice in written.notices)
-
-
-@pytest.mark.parametrize("apart", [False, True])
-def test_parts_that_share_positions_move_together_or_not_at_all(apart):
-    model = Model()
-    first = square(model)
-    second = square(model, colours=np.tile(np.array([90, 80, 70], "u1"), (4, 1)))
-    second["attributes"]["POSITION"] = first["attributes"]["POSITION"]
-    model.mesh(first, second)
-    document = GltfDocument(model.glb(), "model.glb", None)
-    moves = np.concatenate([MOVES, np.zeros((4, 3)) if apart else MOVES])
-    places = MovedVertices(document.painted().positions + moves)
-    if apart:
-        with pytest.raises(InputError, match=r"accessors\[0\].*move apart"):
-            document.patch(None, Naming("out"), places=places)
-        return
-    tree, buffers = unpacked(joined(document.patch(None, Naming("out"), places=places)))
-    assert np.allclose(numbers(tree, buffers, 0), CORNERS + MOVES)
+    assert any("normals" in notice for notice in notices)
+    with pytest.raises(InputError, match=r"accessors\[0\].*move apart"):
+        moved(model, np.concatenate([MOVES, 0 * MOVES]))
 
 
 @pytest.mark.parametrize(

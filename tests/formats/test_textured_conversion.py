@@ -54,12 +54,12 @@ usemtl outer skin
 f 2/1/1 3/2/2 5/3/3
 f 3 4 5
 """
+FILES = {"model.obj": OBJ, "m.mtl": MTL, **{f"{name}.png": data for name, data in IMAGES.items()}}
 
 
 @pytest.fixture
 def model(tmp_path):
-    images = {f"{name}.png": data for name, data in IMAGES.items()}
-    return write(tmp_path / "in", {"model.obj": OBJ, "m.mtl": MTL, **images}) / "model.obj"
+    return write(tmp_path / "in", FILES) / "model.obj"
 
 
 def converted(source, target):
@@ -187,10 +187,7 @@ def test_smoothed_textures_and_colours_are_those_of_the_own_format(model, tmp_pa
 def test_images_that_gltf_cannot_hold_become_png_with_the_same_pixels(tmp_path):
     pixels = noise("uint8", 3, 8, 8)
     mtl = MTL.replace("skin.png", "skin.tga")
-    images = {f"{name}.png": data for name, data in IMAGES.items()}
-    folder = write(
-        tmp_path / "in", {"model.obj": OBJ, "m.mtl": mtl, "skin.tga": encode(pixels, "targa"), **images}
-    )
+    folder = write(tmp_path / "in", {**FILES, "m.mtl": mtl, "skin.tga": encode(pixels, "targa")})
     mesh, said = converted(folder / "model.obj", tmp_path / "out.glb")
     image = mesh.images[next(m for m in mesh.materials if m.maps).maps["baseColor"].image]
     assert image.file.suffix == ".png"
@@ -260,9 +257,8 @@ def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_
         .replace("vt 1 1.5", "vt 1e300 1")
     )
     mtl = MTL.replace("outer skin", "Haut \xe4")
-    images = {f"{name}.png": data for name, data in IMAGES.items()}
     folder = write(
-        tmp_path / "in", {"model.obj": obj.encode("latin-1"), "m.mtl": mtl.encode("latin-1"), **images}
+        tmp_path / "in", {**FILES, "model.obj": obj.encode("latin-1"), "m.mtl": mtl.encode("latin-1")}
     )
     for name in ("out.glb", "out.gltf", "out.ply", "back/out.obj"):
         source = folder / "model.obj" if "obj" not in name else tmp_path / "out.glb"
