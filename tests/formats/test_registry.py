@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from formats.gltf_comparison import with_better_image
+from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import coloured
 from formats.gltf_showcase import showcase
 from formats.image_files import encode, noise
@@ -30,7 +32,7 @@ from formats.tile_files import part, tiled_model
 from formats.usd_files import BOUND, COLOURS, PICTURE, material_text, mesh_text, scene
 from formats.usd_files import coloured as painted
 from formats.volume_files import npz
-from hostile.folders import write as write_files
+from hostile.folders import write
 from hostile.textured_models import write_model
 
 
@@ -115,12 +117,8 @@ SLOTS = ("baseColor", "normal", "emissive", "occlusion")
 MAPS = "newmtl skin\nmap_Kd c.png\nmap_Ka c.png\nnorm n.png\nmap_Ke c.png\nmap_Ks shine.png\n"
 
 
-def square(kind):
-    def write(folder):
-        (folder / "skin.png").write_bytes(PICTURE)
-        return write_model(folder, kind, "skin.png")
-
-    return write
+def painted_vertices():
+    return coloured("dense", np.random.default_rng(1)).model
 
 
 def several_maps(folder):
@@ -131,24 +129,9 @@ def several_maps(folder):
     return path
 
 
-def vertices(form):
-    return lambda folder: coloured("dense", np.random.default_rng(1)).model.written_to(folder, form)
-
-
-def compressed(kind):
-    """The colours are decoded from a buffer, which changes, or from one that stays and is added to."""
-
-    def write(folder):
-        files = pytest.importorskip("formats.gltf_compressed")
-        levels = np.random.default_rng(1).integers(0, 256, (len(files.GRID), 3), np.uint8)
-        return getattr(files, f"{kind}_model")(levels).written_to(folder, "gltf")
-
-    return write
-
-
 def in_two_buffers(folder):
     """The second buffer holds the colours, the first nothing that changes."""
-    path = vertices("gltf")(folder)
+    path = painted_vertices().written_to(folder, "gltf")
     text = path.read_text().replace('"buffers": [', '"buffers": [{"byteLength": 4, "uri": "other.bin"},')
     path.write_text(text.replace('"buffer": 0', '"buffer": 1'))
     (folder / "other.bin").write_bytes(bytes(4))
@@ -165,29 +148,27 @@ def with_fallback(folder):
     return model.written_to(folder, "gltf")
 
 
-def usd(*prims):
-    def write(folder):
-        write_files(folder, {"scan.usda": scene(*prims), "skin.png": PICTURE})
-        return folder / "scan.usda"
-
-    return write
-
-
+LEVELS = np.random.default_rng(1).integers(0, 256, (len(GRID), 3), np.uint8)
+USD = {
+    "usda": scene(mesh_text(BOUND), material_text("skin.png")),
+    "usda vertices": scene(mesh_text(painted(COLOURS))),
+}
+# The colours of compressed models are decoded from a buffer, which changes, or from one that stays and is added to.
 MODELS = {
-    "obj": square("obj"),
-    "ply": square("ply"),
-    "gltf": square("gltf"),
+    **{kind: partial(write_model, kind=kind, image="skin.png") for kind in ("obj", "ply", "gltf")},
     "obj maps": several_maps,
     "obj tiles": tiled_model,
     "gltf everything": lambda folder: showcase("file").written_to(folder, "gltf"),
     "glb everything": lambda folder: showcase("view").written_to(folder, "glb"),
-    "gltf vertices": vertices("gltf"),
+    "gltf vertices": lambda folder: painted_vertices().written_to(folder, "gltf"),
     "gltf two buffers": in_two_buffers,
-    "gltf draco": compressed("draco"),
-    "gltf meshopt": compressed("meshopt"),
+    "gltf draco": lambda folder: draco_model(LEVELS).written_to(folder, "gltf"),
+    "gltf meshopt": lambda folder: meshopt_model(LEVELS).written_to(folder, "gltf"),
     "gltf fallback": with_fallback,
-    "usda": usd(mesh_text(BOUND), material_text("skin.png")),
-    "usda vertices": usd(mesh_text(painted(COLOURS))),
+    **{
+        name: lambda folder, text=text: write(folder, {"scan.usda": text}) / "scan.usda"
+        for name, text in USD.items()
+    },
 }
 TARGETS = sorted({*OUTPUT_FORMATS.values()} - {"usd", "usdc"})
 
@@ -217,6 +198,7 @@ def add_noise(source, target, image_suffix=None):
 def test_the_names_planned_are_those_written(model, target, suffix, announced, tmp_path, usd_core_here):
     if model.startswith("usd"):
         pytest.importorskip("pxr")
+    write(tmp_path, {"skin.png": PICTURE})
     (tmp_path / "out").mkdir()
     source = MODELS[model](tmp_path)
     targets = {"here": "new", "there": "out/new", "in place": source.stem}
@@ -236,6 +218,7 @@ def test_the_names_planned_for_another_format_are_those_written(
 ):
     if model.startswith("usd") or form.startswith("usd"):
         pytest.importorskip("pxr")
+    write(tmp_path, {"skin.png": PICTURE})
     (tmp_path / "out").mkdir()
     try:
         add_noise(MODELS[model](tmp_path), tmp_path / "out" / f"new.{form}")
