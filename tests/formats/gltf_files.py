@@ -13,6 +13,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.formats.document import Naming
 
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
@@ -275,6 +276,12 @@ def only_input_errors():
 def joined(written):
     """Return the main file of a `Written`."""
     return b"".join(bytes(piece) for piece in written.main)
+
+
+def patched(document, colours):
+    """Return the main file of a document of any format with other colours; None: the present ones."""
+    new = None if colours is None else np.asarray(colours, np.float32)
+    return joined(document.patch(new, Naming("out")))
 
 
 PNG, JPEG, WEBP, KTX2 = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff\xe0", b"RIFF\0\0\0\0WEBP", b"\xabKTX 20\xbb"

@@ -14,7 +14,7 @@ from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.formats.tokens import exchange_tokens, find_tokens, read_numbers
 from cli.commands import beltrami
-from formats.patching import patched
+from formats.gltf_files import patched
 from small_models import ply
 
 COUNT = 1000

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.obj.document import ObjDocument
-from formats.patching import patched
+from formats.gltf_files import patched
 
 THREE = b"v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n"
 

@@ -14,7 +14,7 @@ from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.surface.records import ImageFile
-from formats.patching import patched
+from formats.gltf_files import patched
 from formats.ply_files import CODES, ENCODINGS, Table, build, coloured
 
 FAMILIES = (

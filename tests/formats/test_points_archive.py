@@ -19,7 +19,7 @@ from beltrami_cli.formats.archives import NpzArchive
 from beltrami_cli.formats.points.archive import NpzPointsDocument
 from beltrami_cli.formats.registry import open_document
 from cli.commands import beltrami, refused
-from formats.patching import patched
+from formats.gltf_files import patched
 from formats.volume_files import npz
 
 POSITIONS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]])

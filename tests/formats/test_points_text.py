@@ -10,7 +10,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.points.text_document import TextPointsDocument
 from beltrami_cli.formats.registry import open_bytes
 from beltrami_cli.jobs.inspect import check_files
-from formats.patching import patched
+from formats.gltf_files import patched
 
 RGB = ("red", "green", "blue")
 COUNT = 400
@@ -101,13 +101,11 @@ def columns():
     shades = np.clip(np.rint(rng.normal((200, 120, 60), 12, (COUNT, 3))), 0, 255).astype(int)
     normals = rng.normal(size=(COUNT, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    up = np.tile([0, 0, 1], (COUNT, 1))
     known = {axis: rng.uniform(-50, 50, COUNT) for axis in "xyz"}
-    known |= dict(zip("rgb", shades.T, strict=True))
-    known |= {f"{name}f": shade / 255 for name, shade in zip("rgb", shades.T, strict=True)}
-    known |= {f"{name}16": shade * 257 for name, shade in zip("rgb", shades.T, strict=True)}
-    known |= {f"n{axis}": normal for axis, normal in zip("xyz", normals.T, strict=True)}
-    known |= {f"u{axis}": normal for axis, normal in zip("xyz", up.T, strict=True)}
+    for name, shade in zip("rgb", shades.T, strict=True):
+        known |= {name: shade, f"{name}f": shade / 255, f"{name}16": shade * 257}
+    for axis, normal in zip("xyz", normals.T, strict=True):
+        known |= {f"n{axis}": normal, f"u{axis}": np.full(COUNT, float(axis == "z"))}
     known["class"] = rng.choice([2, 3, 6, 9], COUNT)
     known["return"] = rng.integers(1, 4, COUNT)
     known["returns"] = rng.integers(3, 5, COUNT)

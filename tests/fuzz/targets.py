@@ -11,9 +11,15 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
 import numpy as np
 
 from beltrami_cli import smooth
+from beltrami_cli.batch.item import Item, _read_record, is_done, is_ours
+from beltrami_cli.batch.plan import plan
+from beltrami_cli.cli.batch import _settings
+from beltrami_cli.cli.config import load
+from beltrami_cli.cli.main import group
 from beltrami_cli.errors import BeltramiError, InputError, UsageError
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
@@ -22,11 +28,12 @@ from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
 from beltrami_cli.formats.usd.layers import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
+from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ImageFile
-from fuzz.data_targets import read_configuration, read_manifest, read_record, read_report
+from beltrami_cli.view.report import _parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from beltrami_cli.formats.document import Document, Written
 
@@ -36,13 +43,13 @@ SEPARATOR = b"\n=== "
 ACCESS = Access(memory=1 << 28)
 MOST_SAMPLES = 1 << 20
 _MOST_KERNEL = 300  # vertices, so that a run takes milliseconds
-_SHARED_MEMORY = "/dev/shm"  # where there is one, files in it never reach a disk
+_SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # so that files never reach a disk
 
 
 def read_model(data: bytes, name: str) -> None:
     """Read a model with the files beside it, use every road through it, write it and compare."""
     main, *others = data.split(SEPARATOR)
-    with tempfile.TemporaryDirectory(dir=_SHARED_MEMORY if Path(_SHARED_MEMORY).is_dir() else None) as folder:
+    with tempfile.TemporaryDirectory(dir=_SCRATCH) as folder:
         for other in others[:4]:
             path, _, content = other.partition(b"\n")
             _write(Path(folder), os.fsdecode(path), content)
@@ -166,6 +173,48 @@ def smooth_arrays(data: bytes) -> None:
         slack = 1e-5 * np.maximum(1, np.maximum(np.abs(low), np.abs(high)))
         assert (result >= low - slack).all()
         assert (result <= high + slack).all()
+
+
+@contextlib.contextmanager
+def _written(name: str, data: bytes) -> Iterator[Path]:
+    """Write a file that is read as data, and beside it one that manifests can name."""
+    with tempfile.TemporaryDirectory(dir=_SCRATCH) as folder:
+        (Path(folder) / "a.ply").write_bytes(b"")
+        (Path(folder) / name).write_bytes(data)
+        yield Path(folder) / name
+
+
+def read_configuration(data: bytes) -> None:
+    """Read a configuration that is named, and what it says for two commands."""
+    with _written("pyproject.toml" if data[:1] == b"\1" else "beltrami.toml", data) as path:
+        configuration = load(str(path))
+        for command in ("smooth", "batch"):
+            group.defaults_from(configuration, command)
+
+
+def read_manifest(data: bytes) -> None:
+    """Read a manifest, whose kind the first byte says, and the parameters for each file."""
+    with _written("x" + (".toml", ".csv", ".jsonl")[data[0] % 3 if data else 1], data[1:]) as path:
+        for request in plan([str(path)], str(path.parent / "out"), "", None):
+            assert Path(request.target).is_relative_to(path.parent / "out")
+            # What the command puts behind the line's name.
+            with contextlib.suppress(click.UsageError, UsageError, ValueError):
+                _settings(request, {})
+
+
+def read_record(data: bytes) -> None:
+    """Read a record, and see whether it says that files are done, or may be replaced."""
+    with _written("batch.jsonl", data) as path:
+        item = Item(str(path.with_name("a.ply")), str(path.with_name("b.ply")), DEFAULTS)
+        for outcome in _read_record(str(path)).values():
+            assert not is_done(item, outcome)
+            is_ours(outcome)
+
+
+def read_report(data: bytes) -> None:
+    """Read the report of a run as a page shows it."""
+    with _written("run.json", data) as path:
+        assert "<script" not in _parameters(str(path), Access())
 
 
 def named(name: str) -> Callable[[bytes], None]:

@@ -15,6 +15,7 @@ from beltrami_cli.view.models import ModelWriter
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import painted_square, plain_image, textured_square
 from formats.gltf_validator import issues, needs_validator
+from oracles import surfaces
 from view.browsing import BLUE, RED, WHITE, Viewer
 
 pytestmark = pytest.mark.slow
@@ -167,11 +168,8 @@ RESTORED = """async (packed) => {
 def scattered(side):
     """A bumpy mesh of noisy colours in bytes, whose vertices and triangles are in no order."""
     random = np.random.default_rng(5)
-    places = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=2).reshape(-1, 2) / (side - 1)
-    positions = np.column_stack([places, 0.1 * np.sin(9 * places).prod(axis=1)])
-    positions[:, 2] += random.normal(0, 2e-4, len(positions))
-    first = np.arange(side * side).reshape(side, side)[:-1, :-1].ravel()
-    faces = np.concatenate([first[:, None] + [0, 1, side + 1], first[:, None] + [0, side + 1, side]])
+    positions, faces = surfaces.plane(side, side, 1 / (side - 1))
+    positions[:, 2] = 0.1 * np.sin(9 * positions[:, :2]).prod(axis=1) + random.normal(0, 2e-4, side**2)
     order = random.permutation(len(positions))
     faces = random.permutation(np.argsort(order)[faces]).astype(np.int32)
     colours = (random.integers(90, 110, (len(positions), 3)) / 255).astype(np.float32)
