@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from formats.test_extra_codecs import needs
+from formats.test_image_kinds import needs
 
 pytestmark = [
     pytest.mark.slow,

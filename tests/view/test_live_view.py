@@ -1,18 +1,31 @@
-"""`beltrami view`: a page that smooths, for those who may see it only, and what it saves."""
+"""`beltrami view`: a page that smooths, for those who may see it only, and what it saves.
+
+Its server: who may ask, and requests that no page sends, which change nothing.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import http.client
+import json
 import re
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
+import threading
 import time
 
 import numpy as np
 import pytest
 
 from beltrami_cli.formats.image import read_image
+from beltrami_cli.jobs.job import Job
+from beltrami_cli.layers.settings import SmoothSettings
+from beltrami_cli.view import server
+from beltrami_cli.view.live import Live
+from beltrami_cli.view.server import PageServer
 from cli.commands import COMMAND, SAMPLES, beltrami
 from cli.pictures import textured_square
 from view.browsing import Served, Viewer
@@ -36,7 +49,7 @@ def served(tmp_path):
         each.process.stderr.close()
 
 
-class Live(Viewer):
+class LiveViewer(Viewer):
     """The page in a browser."""
 
     def data(self, name):
@@ -84,7 +97,7 @@ def test_a_signal_ends_it_in_one_line_with_its_code_while_work_goes_on(name):
 @pytest.mark.slow
 def test_a_change_arrives_and_closing_the_page_ends_the_program(browser, served):
     live = served(NOISY, "--strength", "gentle")
-    viewer = Live(browser, live.address)
+    viewer = LiveViewer(browser, live.address)
     assert viewer.page.locator("#strength").input_value() == "0.7"
     assert "--strength gentle" in viewer.page.locator("#command").inner_text()
     viewer.slide("strength", 1)
@@ -109,7 +122,7 @@ def test_a_change_arrives_and_closing_the_page_ends_the_program(browser, served)
 def test_previews_of_textures_and_images_come_before_the_whole(browser, served, tmp_path, suffix):
     noise = np.random.default_rng(1).integers(60, 200, (12, 12, 3))
     source = textured_square(tmp_path / "square.obj", noise).with_suffix(suffix)
-    viewer = Live(browser, served(source.name).address)
+    viewer = LiveViewer(browser, served(source.name).address)
     viewer.page.get_by_label("after", exact=True).check()
     viewer.wait_for("whole")
     rough = viewer.roughness()
@@ -127,7 +140,7 @@ def test_what_is_saved_is_what_smooth_writes_with_its_refusals(browser, served, 
     for name in ("mirrored-noisy.obj", "mirrored-noisy.mtl", "mirrored-noisy.png"):
         shutil.copy(SAMPLES / name, tmp_path)
     live = served("mirrored-noisy.obj")
-    viewer = Live(browser, live.address)
+    viewer = LiveViewer(browser, live.address)
     viewer.slide("iterations", 2)
     viewer.slide("beta", 9)
     target, save = viewer.page.locator("#target"), viewer.page.get_by_role("button", name="Save", exact=True)
@@ -154,7 +167,7 @@ def test_what_is_saved_is_what_smooth_writes_with_its_refusals(browser, served, 
 def test_noise_is_given_or_shown_as_estimated_and_refused_in_the_words_of_the_program(
     browser, served, tmp_path
 ):
-    viewer = Live(browser, served(NOISY).address)
+    viewer = LiveViewer(browser, served(NOISY).address)
     first, noise = viewer.wait_for("whole"), viewer.page.get_by_label("noise", exact=True)
     estimated = re.fullmatch(r"estimated: ([\d.]+/255)", noise.get_attribute("placeholder"))[1]
     assert re.search(r"noise\s+.*[\d.]+/255", viewer.page.locator("#used").inner_text())
@@ -178,7 +191,7 @@ def test_noise_is_given_or_shown_as_estimated_and_refused_in_the_words_of_the_pr
 @pytest.mark.slow
 def test_two_pages_are_apart_and_learn_that_the_program_was_killed(browser, served):
     live = served(NOISY)
-    one, other = Live(browser, live.address), Live(browser, live.address)
+    one, other = LiveViewer(browser, live.address), LiveViewer(browser, live.address)
     one.wait_for("whole")
     shown = other.wait_for("whole")
     one.slide("beta", 3)
@@ -196,9 +209,185 @@ def test_two_pages_are_apart_and_learn_that_the_program_was_killed(browser, serv
 
 @pytest.mark.slow
 def test_a_page_says_why_there_is_no_preview(browser, served):
-    viewer = Live(browser, served(SAMPLES / "torus-two-noisy.gltf", "--level", "-n", "1").address)
+    viewer = LiveViewer(browser, served(SAMPLES / "torus-two-noisy.gltf", "--level", "-n", "1").address)
     viewer.page.locator("#state", has_text="No preview: exposure steps are levelled").wait_for(timeout=30_000)
     viewer.wait_for("whole")
     assert viewer.page.locator("#state").inner_text() == "Done."
     assert viewer.data("previews") is None
     assert viewer.errors == []
+
+
+# One value of each type that JSON has, and some that only look right.
+VALUES = (None, True, 1, -1, 0.5, float("inf"), float("nan"), 10**30, "", "x", [], [1], [[1]], {}, {"a": 1})
+FOCUS = [0, 0, 0, 0, 0, 1.5]
+
+
+@pytest.fixture(scope="module")
+def live():
+    return Live(str(SAMPLES / "nonmanifold-noisy.ply"), SmoothSettings(), Job(), lambda *_: "command")
+
+
+@pytest.fixture
+def page_server(live):
+    made = PageServer(live.files, live.answer)
+    thread = threading.Thread(target=made.serve_forever, args=(0.01,), daemon=True)
+    thread.start()
+    yield made
+    made.shutdown()
+    made.server_close()
+    thread.join()
+
+
+def answered(page_server, method, path, body=None, **headers):
+    """Send a request, by default as from its own page; return the answer, which is read."""
+    connection = http.client.HTTPConnection(page_server.host, timeout=10)
+    with contextlib.closing(connection):
+        own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
+        sent = {name: value for name, value in {**own, **headers}.items() if value is not None}
+        connection.request(method, path, body, sent)
+        answer = connection.getresponse()
+        return answer, answer.read()
+
+
+def sent(page_server, name, body, **headers):
+    """Send a request from its own page; return the status and the message of the answer."""
+    answer, content = answered(page_server, "POST", f"/{page_server.token}/{name}", body, **headers)
+    return answer.status, json.loads(content).get("message")
+
+
+def test_only_those_with_the_token_and_from_its_own_origin_get_anything(page_server):
+    token, body = page_server.token, '{"values": {}}'
+    (name,) = (name for name in page_server.files if name)
+    assert answered(page_server, "GET", f"/{token}/{name}")[0].status == 200
+    assert answered(page_server, "GET", f"/{token}/", Origin=None)[0].status == 200
+    for method, path, headers in (
+        ("GET", "/", {}),
+        ("GET", f"/{name}", {}),
+        ("GET", f"/{token}", {}),
+        ("GET", f"/{token[:-1]}x/{name}", {}),
+        ("GET", f"/{token}/../../etc/passwd", {}),
+        ("GET", f"/{token}/{name}", {"Host": "evil.example"}),
+        ("GET", f"/{token}/{name}", {"Origin": "http://evil.example"}),
+        ("GET", f"/{token}/{name}", {"Sec-Fetch-Site": "cross-site"}),
+        ("POST", f"/{token}/save", {"Origin": None}),
+        ("POST", f"/{token}/save", {"Origin": "null"}),
+    ):
+        answer, content = answered(page_server, method, path, body if method == "POST" else None, **headers)
+        assert (answer.status, content) == (404, b""), (method, path, headers)
+    assert answered(page_server, "POST", f"/{token}/other", body)[0].status == 400
+
+
+def test_the_address_that_a_browser_is_started_with_is_good_once(page_server):
+    path = page_server.first_address.removeprefix(f"http://{page_server.host}")
+    for expected in (303, 404):
+        answer, _ = answered(page_server, "GET", path, Origin=None)
+        assert answer.status == expected
+        assert (answer.getheader("Location") == f"/{page_server.token}/") == (expected == 303)
+
+
+def test_the_program_ends_with_its_last_page_though_work_goes_on(monkeypatch):
+    monkeypatch.setattr("beltrami_cli.view.server._GRACE", 0.1)
+    is_worked = threading.Event()
+
+    def work(name, asked, request):
+        request.send(kind="accepted")
+        is_worked.wait(60)
+
+    server = PageServer({}, work)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    connection = http.client.HTTPConnection(server.host, timeout=10)
+    own = {"Host": server.host, "Origin": f"http://{server.host}"}
+    connection.request("POST", f"/{server.token}/change", "{}", own)
+    with contextlib.closing(connection), connection.getresponse() as answer:
+        assert answer.readline() == b'{"kind": "accepted"}\n'
+        thread.join(timeout=1)
+        assert thread.is_alive()
+    thread.join(timeout=30)
+    assert not thread.is_alive()
+    is_worked.set()
+
+
+MALFORMED = (400, "the request is malformed")
+
+
+BODIES = [
+    b"", b"[]", b"1", b"null", b"{", b"\xff", b'{"values": 1}', b"[" * 60_000, b'{"a":' * 10_000, b"{}" * 40_000,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: body[:12].decode(errors="replace"))
+def test_bodies_that_are_no_request(body, page_server):
+    for name in ("change", "save"):
+        assert sent(page_server, name, body) == MALFORMED
+
+
+@pytest.mark.parametrize("length", ["", "-1", "1.5", "x", "9" * 5000, "3"])
+def test_lengths_that_are_none_or_not_that_of_the_body(length, page_server, monkeypatch):
+    monkeypatch.setattr(server, "_BODY_SECONDS", 0.1)
+    assert sent(page_server, "change", None, **{"Content-Length": length}) == MALFORMED
+
+
+def test_a_body_that_ends_too_early(page_server):
+    host, port = page_server.host.split(":")
+    with socket.create_connection((host, int(port)), timeout=10) as connection:
+        origin = f"Host: {page_server.host}\r\nOrigin: http://{page_server.host}"
+        head = f"POST /{page_server.token}/change HTTP/1.1\r\n{origin}\r\nContent-Length: 20\r\n\r\n{{}}"
+        connection.sendall(head.encode())
+        connection.shutdown(socket.SHUT_WR)
+        assert connection.recv(12) == b"HTTP/1.0 400"
+
+
+CHANGE = {"values": {}, "target": "out.ply", "layer": 0, "focus": FOCUS}
+SAVE = {"values": {}, "target": "out.ply", "overwrite": False}
+WRONG = {
+    "layer": [-1, 1],
+    "focus": [[], [1], [[1]], [0, 0, float("nan")], [0, 0, "x"], [*FOCUS[:5], True], [*FOCUS, 1]],
+}
+
+
+@pytest.mark.parametrize(
+    ("request_name", "name"), [*(("change", name) for name in CHANGE), *(("save", name) for name in SAVE)]
+)
+def test_parts_of_another_type_save_and_change_nothing(request_name, name, page_server, live, monkeypatch):
+    saved, right = [], {"change": CHANGE, "save": SAVE}[request_name]
+    monkeypatch.setattr(live, "_save", lambda *_, **__: saved.append(1))
+    for value in (*WRONG.get(name, ()), *(each for each in VALUES if type(each) is not type(right[name]))):
+        body = json.dumps({**right, name: value})
+        assert sent(page_server, request_name, body) == MALFORMED, value
+    if request_name == "save":
+        lacking = {key: value for key, value in right.items() if key != name}
+        assert sent(page_server, "save", json.dumps(lacking)) == MALFORMED
+    assert not page_server.answered
+    assert saved == []
+
+
+@pytest.mark.slow
+def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server):
+    connection = http.client.HTTPConnection(page_server.host, timeout=10)
+    own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
+    connection.request("POST", f"/{page_server.token}/change", json.dumps(CHANGE), own)
+    assert json.loads(connection.getresponse().readline()) == {"kind": "accepted", "command": "command"}
+    assert page_server.answered
+    connection.close()
+    end = time.monotonic() + 60
+    while page_server.answered:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("control", ["iterations", "t", "beta", "noise", "strength", "patches", "slots"])
+def test_values_of_another_type_are_refused_in_a_sentence(control, page_server):
+    for value in (True, [[1]], {"a": 1}, "x", -1, float("nan")):
+        status, said = sent(page_server, "save", json.dumps({"values": {control: value}, "target": "-"}))
+        assert status == 409, value
+        assert control in said or "noise" in said
+
+
+def test_an_unexpected_error_is_answered(page_server, live, monkeypatch):
+    def fail(*_, **__):
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr(live, "_save", fail)
+    said = "unexpected error: ZeroDivisionError: of ours"
+    assert sent(page_server, "save", json.dumps(SAVE)) == (500, said)
