@@ -169,12 +169,13 @@ def check_rest(source, path):
     assert [place for place in json_differences(before[0], after[0]) if not re.fullmatch(free, place)] == []
 
 
-def with_images(folder, count, form="glb", place="view"):
+def with_images(count=1, place="view", size=50):
+    """Return triangles with an image each."""
     model = Textured(place)
     for number in range(count):
-        texture = model.texture(model.image(picture(number, size=300), f"{number}.png"))
+        texture = model.texture(model.image(picture(number + 1, size=size), f"{number}.png"))
         model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture), translation=[number, 0, 0])
-    return model.written_to(folder, form)
+    return model
 
 
 def with_better_image(known, better, fallback=None):

@@ -14,6 +14,7 @@ import numpy as np
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
+from beltrami_cli.formats.gltf.document import GltfDocument
 
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
@@ -62,19 +63,14 @@ class Model:
 
     def packed(self, array, **more):
         """Put an array into a view of its own."""
-        array = np.asarray(array)
-        size = array.dtype.itemsize * array.shape[1]
-        stride = -(-size // 4) * 4
-        octets = np.full((len(array), stride), 0xEE, np.uint8)
-        octets[:, :size] = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), size)
-        return self.accessor(array, self.view(octets.tobytes(), byteStride=stride), **more)
+        return self.interleaved(array, **more)[0]
 
     def indices(self, array):
         return self.accessor(array.reshape(-1, 1), self.view(array.tobytes()))
 
     def interleaved(self, *arrays, **more):
         """Put arrays side by side into one view; `more` is for the last of them."""
-        offsets, stride = [], 0
+        arrays, offsets, stride = [*map(np.ascontiguousarray, arrays)], [], 0
         for array in arrays:
             offsets.append(stride)
             stride += -(-array.dtype.itemsize * array.shape[1] // 4) * 4
@@ -113,7 +109,8 @@ class Model:
     def glb(self, *more_chunks, **style):
         self.tree["buffers"][0] = {"byteLength": len(self.binary)}
         text = json.dumps(self.tree, ensure_ascii=False, **style).encode()
-        chunks = [(b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\0", self._padded()), *more_chunks]
+        padded = bytes(self.binary) + bytes(-len(self.binary) % 4)
+        chunks = [(b"JSON", text + b" " * (-len(text) % 4)), (b"BIN\0", padded), *more_chunks]
         body = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
         return b"glTF" + struct.pack("<II", 2, 12 + len(body)) + body
 
@@ -138,8 +135,8 @@ class Model:
         path.write_bytes(forms[form]())
         return path
 
-    def _padded(self):
-        return bytes(self.binary) + bytes(-len(self.binary) % 4)
+    def document(self):
+        return GltfDocument(self.glb(), "model.glb", None)
 
 
 @dataclass

@@ -39,10 +39,6 @@ EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 COLOURS = np.random.default_rng(7).integers(0, 256, (len(GRID), 4)).astype("u1")
 
 
-def document(model):
-    return GltfDocument(model.glb(), "model.glb", None)
-
-
 def by_point(positions, values):
     """Return values by the points of the grid, whatever the order of the vertices."""
     points = map(tuple, np.rint(positions).astype(int).tolist())
@@ -81,7 +77,7 @@ def test_colours_triangles_and_coordinates_are_those_that_were_compressed(make, 
     model.tree["meshes"][0]["primitives"][0]["material"] = model.material(
         baseColor=model.texture(model.image(picture(1)))
     )
-    painted, surface = document(model).painted(), document(model).textured("baseColor")
+    painted, surface = model.document().painted(), model.document().textured("baseColor")
     assert triangles(painted.positions, painted.faces) == triangles(GRID, CORNERS)
     stored = np.rint(painted.colours * np.float64(full)).astype(int)
     assert by_point(painted.positions, stored) == by_point(GRID, COLOURS[:, :3])
@@ -94,7 +90,7 @@ def test_colours_triangles_and_coordinates_are_those_that_were_compressed(make, 
 @pytest.mark.parametrize("in_order", [True, False])
 def test_new_colours_lie_beside_the_compressed_data_which_stays(in_order):
     model = draco_model(COLOURS, in_order=in_order)
-    opened = document(model)
+    opened = model.document()
     painted = opened.painted()
     after = joined(opened.patch(1 - painted.colours, Naming("out")))
     (old, old_buffers), (new, new_buffers) = unpacked(model.glb()), unpacked(after)
@@ -139,7 +135,7 @@ def test_accessors_that_describe_several_meshes_are_kept_apart(same, stranger, s
         ]
     model.mesh(first)
     model.mesh(second, translation=[9, 0, 0])
-    opened = document(model)
+    opened = model.document()
     painted = opened.painted()
     assert len(painted.positions) == len(GRID) * (1 if same else 2)
     data = joined(opened.patch(1 - painted.colours, Naming("out")))
@@ -156,7 +152,7 @@ def test_textures_on_compressed_meshes_are_replaced():
     model.mesh(draco_primitive(model, COLOURS, material=material))
     new = ImageFile(picture(2, size=400), ".png")
     images = {("baseColor", "image 0"): new}
-    after = joined(document(model).patch(None, Naming("out"), images=images))
+    after = joined(model.document().patch(None, Naming("out"), images=images))
     before, now = unpacked(model.glb()), unpacked(after)
     assert byte_differences(before, now) == {"image"}
     assert set(json_differences(before[0], now[0])) <= {
@@ -178,7 +174,7 @@ def test_an_uncompressed_substitute_gets_the_same_colours_if_its_vertices_are_in
     for accessor, array in plain.items():
         model.tree["accessors"][accessor]["bufferView"] = model.view(array.tobytes())
     model.mesh(primitive)
-    opened = document(model)
+    opened = model.document()
     colours = 1 - opened.painted().colours
     if is_turned:
         with pytest.raises(InputError, match="another order than its uncompressed fallback"):
@@ -199,7 +195,7 @@ def test_points_are_refused_however_many_they_claim_to_be(claimed):
         points[11 : 11 + len(claimed)] = claimed  # the number of points, for which memory would be taken
     model.tree["meshes"][0]["primitives"][0]["extensions"][DRACO]["bufferView"] = model.view(bytes(points))
     with pytest.raises(InputError, match="holds points, not triangles"):
-        document(model).painted()
+        model.document().painted()
 
 
 def stored_after(opened, colours):
@@ -230,7 +226,7 @@ def test_octahedral_normals_are_decoded(kind):
         normalized=True,
     )  # fmt: skip
     model.tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
-    found, exact = document(model).attribute("normal"), expected[:, :3].astype(float)
+    found, exact = model.document().attribute("normal"), expected[:, :3].astype(float)
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     np.testing.assert_allclose(found, exact, atol=2 / top)  # one level: the decoder is of single precision
 
@@ -243,7 +239,7 @@ def test_exponents_of_positions_are_decoded():
         model, GRID, filtered=packed.astype("<i4"), filter_name="EXPONENTIAL", bounds=True
     )
     model.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = position
-    np.testing.assert_array_equal(document(model).painted().positions, GRID)
+    np.testing.assert_array_equal(model.document().painted().positions, GRID)
 
 
 @pytest.mark.parametrize("kind", ["u1", "u2"])
@@ -258,7 +254,7 @@ def test_luma_and_chroma_are_decoded_and_stored_as_colours_again(kind):
     stored = expected.astype(f"<{kind}")
     colour = packed_attribute(model, stored, filtered=filtered, filter_name="COLOR", normalized=True)
     model.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = colour
-    opened = document(model)
+    opened = model.document()
     contents = opened.contents()
     found = np.column_stack([contents.colours, contents.alpha]).astype(float)
     np.testing.assert_array_equal(np.rint(found * top), expected)
@@ -317,7 +313,7 @@ def test_colours_interleaved_with_other_attributes_leave_these_alone():
     attributes = model.tree["meshes"][0]["primitives"][0]["attributes"]
     attributes["POSITION"] = model.accessor(GRID, view, bounds=True)
     attributes["COLOR_0"] = model.accessor(COLOURS, view, offset=12, normalized=True)
-    opened = document(model)
+    opened = model.document()
     after = stored_after(opened, 1 - opened.painted().colours)
     np.testing.assert_array_equal(after[attributes["COLOR_0"]][:, :3], 255 - COLOURS[:, :3])
     np.testing.assert_array_equal(after[attributes["POSITION"]], GRID)
@@ -329,7 +325,7 @@ def test_data_that_two_views_share_is_not_written_over():
     views.append(json.loads(json.dumps(views[1])))
     accessors.append({**accessors[1], "bufferView": len(views) - 1})
     model.tree["meshes"][0]["primitives"][0]["attributes"]["_KEPT"] = len(accessors) - 1
-    opened = document(model)
+    opened = model.document()
     flat = np.full_like(opened.painted().colours, 0.5)  # which takes less room than noise
     after = stored_after(opened, flat)
     np.testing.assert_array_equal(after[-1], COLOURS)
@@ -339,7 +335,7 @@ def test_data_that_two_views_share_is_not_written_over():
 @pytest.mark.parametrize("changed", [False, True])
 def test_compressed_views_survive_the_way_to_text_and_back(tmp_path, changed):
     model = meshopt_model(COLOURS)
-    opened = document(model)
+    opened = model.document()
     colours = 1 - opened.painted().colours if changed else None
     text = opened.patch(colours, Naming("out", keeps=True), form="gltf")
     for name, octets in text.sidecars.items():
@@ -380,7 +376,7 @@ def test_a_substitute_that_becomes_part_of_the_file_is_no_substitute_any_more(tm
     ],
 )
 def test_without_a_package_its_extra_is_named(make, module, extra, extension, monkeypatch):
-    opened = document(make(COLOURS))
+    opened = make(COLOURS).document()
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError) as caught:
         opened.painted()
@@ -394,7 +390,7 @@ def test_colours_compressed_as_indices_are_refused_rather_than_damaged(mode):
     model = meshopt_model(COLOURS)
     view = packed_view(model, np.arange(len(GRID), dtype="<u4").tobytes(), 4, mode)
     model.tree["accessors"][1]["bufferView"] = view
-    opened = document(model)
+    opened = model.document()
     colours = opened.painted().colours
     with pytest.raises(InputError, match=f"mode: is {mode}, which is not for vertex data"):
         opened.patch(1 - colours, Naming("out"))

@@ -246,14 +246,6 @@ def put(value, path, last):
     return (value or {}) | {key: put((value or {}).get(key), rest, last)}
 
 
-def with_image(place="view", **more):
-    """Return a square that shows one image."""
-    model = Textured(place)
-    texture = model.texture(model.image(picture(1, **more)))
-    model.triangles(SQUARE, SQUARE[:, :2], model.material(baseColor=texture))
-    return model
-
-
 def repainted(source, new, key="image 0", **naming):
     """Replace an image of a file."""
     return open_document(str(source)).patch(None, Naming("out", **naming), images={("baseColor", key): new})
@@ -261,7 +253,7 @@ def repainted(source, new, key="image 0", **naming):
 
 @pytest.mark.parametrize("path", INDICES)
 def test_only_what_shows_a_texture_keeps_it_as_it_was(tmp_path, path):
-    model = with_image()
+    model = with_images()
     model.tree = put(model.tree, path, {"index": 0, "weight": 1})
     source = model.written_to(tmp_path)
     target = save(repainted(source, new_image(1)), "o.glb", tmp_path)
@@ -312,7 +304,7 @@ def test_webp_stays_webp_or_leaves_no_trace(tmp_path, fallback, suffix):
 def test_image_files_are_named_after_the_output_and_spare_the_sources(
     tmp_path, name, suffix, moved, expected
 ):
-    model = with_image("file")
+    model = with_images(place="file")
     model.tree["images"][0]["uri"] = name.replace("%", "%25").replace(" ", "%20")
     model.tree["images"].append({"uri": "Taken.jpg"})
     model.files = {name: picture(1), "Taken.jpg": picture(3)}
@@ -323,7 +315,7 @@ def test_image_files_are_named_after_the_output_and_spare_the_sources(
 
 
 def test_a_name_that_stays_keeps_its_spelling(tmp_path):
-    model = with_image("file")
+    model = with_images(place="file")
     model.tree["images"][0]["uri"] = "sk%69n,(1).png"
     model.files = {"skin,(1).png": picture(1)}
     source = model.written_to(tmp_path, "gltf")
@@ -337,23 +329,23 @@ def test_a_name_that_stays_keeps_its_spelling(tmp_path):
     [("glb", "view"), ("glb", "file"), ("gltf", "view"), ("gltf", "data"), ("gltf", "file")],
 )
 def test_images_are_replaced_on_the_way_to_the_other_form(tmp_path, place, form):
-    document = open_document(str(with_images(tmp_path, 2, form, place)))
+    document = open_document(str(with_images(2, place, 300).written_to(tmp_path, form)))
     other = "gltf" if form == "glb" else "glb"
     images = {("baseColor", "image 1"): new_image(1, ".jpg")}
     written = document.patch(None, Naming("out"), form=other, images=images)
     found = shown(save(written, f"out.{other}", tmp_path))
-    assert [data for data, _ in found.values()] == [picture(0, size=300), new_image(1, ".jpg").data]
+    assert [data for data, _ in found.values()] == [picture(1, size=300), new_image(1, ".jpg").data]
 
 
 def test_types_that_gltf_cannot_hold_are_refused(tmp_path):
     with pytest.raises(OutputError, match=r"cannot hold \.exr textures.*--texture-format"):
-        repainted(with_image().written_to(tmp_path), ImageFile(b"v/1", ".exr"))
+        repainted(with_images().written_to(tmp_path), ImageFile(b"v/1", ".exr"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("form", "every"), [("glb", True), ("glb", False), ("gltf", True), ("data", False)])
 def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, every):
-    path, rng, largest = with_images(tmp_path, 3, form), np.random.default_rng(5), 400
+    path, rng, largest = with_images(3, size=300).written_to(tmp_path, form), np.random.default_rng(5), 400
     first = opened(path)[0]
     start = first["buffers"][0]["byteLength"]
     for run in range(40):
@@ -379,7 +371,7 @@ def test_repeated_patches_do_not_grow_the_file_without_bound(tmp_path, form, eve
 
 @pytest.mark.parametrize("reader", ["part of it", "all of it", "right behind it", "lights of the scene"])
 def test_bytes_that_something_else_reads_stay_where_they_are(tmp_path, reader):
-    model = with_image(size=80)
+    model = with_images(size=80)
     index = model.tree["images"][0]["bufferView"]
     view = model.tree["bufferViews"][index]
     if reader == "part of it":

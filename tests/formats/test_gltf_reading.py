@@ -19,10 +19,6 @@ from formats.gltf_showcase import showcase
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 
 
-def document(model):
-    return GltfDocument(model.glb(), "model.glb", None)
-
-
 def triangle(model, colours=None, positions=TRIANGLE, **more):
     colours = np.eye(3, dtype="<f4") if colours is None else colours
     attributes = {"POSITION": model.packed(positions), "COLOR_0": model.packed(colours)}
@@ -62,7 +58,7 @@ def test_every_mode_draws_the_triangles_of_the_specification(mode, kind, size, s
         corners = rng.integers(0, 7, size).astype(kind)
         primitive["indices"] = model.indices(corners)
     model.mesh(primitive)
-    np.testing.assert_array_equal(document(model).painted().faces, drawn(mode, corners.tolist()))
+    np.testing.assert_array_equal(model.document().painted().faces, drawn(mode, corners.tolist()))
 
 
 numbers = st.floats(-4, 4, width=32)
@@ -91,7 +87,7 @@ def test_world_positions_agree_with_trimesh_on_node_hierarchies(data):
             nodes[parent].setdefault("children", []) if parent >= 0 else model.tree["scenes"][0]["nodes"]
         )
         siblings.append(index)
-    found = document(model).painted().positions.reshape(count, 3, 3)
+    found = model.document().painted().positions.reshape(count, 3, 3)
     scene = trimesh.load(trimesh.util.wrap_as_stream(model.glb()), file_type="glb", process=False)
     other = np.array([mesh.triangles[0] for mesh in scene.dump()])
     for place in found:
@@ -103,7 +99,7 @@ def test_a_skinned_mesh_stays_where_it_is_stored():
     model = Model()
     model.mesh(triangle(model), translation=[5, 6, 7], skin=0)
     model.tree["skins"] = [{"joints": [0]}]
-    np.testing.assert_array_equal(document(model).painted().positions, TRIANGLE)
+    np.testing.assert_array_equal(model.document().painted().positions, TRIANGLE)
 
 
 def test_primitives_that_share_a_pair_share_rows():
@@ -111,7 +107,7 @@ def test_primitives_that_share_a_pair_share_rows():
     first = triangle(model, indices=model.indices(np.array([0, 1, 2], "<u1")))
     second = {"attributes": first["attributes"], "indices": model.indices(np.array([2, 1, 0], "<u1"))}
     model.mesh(first, second, second)
-    painted = document(model).painted()
+    painted = model.document().painted()
     assert len(painted.positions) == 3
     np.testing.assert_array_equal(painted.faces, [[0, 1, 2], [2, 1, 0]])
 
@@ -121,7 +117,7 @@ def test_colours_used_at_two_places_have_one_row_and_a_notice():
     first = triangle(model)
     second = {"attributes": first["attributes"] | {"POSITION": model.packed(TRIANGLE + 5)}}
     model.mesh(first, second)
-    opened = document(model)
+    opened = model.document()
     painted = opened.painted()
     assert opened.painted() is painted
     np.testing.assert_array_equal(painted.positions, TRIANGLE)
@@ -135,14 +131,14 @@ def test_scenes_and_meshes_outside_them_are_spaces_of_their_own():
         model.mesh(triangle(model), translation=[shift, 0, 0], node=shift != 3)
     model.tree["scenes"] = [{"nodes": [0]}, {"nodes": [1, 2]}]
     model.tree["scene"] = 1
-    painted = document(model).painted()
+    painted = model.document().painted()
     space = painted.space_of.reshape(4, 3)
     assert (space == space[:, :1]).all()
     assert space[1, 0] == space[2, 0] == 0
     assert len(set(space[:, 0].tolist())) == 3
     np.testing.assert_array_equal(painted.positions[9:], TRIANGLE)
     del model.tree["scene"]
-    assert set(document(model).painted().space_of[:9]) == {0}
+    assert set(model.document().painted().space_of[:9]) == {0}
 
 
 def test_mixed_types_are_called_by_the_coarsest():
@@ -153,7 +149,7 @@ def test_mixed_types_are_called_by_the_coarsest():
         triangle(model, np.eye(3, 4, dtype="<f4")),
     )
     model.tree["accessors"][3]["normalized"] = True
-    painted = document(model).painted()
+    painted = model.document().painted()
     assert painted.stored == "uint16"
     assert (painted.encoding, painted.space_of) == ("linear", None)
     np.testing.assert_array_equal(painted.colours, np.tile(np.eye(3, dtype=np.float32), (3, 1)))
@@ -182,7 +178,7 @@ def test_normals_turn_as_surfaces_do_under_uneven_and_mirrored_scales():
 def test_what_is_dropped_is_listed():
     model = showcase()
     model.mesh({"attributes": {"POSITION": 0}})
-    assert {*document(model).contents().left_out} == {
+    assert {*model.document().contents().left_out} == {
         "materials", "textures", "skins", "animations", "cameras", "morph targets", "texture coordinates",
         "further vertex attributes", "node hierarchy", "uncoloured meshes",
     }  # fmt: skip
