@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from oracles import strategies, surfaces
-from oracles.geodesics import Manifold, embed, exact_distances, short_time_kernel, triangle_update
+from oracles.geodesics import Manifold, exact_distances, triangle_update
 
 
 def edge_distances(embedding, faces, source):
@@ -39,14 +39,6 @@ def test_a_plane_front_crosses_a_triangle_exactly(front):
         a, b, phi_a, phi_b = b, a, phi_b, phi_a
     to_a, to_b = np.linalg.norm(a), np.linalg.norm(b)
     assert triangle_update(phi_a, to_a, phi_b, to_b, a @ b / (to_a * to_b)) == pytest.approx(phi_c, rel=1e-12)
-
-
-def test_exact_distances_are_exact_on_a_plane():
-    positions, faces = surfaces.plane(7, 9)
-    positions[:, :2] += np.random.default_rng(3).uniform(-0.3, 0.3, (len(positions), 2))
-    assert exact_distances(positions, faces, 31) == pytest.approx(
-        np.linalg.norm(positions - positions[31], axis=1)
-    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -87,28 +79,3 @@ def test_the_support_of_a_split_corner_lies_where_unfolding_puts_it():
     # A third face at the edge (1, 3) ends the unfolding there.
     fin = np.concatenate([faces, [[1, 3, 5]]])
     assert 0 not in Manifold(np.vstack([turned, 9 * turned[4]]), fin).edges[4]
-
-
-def test_one_kernel_on_a_plane_is_the_sampled_gaussian():
-    # t and the threshold keep the kernel within one edge of the lattice, where distances are exact.
-    positions, faces = surfaces.lattice(5, 5)
-    colours = np.eye(25)
-    t = 0.2
-    smoothed = short_time_kernel(
-        embed(positions, colours, 0.0), faces, colours, t, threshold=np.exp(-1.2 / (4 * t))
-    )
-    centre = smoothed[12]
-    ring = np.exp(-1 / (4 * t))
-    assert (centre > 0).sum() == 7
-    assert centre[12] == pytest.approx(1 / (1 + 6 * ring))
-    assert sorted(centre)[-7:-1] == pytest.approx([ring / (1 + 6 * ring)] * 6)
-
-
-def test_a_kernel_weighs_its_samples_and_leaves_lone_ones():
-    positions = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
-    colours = np.array([[0.0], [1.0], [1.0], [0.7]])
-    weights = np.array([1.0, 3.0, 0.0, 0.0])
-    smoothed = short_time_kernel(positions, np.array([[0, 1, 2]]), colours, 0.5, weights=weights)
-    near = np.exp(-0.5)
-    assert smoothed[0, 0] == pytest.approx(3 * near / (1 + 3 * near))
-    assert smoothed[3, 0] == 0.7
