@@ -203,32 +203,17 @@ def stored_after(opened, colours):
     return decompressed(*unpacked(joined(opened.patch(colours, Naming("out")))))
 
 
-def octahedral(x, y, one, rest, top):
-    """Return a normal as the extension's text spells it out."""
-    x, y = x / one, y / one
-    z = 1 - abs(x) - abs(y)
-    shift = max(-z, 0)
-    x += shift if x < 0 else -shift
-    y += shift if y < 0 else -shift
-    length = np.sqrt(x * x + y * y + z * z)
-    return [round(value / length * top) for value in (x, y, z)] + [rest]
-
-
 @pytest.mark.parametrize("kind", ["i1", "i2"])
 def test_octahedral_normals_are_decoded(kind):
-    top, rng = np.iinfo(kind).max, np.random.default_rng(0)
-    packed = rng.integers(-top, top + 1, (len(GRID), 4))
-    packed[:, 2] = top
-    expected = np.array([octahedral(*row, top) for row in packed.tolist()])
-    model = meshopt_model(COLOURS)
-    normals = packed_attribute(
-        model, expected.astype(f"<{kind}")[:, :3], filtered=packed.astype(f"<{kind}"), filter_name="OCTAHEDRAL",
-        normalized=True,
-    )  # fmt: skip
-    model.tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
-    found, exact = model.document().attribute("normal"), expected[:, :3].astype(float)
-    exact /= np.linalg.norm(exact, axis=1, keepdims=True)
-    np.testing.assert_allclose(found, exact, atol=2 / top)  # one level: the decoder is of single precision
+    """Axes lie in the middle of the square, in the middle of its sides, and in its corners."""
+    top, model = np.iinfo(kind).max, meshopt_model(COLOURS)
+    places = np.array([[0, 0, 1, 0], [1, 0, 1, 0], [-1, 0, 1, 0], [0, 1, 1, 0], [0, -1, 1, 0], [1, -1, 1, 0]])
+    axes = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]])
+    filtered, normals = (np.tile(top * each, (6, 1)).astype(f"<{kind}") for each in (places, axes))
+    index = packed_attribute(model, normals, filtered=filtered, filter_name="OCTAHEDRAL", normalized=True)
+    model.tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = index
+    # One level: the decoder is of single precision.
+    np.testing.assert_allclose(model.document().attribute("normal"), np.tile(axes, (6, 1)), atol=2 / top)
 
 
 def test_exponents_of_positions_are_decoded():

@@ -233,10 +233,8 @@ def test_all_dialects_together(newline, tmp_path):
     ],
 )
 def test_options_before_the_name_of_a_map(options, name, tmp_path):
-    (tmp_path / name).write_bytes(PICTURE)
-    (tmp_path / "m.mtl").write_text(f"newmtl m\nmap_Kd {options} {name}\n")
-    (tmp_path / "x.obj").write_text(f"mtllib m.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3 4/4\n")
-    (texture,) = open_document(str(tmp_path / "x.obj")).textured("baseColor").textures
+    document = model(tmp_path, f"newmtl one\nmap_Kd {options} {name}\n", **{name: PICTURE})
+    (texture,) = document.textured("baseColor").textures
     assert texture.name == name
 
 
@@ -253,12 +251,10 @@ def test_a_library_is_found_however_it_is_named(name, tmp_path):
 
 
 def test_the_first_library_that_has_a_material_counts(tmp_path):
-    for name, image in {"a": PICTURE, "b": OTHER}.items():
-        (tmp_path / f"{name}.png").write_bytes(image)
-        (tmp_path / f"{name}.mtl").write_text(f"newmtl m\nmap_Kd {name}.png\n")
-    (tmp_path / "x.obj").write_text(f"mtllib a.mtl\nmtllib b.mtl\n{SQUARE}{CORNERS}usemtl m\nf 1/1 2/2 3/3\n")
-    (texture,) = open_document(str(tmp_path / "x.obj")).textured("baseColor").textures
-    assert texture.data == PICTURE
+    obj = f"mtllib m.mtl\nmtllib other.mtl\n{SQUARE}{CORNERS}usemtl one\nf 1/1 2/2 3/3\n"
+    document = model(tmp_path, obj=obj, **{"other.mtl": "newmtl one\nmap_Kd b.png\n"})
+    (texture,) = document.textured("baseColor").textures
+    assert texture.name == "a.png"
 
 
 def two_squares(folder, mtl=b"newmtl m\nmap_Kd t.png\n", v="v 3 0 0", vt="vt 1 1", colour=""):
