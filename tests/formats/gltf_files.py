@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import json
 import struct
 from dataclasses import dataclass
@@ -12,7 +11,6 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
 
@@ -256,18 +254,6 @@ def numbers(tree, buffers, index):
         rows = read(sparse["indices"], index_kind, 1, sparse["count"])[:, 0]
         found[rows] = read(sparse["values"], kind, width, sparse["count"])
     return found
-
-
-@contextlib.contextmanager
-def only_input_errors():
-    """Allow input errors, whose message is one line, and no others."""
-    try:
-        yield
-    except InputError as error:
-        message = str(error)
-    else:
-        message = ""
-    assert "\n" not in message
 
 
 def joined(written):

@@ -17,11 +17,17 @@ from beltrami_cli.formats.image.extra_codecs import EXTRA_CODECS, missing_packag
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
-from formats.gltf_comparison import EXTENSIONS, byte_differences, json_differences, with_better_image
+from formats.gltf_comparison import (
+    EXTENSIONS,
+    byte_differences,
+    issues,
+    json_differences,
+    needs_validator,
+    with_better_image,
+)
 from formats.gltf_compressed import GRID, draco_model, meshopt_model
 from formats.gltf_files import ARRANGEMENTS, coloured, opened
 from formats.gltf_showcase import photo, showcase
-from formats.gltf_validator import issues, needs_validator
 from formats.image_files import noise
 
 SETTINGS = SmoothSettings(kernel=KernelParameters(iterations=1, beta=1), on="both")

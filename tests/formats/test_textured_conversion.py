@@ -10,8 +10,8 @@ from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES
+from formats.gltf_comparison import issues, needs_validator
 from formats.gltf_files import Textured, opened
-from formats.gltf_validator import issues, needs_validator
 from formats.image_files import encode, noise
 from formats.ply_files import Table, build
 from hostile.folders import write

@@ -22,7 +22,7 @@ from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.sweep import sweep_file
 from cli.commands import SAMPLES, beltrami
 from cli.pictures import painted_square, plain_image, textured_square
-from formats.gltf_validator import issues, needs_validator
+from formats.gltf_comparison import issues, needs_validator
 from formats.image_files import encode
 from oracles import surfaces
 from small_models import textured_squares
