@@ -6,15 +6,11 @@ import io
 import tempfile
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import OpenImageIO
 import pytest
 from PIL import Image
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 NAMES = {1: ("Y",), 2: ("Y", "A"), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 LOSSLESS = [
@@ -44,7 +40,7 @@ RARER_SUFFIXES = {
 }  # fmt: skip
 
 
-def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int = 0) -> NDArray[Any]:
+def noise(kind, channels, height=5, width=7, seed=0):
     """Random pixels, of which none has an alpha of 0 in integers."""
     rng = np.random.default_rng(seed)
     if kind in ("uint8", "uint16"):
@@ -54,34 +50,28 @@ def noise(kind: str, channels: int, height: int = 5, width: int = 7, seed: int =
     )
 
 
-def painting(channels: int = 3, side: int = 32) -> NDArray[np.uint8]:
+def painting(channels=3, side=32):
     """Smooth colours with noise."""
     rows, columns = np.mgrid[:side, :side] * (200 // side)
     plain = np.stack([rows, columns, (rows + columns) // 2, 255 - rows][:channels], axis=-1)
     return np.clip(plain + np.random.default_rng(3).normal(0, 4, plain.shape), 1, 255).astype(np.uint8)
 
 
-def with_alpha(pixels: NDArray[Any]) -> NDArray[Any]:
+def with_alpha(pixels):
     """Give rows of pixels, by turns, an alpha of 0, of 1, and any."""
     pixels[::3, :, -1] = 0
     pixels[1::3, :, -1] = np.iinfo(pixels.dtype).max if pixels.dtype.kind == "u" else 1
     return pixels
 
 
-def exact_webp(pixels: NDArray[np.uint8]) -> bytes:
+def exact_webp(pixels):
     """Return a lossless WebP file with the colours under an alpha of 0, which OpenImageIO would clear."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "WEBP", lossless=True, exact=True)
     return buffer.getvalue()
 
 
-def encode(
-    pixels: NDArray[Any],
-    known: str,
-    kind: str | None = None,
-    types: list[str] | None = None,
-    **attributes: Any,
-) -> bytes:
+def encode(pixels, known, kind=None, types=None, **attributes):
     """Return an image file; "__" in names of attributes stands for ":"."""
     height, width, channels = pixels.shape
     spec = OpenImageIO.ImageSpec(width, height, channels, kind or str(pixels.dtype))
@@ -117,15 +107,15 @@ def encode(
         return path.read_bytes()
 
 
-def png_chunk(kind: bytes, payload: bytes) -> bytes:
+def png_chunk(kind, payload):
     return len(payload).to_bytes(4) + kind + payload + zlib.crc32(kind + payload).to_bytes(4)
 
 
-def png_file(chunks: list[tuple[bytes, bytes]]) -> bytes:
+def png_file(chunks):
     return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
 
 
-def two_pixels(*chunks: tuple[bytes, bytes]) -> bytes:
+def two_pixels(*chunks):
     """Return a PNG of two pixels by a palette, with further chunks behind it."""
     header = (2).to_bytes(4) + (1).to_bytes(4) + bytes([8, 3, 0, 0, 0])
     palette = (b"PLTE", bytes([1, 2, 3, 200, 100, 50]))
@@ -133,7 +123,7 @@ def two_pixels(*chunks: tuple[bytes, bytes]) -> bytes:
     return png_file([(b"IHDR", header), palette, *chunks, data, (b"IEND", b"")])
 
 
-def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+def png_chunks(data):
     chunks, at = [], 8
     while at < len(data):
         size = int.from_bytes(data[at : at + 4])
@@ -142,12 +132,12 @@ def png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     return chunks
 
 
-def riff(chunks: list[tuple[bytes, bytes]]) -> bytes:
+def riff(chunks):
     body = b"".join(k + len(p).to_bytes(4, "little") + p + b"\0" * (len(p) % 2) for k, p in chunks)
     return b"RIFF" + (len(body) + 4).to_bytes(4, "little") + b"WEBP" + body
 
 
-def riff_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
+def riff_chunks(data):
     chunks, at = [], 12
     while at < len(data):
         size = int.from_bytes(data[at + 4 : at + 8], "little")
@@ -156,11 +146,11 @@ def riff_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
     return chunks
 
 
-def jpeg_segment(marker: int, payload: bytes) -> bytes:
+def jpeg_segment(marker, payload):
     return bytes([0xFF, marker]) + (len(payload) + 2).to_bytes(2) + payload
 
 
-def icc_profile() -> bytes:
+def icc_profile():
     """The least that passes for an RGB profile: a header and an empty table of tags."""
     header = bytearray(128)
     header[0:4] = (132).to_bytes(4)

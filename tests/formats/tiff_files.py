@@ -3,13 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 CODES = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I",
          16: "Q", 17: "q", 18: "Q"}  # fmt: skip
@@ -18,15 +11,13 @@ POINTERS = (330, 34665, 34853, 40965)
 # Tags that say how pixels are stored, by TIFF 6.0: sizes, types, compression, strips, tiles, palette.
 STRUCTURE = {256, 257, 258, 259, 262, 266, 273, 277, 278, 279, 284, 317, 320, 322, 323, 324, 325, 338, 339}
 
-Tags = Mapping[int, tuple[int, "list[Any] | Tags"]]
 
-
-def tiff_file(pixels: NDArray[np.uint8], tags: Tags, order: str = "<", *, is_big: bool = False) -> bytes:
+def tiff_file(pixels, tags, order="<", *, is_big=False):
     """Return an uncompressed TIFF file of 8 bits; a tag is its type and its numbers, or those of a directory."""
     height, width, channels = pixels.shape
     start = 16 if is_big else 8
     data = bytearray(start) + pixels.tobytes()
-    basic: Tags = {
+    basic = {
         256: (4, [width]), 257: (4, [height]), 258: (3, [8] * channels), 259: (3, [1]),
         262: (3, [2 if channels >= 3 else 1]), 273: (4, [start]), 277: (3, [channels]), 278: (4, [height]),
         279: (4, [pixels.nbytes]),
@@ -40,11 +31,11 @@ def tiff_file(pixels: NDArray[np.uint8], tags: Tags, order: str = "<", *, is_big
     return bytes(data)
 
 
-def _directory(data: bytearray, tags: Tags, order: str, is_big: bool) -> int:
+def _directory(data, tags, order, is_big):
     address, room = ("Q", 8) if is_big else ("I", 4)
     entries = b""
     for tag, (kind, values) in sorted(tags.items()):
-        if isinstance(values, Mapping):
+        if isinstance(values, dict):
             values = [_directory(data, values, order, is_big)]
         code = CODES.get(kind, "B")
         packed = struct.pack(f"{order}{len(values) // len(code) * code}", *values)
@@ -60,13 +51,13 @@ def _directory(data: bytearray, tags: Tags, order: str, is_big: bool) -> int:
     return place
 
 
-def tiff_tags(data: bytes) -> dict[int, Any]:
+def tiff_tags(data):
     """Return the type and the numbers of every tag of the first image; of a directory, its tags."""
     order = "<" if data[:2] == b"II" else ">"
     is_big = data[2:4] in (b"+\0", b"\0+")
     address = f"{order}{'Q' if is_big else 'I'}"
 
-    def directory(at: int) -> dict[int, Any]:
+    def directory(at):
         (count,) = struct.unpack_from(f"{order}{'Q' if is_big else 'H'}", data, at)
         at += 8 if is_big else 2
         room, found = struct.calcsize(address), {}
@@ -84,15 +75,12 @@ def tiff_tags(data: bytes) -> dict[int, Any]:
     return directory(struct.unpack_from(address, data, 8 if is_big else 4)[0])
 
 
-def described(data: bytes) -> dict[int, Any]:
+def described(data):
     """Return the tags of the first image that do not say how its pixels are stored."""
     return {tag: value for tag, value in tiff_tags(data).items() if tag not in STRUCTURE}
 
 
-Attributes = Mapping[str, tuple[str, bytes]]
-
-
-def exr_file(channels: Mapping[str, NDArray[Any]], attributes: Attributes | None = None) -> bytes:
+def exr_file(channels, attributes=None):
     """Return an EXR file of one part without compression; each channel is an array (H, W) of float16 or float32."""
     height, width = next(iter(channels.values())).shape
     kinds = {"float16": 1, "float32": 2}
@@ -126,7 +114,7 @@ def exr_file(channels: Mapping[str, NDArray[Any]], attributes: Attributes | None
     return head + struct.pack(f"<{height}Q", *places) + b"".join(chunks)
 
 
-def exr_attributes(data: bytes) -> dict[str, tuple[str, bytes]]:
+def exr_attributes(data):
     """Return the types and values of the attributes of a file of one part."""
     at, found = 8, {}
     while data[at]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters
@@ -11,17 +9,12 @@ from beltrami_cli.formats.model_folder import tile_name
 from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
 GIVEN = SmoothSettings(KernelParameters(iterations=2, beta=20))
 SIDE = 48  # texels of a tile
 TILES = [(u, v) for v in range(2) for u in range(2)]
 
 
-def sheet(size: int = 2) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def sheet(size=2):
     """Return positions, texture coordinates (v up) from 0 to `size`, and quads, some across whole numbers."""
     steps = np.linspace(0, size, 3 * size + 2)
     place = np.stack(np.meshgrid(steps, steps), axis=2)
@@ -33,7 +26,7 @@ def sheet(size: int = 2) -> tuple[NDArray[np.float64], NDArray[np.float64], NDAr
     return positions, uv, quads.reshape(-1, 4)
 
 
-def painting(kind: str = "uint8", size: int = 2) -> NDArray[Any]:
+def painting(kind="uint8", size=2):
     """Return noisy stripes over all tiles."""
     y, x = np.mgrid[: size * SIDE, : size * SIDE] / SIDE
     stripes = np.stack([np.sin(4 * x + y), np.sign(np.sin(3 * y - x)), np.cos(3 * x)], axis=2)
@@ -41,13 +34,13 @@ def painting(kind: str = "uint8", size: int = 2) -> NDArray[Any]:
     return (noisy.clip(0, 1) * np.iinfo(kind).max).astype(kind)
 
 
-def part(image: NDArray[Any], tile: tuple[int, int]) -> NDArray[Any]:
+def part(image, tile):
     """Return the part of an image of all tiles that lies in one, rows from above."""
     top = len(image) - (tile[1] + 1) * SIDE
     return image[top : top + SIDE, tile[0] * SIDE : (tile[0] + 1) * SIDE]
 
 
-def obj_text(uv: NDArray[np.float64], positions: NDArray[np.float64], quads: NDArray[np.int64]) -> str:
+def obj_text(uv, positions, quads):
     lines = ["mtllib model.mtl", "usemtl skin"]
     lines += ["v {:.9f} {:.9f} {:.9f}".format(*row) for row in positions]
     lines += ["vt {:.9f} {:.9f}".format(*row) for row in uv]
@@ -55,7 +48,7 @@ def obj_text(uv: NDArray[np.float64], positions: NDArray[np.float64], quads: NDA
     return "\n".join(lines) + "\n"
 
 
-def tiled_model(folder: Path, pattern: str = "skin.<UDIM>.png", kind: str = "uint8", size: int = 2) -> Path:
+def tiled_model(folder, pattern="skin.<UDIM>.png", kind="uint8", size=2):
     """Write model.obj with its tiles, `size` along each side."""
     folder.mkdir(parents=True, exist_ok=True)
     positions, uv, quads = sheet(size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,12 +12,6 @@ from beltrami_cli.layers.settings import SmoothSettings
 from formats.image_files import encode
 from formats.tile_files import TILES, painting, part, sheet
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
 GIVEN = SmoothSettings(KernelParameters(iterations=1, beta=20))
 HEADER = '#usda 1.0\n(\n    defaultPrim = "scan"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n'
 PICTURE = encode(painting(), "png")
@@ -26,7 +19,7 @@ POINTS, _, QUADS = sheet()
 COLOURS = np.random.default_rng(5).random((64, 3)).astype(np.float32).round(3)
 
 
-def rows(values: NDArray[Any]) -> str:
+def rows(values):
     """Return an array as the text of a layer."""
     table = np.asarray(values)
     if table.ndim == 1:
@@ -34,7 +27,7 @@ def rows(values: NDArray[Any]) -> str:
     return "[" + ", ".join("(" + ", ".join(map(repr, row)) + ")" for row in table.tolist()) + "]"
 
 
-def mesh_text(extra: str = "", name: str = "mesh", metadata: str = "") -> str:
+def mesh_text(extra="", name="mesh", metadata=""):
     """Return the waved sheet of `tile_files` as a prim; its coordinates are from 0 to 1, of corners, with indices."""
     positions, uv, quads = sheet()
     return (
@@ -47,17 +40,17 @@ def mesh_text(extra: str = "", name: str = "mesh", metadata: str = "") -> str:
     )
 
 
-def block(kind: str, name: str, *lines: str) -> str:
+def block(kind, name, *lines):
     """Return a prim below another one, of a material, with these lines, which may be prims."""
     body = "".join(line if line.endswith("\n") else f"            {line}\n" for line in lines)
     return f'        def {kind} "{name}"\n        {{\n{body}        }}\n'
 
 
-def shader(name: str, kind: str, *lines: str) -> str:
+def shader(name, kind, *lines):
     return block("Shader", name, f'uniform token info:id = "{kind}"', *lines)
 
 
-def material_text(image: str, path: str = "/scan/skin", reader: str = "st", extra: str = "") -> str:
+def material_text(image, path="/scan/skin", reader="st", extra=""):
     surface = shader(
         "surface",
         "UsdPreviewSurface",
@@ -82,17 +75,17 @@ def material_text(image: str, path: str = "/scan/skin", reader: str = "st", extr
 BOUND = "        rel material:binding = </scan/skin>\n"
 
 
-def scene(*prims: str, header: str = HEADER) -> str:
+def scene(*prims, header=HEADER):
     return header + 'def Xform "scan" ( kind = "component" )\n{\n' + "".join(prims) + "}\n"
 
 
-def coloured(colours: NDArray[Any], kind: str = "color3f", on: str = "vertex", indices: str = "") -> str:
+def coloured(colours, kind="color3f", on="vertex", indices=""):
     """Return the lines of vertex colours."""
     lines = f'        {kind}[] primvars:displayColor = {rows(colours)} ( interpolation = "{on}" )\n'
     return lines + (f"        int[] primvars:displayColor:indices = {indices}\n" if indices else "")
 
 
-def phone_scan(folder: Path, *, udim: bool = False) -> Path:
+def phone_scan(folder, *, udim=False):
     """Write a package to the layout of Object Capture: a binary layer, and its images in a folder."""
     from pxr import Sdf, UsdUtils
 
@@ -112,7 +105,7 @@ def phone_scan(folder: Path, *, udim: bool = False) -> Path:
     return folder / "scan.usdz"
 
 
-def members(path: Path) -> dict[str, bytes]:
+def members(path):
     """Return the files of a package; each must be stored at a multiple of 64 bytes."""
     found = {}
     with zipfile.ZipFile(path) as archive:
@@ -124,7 +117,7 @@ def members(path: Path) -> dict[str, bytes]:
     return found
 
 
-def package(path: Path, files: Iterable[tuple[str, bytes]], method: int = zipfile.ZIP_STORED) -> Path:
+def package(path, files, method=zipfile.ZIP_STORED):
     """Write a package that need not be right."""
     with zipfile.ZipFile(path, "w", method) as archive:
         for name, data in files:
