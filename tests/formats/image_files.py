@@ -66,8 +66,13 @@ def with_alpha(pixels):
 
 def exact_webp(pixels):
     """Return a lossless WebP file with the colours under an alpha of 0, which OpenImageIO would clear."""
+    return saved(Image.fromarray(pixels), ".webp", lossless=True, exact=True)
+
+
+def saved(image, suffix, **options):
+    """Return an image of Pillow as a file."""
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "WEBP", lossless=True, exact=True)
+    image.save(buffer, Image.registered_extensions()[suffix], **options)
     return buffer.getvalue()
 
 

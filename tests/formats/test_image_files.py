@@ -6,7 +6,6 @@ Images that are damaged, too large or of no use end in one clear error, and neve
 from __future__ import annotations
 
 import errno
-import io
 import time
 import zlib
 from pathlib import Path
@@ -38,6 +37,7 @@ from formats.image_files import (
     png_file,
     riff,
     riff_chunks,
+    saved,
     stored,
     with_alpha,
 )
@@ -353,9 +353,7 @@ def test_what_is_no_image_is_refused_whatever_its_name():
 
 @pytest.mark.parametrize("transform", [0, 2])  # Adobe's: none, or luma and chroma of the inks
 def test_inks_of_print_are_refused(transform):
-    file = io.BytesIO()
-    Image.fromarray(noise("uint8", 4), "CMYK").save(file, "JPEG")
-    jpeg = bytearray(file.getvalue())
+    jpeg = bytearray(saved(Image.fromarray(noise("uint8", 4), "CMYK"), ".jpg"))
     jpeg[jpeg.index(b"Adobe") + 11] = transform
     with pytest.raises(InputError, match="CMYK"):
         read_image(bytes(jpeg), "print.jpg")

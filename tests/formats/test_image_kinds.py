@@ -31,6 +31,7 @@ from formats.image_files import (
     painting,
     png_chunks,
     png_file,
+    saved,
     two_pixels,
     with_alpha,
 )
@@ -93,10 +94,10 @@ def test_a_ktx2_image_keeps_its_codec_its_transfer_function_and_its_mip_levels(c
 
 @needs("avif")
 def test_metadata_stay_in_avif_and_are_named_where_they_are_lost():
-    profile, buffer = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(), io.BytesIO()
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     exif = b"II*\0\x08\0\0\0" + bytes(6)
-    Image.fromarray(painting()).save(buffer, "AVIF", icc_profile=profile, quality=90, exif=exif, xmp=b"<x/>")
-    old = read_image(buffer.getvalue(), "x.avif")
+    options = {"icc_profile": profile, "quality": 90, "exif": exif, "xmp": b"<x/>"}
+    old = read_image(saved(Image.fromarray(painting()), ".avif", **options), "x.avif")
     for suffix in (None, ".png"):
         file = write_image(old, old.pixels // 2, suffix=suffix)
         new = read_image(file.data, "x")
@@ -257,12 +258,6 @@ def test_of_mip_mapped_files_the_full_size_is_kept_and_said_so(suffix, tmp_path)
         assert not again.notices
 
 
-def saved(picture, suffix=".tif", **options):
-    buffer = io.BytesIO()
-    picture.save(buffer, Image.registered_extensions()[suffix], **options)
-    return buffer.getvalue()
-
-
 @pytest.mark.parametrize(
     ("suffix", "bits", "is_transparent"),
     [(".bmp", 4, False), (".tga", 8, False), (".tif", 8, False), (".gif", 4, False)]
@@ -308,7 +303,7 @@ def test_what_a_tiff_stores_otherwise_is_reported_once(mode, options, reported):
     slope = np.stack([5 * across, 7 * down, 80 + across + down], axis=2).astype(np.uint8)
     deep = Image.fromarray(slope[..., 0].astype(np.uint16))
     picture = deep if mode == "I;16" else Image.fromarray(slope).convert(mode)
-    image = read_image(saved(picture, **options), "x.tif")
+    image = read_image(saved(picture, ".tif", **options), "x.tif")
     assert len(image.notices) == len(reported)
     assert all(words in notice for words, notice in zip(reported, image.notices, strict=True))
     if mode == "YCbCr":
@@ -324,7 +319,7 @@ def test_what_a_tiff_stores_otherwise_is_reported_once(mode, options, reported):
 def test_lightness_and_hues_are_refused():
     """OpenImageIO reads the white of CIELAB as (255, 252, 222)."""
     with pytest.raises(InputError, match=r"x\.tif: its colours are CIELAB; convert it to RGB"):
-        read_image(saved(Image.fromarray(noise("uint8", 3), "LAB")), "x.tif")
+        read_image(saved(Image.fromarray(noise("uint8", 3), "LAB"), ".tif"), "x.tif")
 
 
 @pytest.mark.parametrize(("channels", "colour"), [(1, b"\0\7"), (3, b"\0\7\0\7\0\7")])

@@ -22,6 +22,7 @@ from formats.image_files import (
     png_file,
     riff,
     riff_chunks,
+    saved,
 )
 from formats.tiff_files import described, exr_attributes, exr_file, tiff_file, tiff_tags
 
@@ -228,14 +229,11 @@ def test_comments_and_variables_in_text_headers_are_kept(name, insert):
 
 def exif_file(suffix):
     exif = tiff_file(noise("uint8", 3), {**_TEXTS, **_DIRECTORIES})
-    image = Image.fromarray(noise("uint8", 3, 16, 16))
-    buffer, tags = io.BytesIO(), Image.Exif()
-    tags.load(exif)
-    options = {"lossless": True} if suffix == ".webp" else {}
     if suffix == ".tif":
         return exif
-    image.save(buffer, Image.registered_extensions()[suffix], exif=tags.tobytes(), **options)
-    return buffer.getvalue()
+    tags, options = Image.Exif(), {"lossless": True} if suffix == ".webp" else {}
+    tags.load(exif)
+    return saved(Image.fromarray(noise("uint8", 3, 16, 16)), suffix, exif=tags.tobytes(), **options)
 
 
 def exif_in(data, suffix):

@@ -23,7 +23,7 @@ from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.surface.records import srgb_to_linear
 from cli.commands import beltrami
-from formats.image_files import encode, jpeg_segment, painting
+from formats.image_files import encode, jpeg_segment, painting, saved
 from formats.tiff_files import exr_file
 
 SIDE = 24
@@ -382,18 +382,15 @@ PIXELS = np.random.default_rng(1).integers(0, 256, (40, 56, 3)).astype(np.uint8)
 SPANS = {"4:4:4": (0, (1, 1)), "4:2:2": (1, (1, 2)), "4:2:0": (2, (2, 2))}
 
 
-def saved(pixels=PIXELS, kind="JPEG", mode=None, **options):
-    """Return an image file of Pillow's."""
-    file, image = io.BytesIO(), Image.fromarray(pixels)
-    (image if mode is None else image.convert(mode)).save(file, kind, **options)
-    return file.getvalue()
+def jpeg(mode="RGB", suffix=".jpg", **options):
+    return saved(Image.fromarray(PIXELS).convert(mode), suffix, **options)
 
 
 @pytest.mark.parametrize("subsampling", SPANS)
 @pytest.mark.parametrize(("quality", "progressive"), [(50, False), (75, True), (92, False), (100, False)])
 def test_tables_are_those_that_pillow_reads(subsampling, quality, progressive):
     number, span = SPANS[subsampling]
-    data = saved(quality=quality, subsampling=number, progressive=progressive, comment=b"x" * 300)
+    data = jpeg(quality=quality, subsampling=number, progressive=progressive, comment=b"x" * 300)
     found = read_jpeg_tables(memoryview(data))
     with Image.open(io.BytesIO(data)) as image:
         expected = [np.reshape(image.quantization[k], (8, 8)) for k in (0, 1)]
@@ -403,9 +400,9 @@ def test_tables_are_those_that_pillow_reads(subsampling, quality, progressive):
 
 
 def test_grey_pictures_have_one_table_and_other_files_none():
-    found = read_jpeg_tables(saved(mode="L", quality=80))
+    found = read_jpeg_tables(jpeg(mode="L", quality=80))
     assert (found.steps.shape, found.span) == ((1, 8, 8), (1, 1))
-    whole = bytearray(saved(quality=85))
+    whole = bytearray(jpeg(quality=85))
     at = whole.index(b"\xff\xdb") + 5
     tables = read_jpeg_tables(bytes(whole))
     assert tables.steps[0, 0, 0] == whole[at]
@@ -413,5 +410,5 @@ def test_grey_pictures_have_one_table_and_other_files_none():
         found = read_jpeg_tables(bytes(whole[:end]))
         assert found is None or np.array_equal(found.steps, tables.steps)
     whole[at] = 0  # which is no step
-    for data in (saved(mode="CMYK"), saved(keep_rgb=True), saved(kind="PNG"), b"", bytes(whole)):
+    for data in (jpeg(mode="CMYK"), jpeg(keep_rgb=True), jpeg(suffix=".png"), b"", bytes(whole)):
         assert read_jpeg_tables(data) is None

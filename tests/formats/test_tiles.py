@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,7 +19,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.baking import look_up
-from formats.image_files import encode
+from formats.image_files import encode, saved
 from formats.tile_files import GIVEN, SIDE, TILES, obj_text, painting, part, sheet, tiled_model
 
 REPEAT = ("repeat", "repeat")
@@ -172,9 +170,8 @@ def test_tiles_that_are_jpeg_pictures_hang_together(tmp_path):
     noisy = clean + random.normal(0, 0.06, clean.shape)
     image = (noisy.clip(0, 1) * 255).astype(np.uint8)
     for tile in (0, 1):
-        stored = io.BytesIO()
-        Image.fromarray(image[:, tile * side : (tile + 1) * side]).save(stored, "JPEG", quality=90)
-        (tmp_path / f"skin.{1001 + tile}.jpg").write_bytes(stored.getvalue())
+        picture = Image.fromarray(image[:, tile * side : (tile + 1) * side])
+        (tmp_path / f"skin.{1001 + tile}.jpg").write_bytes(saved(picture, ".jpg", quality=90))
     corners = np.array([(u, v) for v in (0.0, 1.0) for u in (0.0, 1.0, 2.0)])
     text = obj_text(corners, np.column_stack([corners, np.zeros(6)]), np.array([[0, 1, 4, 3], [1, 2, 5, 4]]))
     (tmp_path / "model.obj").write_text(text)

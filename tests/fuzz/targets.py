@@ -9,7 +9,6 @@ import contextlib
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -32,11 +31,6 @@ from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.surface.records import ImageFile
 from beltrami_cli.view.report import _parameters
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from beltrami_cli.formats.document import Document, Written
-
 SEPARATOR = b"\n=== "
 """Between the files of a model: behind it stands the name of the next one, up to the end of the line."""
 
@@ -46,7 +40,7 @@ _MOST_KERNEL = 300  # vertices, so that a run takes milliseconds
 _SCRATCH = "/dev/shm" if Path("/dev/shm").is_dir() else None  # so that files never reach a disk
 
 
-def read_model(data: bytes, name: str) -> None:
+def read_model(data, name):
     """Read a model with the files beside it, use every road through it, write it and compare."""
     main, *others = data.split(SEPARATOR)
     with tempfile.TemporaryDirectory(dir=_SCRATCH) as folder:
@@ -70,7 +64,7 @@ def read_model(data: bytes, name: str) -> None:
                 )
 
 
-def _use_vertices(document: Document, folder: Path) -> None:
+def _use_vertices(document, folder):
     painted = document.painted()
     assert np.isfinite(painted.colours).all()
     assert painted.faces.size == 0 or 0 <= painted.faces.min() <= painted.faces.max() < len(painted.colours)
@@ -86,7 +80,7 @@ def _use_vertices(document: Document, folder: Path) -> None:
         _compare(document, document.patch(colours, Naming("out", keeps=True)), folder)
 
 
-def _convert(document: Document) -> None:
+def _convert(document):
     """Write a glTF file in its other form, and a textured model in the formats that have textures."""
     if document.format == "gltf":
         document.patch(None, Naming("out"), form="glb")
@@ -100,7 +94,7 @@ def _convert(document: Document) -> None:
                 assert {*write_textured(mesh, form, "out").sidecars} == {*names}
 
 
-def _compare(before: Document, written: Written, folder: Path) -> None:
+def _compare(before, written, folder):
     """Check that files as written are what was read, but for colours and images."""
     with tempfile.TemporaryDirectory(dir=folder) as other:
         for path in before.references():
@@ -113,7 +107,7 @@ def _compare(before: Document, written: Written, folder: Path) -> None:
         assert not changed, f"written anew, {changed} differ"
 
 
-def _write(folder: Path, name: str, content: bytes) -> None:
+def _write(folder, name, content):
     path = folder / name
     with contextlib.suppress(OSError, ValueError):
         if path.resolve().is_relative_to(folder.resolve()):
@@ -121,7 +115,7 @@ def _write(folder: Path, name: str, content: bytes) -> None:
             path.write_bytes(content)
 
 
-def read_package(data: bytes) -> None:
+def read_package(data):
     """Read a USDZ package as far as this program does: its files, and itself written anew."""
     package = Package(data, "x.usdz", ACCESS)
     names = [name for name in package.members if name not in package.layers]
@@ -132,7 +126,7 @@ def read_package(data: bytes) -> None:
         assert again.read(name) == (b"new" if name in names[:1] else files[name])
 
 
-def read_picture(data: bytes) -> None:
+def read_picture(data):
     """Read an image, and write it as it was."""
     suffixes = (".png", ".tga", ".exr", ".hdr", ".rla")
     picture = read_image(data[1:], "x" + suffixes[data[0] % len(suffixes)] if data else "x")
@@ -141,13 +135,13 @@ def read_picture(data: bytes) -> None:
         write_image(picture, picture.pixels)
 
 
-def read_grid(data: bytes) -> None:
+def read_grid(data):
     """Read a volume."""
     if is_volume(data, "x.nrrd"):
         read_volume(data, "x.nrrd", ModelFolder(None), MOST_SAMPLES)
 
 
-def smooth_arrays(data: bytes) -> None:
+def smooth_arrays(data):
     """Make a mesh and colours of any kind from bytes, and smooth it: colours stay finite and within their range."""
     head, rest = np.frombuffer(data[:8].ljust(8, b"\0"), np.uint8), data[8:]
     numbers = np.frombuffer(rest[: len(rest) // 8 * 8], np.float64)[: 6 * _MOST_KERNEL]
@@ -176,7 +170,7 @@ def smooth_arrays(data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def _written(name: str, data: bytes) -> Iterator[Path]:
+def _written(name, data):
     """Write a file that is read as data, and beside it one that manifests can name."""
     with tempfile.TemporaryDirectory(dir=_SCRATCH) as folder:
         (Path(folder) / "a.ply").write_bytes(b"")
@@ -184,7 +178,7 @@ def _written(name: str, data: bytes) -> Iterator[Path]:
         yield Path(folder) / name
 
 
-def read_configuration(data: bytes) -> None:
+def read_configuration(data):
     """Read a configuration that is named, and what it says for two commands."""
     with _written("pyproject.toml" if data[:1] == b"\1" else "beltrami.toml", data) as path:
         configuration = load(str(path))
@@ -192,7 +186,7 @@ def read_configuration(data: bytes) -> None:
             group.defaults_from(configuration, command)
 
 
-def read_manifest(data: bytes) -> None:
+def read_manifest(data):
     """Read a manifest, whose kind the first byte says, and the parameters for each file."""
     with _written("x" + (".toml", ".csv", ".jsonl")[data[0] % 3 if data else 1], data[1:]) as path:
         for request in plan([str(path)], str(path.parent / "out"), "", None):
@@ -202,7 +196,7 @@ def read_manifest(data: bytes) -> None:
                 _settings(request, {})
 
 
-def read_record(data: bytes) -> None:
+def read_record(data):
     """Read a record, and see whether it says that files are done, or may be replaced."""
     with _written("batch.jsonl", data) as path:
         item = Item(str(path.with_name("a.ply")), str(path.with_name("b.ply")), DEFAULTS)
@@ -211,18 +205,18 @@ def read_record(data: bytes) -> None:
             is_ours(outcome)
 
 
-def read_report(data: bytes) -> None:
+def read_report(data):
     """Read the report of a run as a page shows it."""
     with _written("run.json", data) as path:
         assert "<script" not in _parameters(str(path), Access())
 
 
-def named(name: str) -> Callable[[bytes], None]:
+def named(name):
     """Return a reader of models of some name."""
     return lambda data: read_model(data, name)
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {
+TARGETS = {
     "ply": named("x.ply"),
     "obj": named("x.obj"),
     "gltf": named("x.gltf"),
@@ -244,7 +238,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
 """All targets by name; the seeds of each are in the folder `corpus` under its name."""
 
 
-def attempt(target: str, data: bytes) -> None:
+def attempt(target, data):
     """Give bytes to a target; whatever is raised is a finding, but for our own errors in one line."""
     try:
         TARGETS[target](data)
