@@ -30,9 +30,7 @@ class Built:
     spans: dict[tuple[str, int, str], tuple[int, int]]
 
 
-def build(
-    tables: list[Table], encoding: str = "ascii", newline: str = "\n", comments: list[str] | None = None
-) -> Built:
+def build(tables, encoding="ascii", newline="\n", comments=None):
     lines = ["ply", f"format {encoding} 1.0", *(f"comment {text}" for text in comments or [])]
     for table in tables:
         lines.append(f"element {table.name} {len(table.rows)}")
@@ -52,7 +50,7 @@ def build(
     return Built(bytes(data), spans)
 
 
-def _binary(kind: str, value: Value, encoding: str) -> bytes:
+def _binary(kind, value, encoding):
     order = "<" if "little" in encoding else ">"
     if isinstance(value, list):
         count, item = kind.split()
@@ -60,19 +58,15 @@ def _binary(kind: str, value: Value, encoding: str) -> bytes:
     return struct.pack(order + CODES[kind], value)
 
 
-def _text(kind: str, value: Value) -> bytes:
+def _text(kind, value):
     if isinstance(value, list):
         return f"{len(value)} {''.join(f'{item} ' for item in value)}".encode()
     return f"{value} ".encode()
 
 
-def coloured(
-    vertices: int = 4, faces: list[list[int]] | None = None, colour: str = "uchar", value: float = 10
-) -> list[Table]:
+def coloured(vertices=4, faces=None, colour="uchar", value=10):
     """A plain coloured mesh, vertex i at (i, i², 0)."""
     names = [*((axis, "float") for axis in "xyz"), *((name, colour) for name in ("red", "green", "blue"))]
-    rows: list[list[Value]] = [[i, i * i, 0, value, value, value] for i in range(vertices)]
-    polygons: list[list[Value]] = [
-        [face] for face in (faces if faces is not None else [[0, 1, 2], [0, 2, 3]])
-    ]
+    rows = [[i, i * i, 0, value, value, value] for i in range(vertices)]
+    polygons = [[face] for face in (faces if faces is not None else [[0, 1, 2], [0, 2, 3]])]
     return [Table("vertex", names, rows), Table("face", [("vertex_indices", "uchar int")], polygons)]
