@@ -121,7 +121,7 @@ class Model:
             "data:application/gltf-buffer;base64," + base64.b64encode(self.binary).decode(), **style
         )
 
-    def written_to(self, folder, form="glb"):
+    def written_to(self, folder, form="glb", *more_chunks, **style):
         """Write the model and its files; return the path of the main file."""
         for name, data in self.files.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -129,8 +129,9 @@ class Model:
         path = folder / ("model.glb" if form == "glb" else "model.gltf")
         if form == "gltf":
             (folder / "model.bin").write_bytes(bytes(self.binary))
-        forms = {"glb": self.glb, "data": self.data_text, "gltf": lambda: self.text("model.bin", indent=1)}
-        path.write_bytes(forms[form]())
+            path.write_bytes(self.text("model.bin", **style))
+        else:
+            path.write_bytes(self.glb(*more_chunks, **style) if form == "glb" else self.data_text(**style))
         return path
 
     def document(self):

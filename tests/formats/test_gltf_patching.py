@@ -33,7 +33,6 @@ from formats.gltf_files import (
     ARRANGEMENTS,
     SLOT_PATHS,
     WEBP,
-    Model,
     Textured,
     coloured,
     joined,
@@ -60,18 +59,6 @@ def cases(draw, arrangement):
     return case
 
 
-def written_as(model, form, folder, **style):
-    """Return the document and its bytes."""
-    if form == "glb":
-        data = model.glb((b"XTRA", b"kept"), **style)
-    elif form == "data":
-        data = model.data_text(**style)
-    else:
-        (folder / "a b.bin").write_bytes(bytes(model.binary))
-        data = model.text("a%20b.bin", **style)
-    return GltfDocument(data, "model", folder), data
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("gltf")
@@ -91,7 +78,8 @@ def test_only_changed_colours_change_and_each_is_rounded_once(
     folder, arrangement, data, form, indent, moved, seed
 ):
     case = data.draw(cases(arrangement))
-    document, data = written_as(case.model, form, folder, indent=indent)
+    source = case.model.written_to(folder, form, (b"XTRA", b"kept"), indent=indent)
+    document, data, before = open_document(str(source)), source.read_bytes(), opened(source)
     painted = document.painted()
     for unchanged in (
         document.patch(painted.colours.copy(), Naming("out")),
@@ -108,22 +96,19 @@ def test_only_changed_colours_change_and_each_is_rounded_once(
 
     written = document.patch(colours, Naming("out", keeps=moved))
 
-    files = {"a%20b.bin": bytes(case.model.binary)} | dict(written.sidecars)
-    files |= {name.replace(" ", "%20"): octets for name, octets in written.sidecars.items()}
-    before = unpacked(data, files={"a%20b.bin": bytes(case.model.binary)})
     expected = case.stored.copy()
     exact = colours.astype(np.float64) * scale
     expected[:, :3][changed] = (exact if scale == 1 else np.rint(exact))[changed]
-    check_colours(before, unpacked(joined(written), files), expected)
+    check_colours(before, opened(save(written, f"out{source.suffix}", folder)), expected)
     if form == "gltf" and written.sidecars:
-        assert set(written.sidecars) == ({"a b.bin"} if moved else {"out.bin"})
+        assert set(written.sidecars) == ({"model.bin"} if moved else {"out.bin"})
     if form == "glb" and written.main != [data]:
         assert joined(written).endswith(b"XTRAkept")
 
 
 def check_colours(before, after, expected):
     """Nothing but colours and their accessors differs, and new accessors have views of their own."""
-    (old, _), (new, new_buffers) = before, after
+    (old, *_), (new, new_buffers, _) = before, after
     assert byte_differences(before, after) <= {"COLOR_0"}
     free = r"buffers\[0\]\.(byteLength|uri)|meshes\[0\]\.primitives\[.\]\.attributes\.COLOR_0"
     pairs = zip(old["meshes"][0]["primitives"], new["meshes"][0]["primitives"], strict=True)
@@ -144,9 +129,7 @@ def check_colours(before, after, expected):
 
 
 def test_sidecars_never_take_a_name_that_the_source_uses(tmp_path):
-    model = Model()
-    position = model.packed(np.eye(3, dtype="<f4"))
-    model.mesh({"attributes": {"POSITION": position, "COLOR_0": model.packed(np.eye(3, dtype="<f4"))}})
+    model = coloured("dense", np.random.default_rng(0)).model
     (tmp_path / "out.bin").write_bytes(bytes(model.binary))
     document = GltfDocument(model.text("out.bin"), "out.gltf", tmp_path)
     written = document.patch(1 - document.painted().colours, Naming("out"))
