@@ -20,6 +20,7 @@ import pytest
 
 from beltrami_cli.surface.records import ImageFile
 from formats.gltf_files import CODES, JPEG, PNG, SLOT_PATHS, WEBP, Textured, joined, opened, picture, unpacked
+from hostile.folders import write
 
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 SIZES = {code: int(name[1]) for name, code in CODES.items()}
@@ -119,10 +120,8 @@ def new_image(number, suffix=".png", size=70):
 def save(written, name, folder, source=None):
     """Write what a patch returned, and copies of files of the source; return the path of the main file."""
     copies = {new: (source.parent / old).read_bytes() for new, old in written.copies.items() if source}
-    for sidecar, data in {**written.sidecars, **copies, name: joined(written)}.items():
-        (folder / sidecar).parent.mkdir(parents=True, exist_ok=True)
-        (folder / sidecar).write_bytes(bytes(data))
-    return folder / name
+    sidecars = {sidecar: bytes(data) for sidecar, data in written.sidecars.items()}
+    return write(folder, {**sidecars, **copies, name: joined(written)}) / name
 
 
 def shown(path):

@@ -13,6 +13,7 @@ import numpy as np
 
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.gltf.document import GltfDocument
+from hostile.folders import write
 
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
@@ -123,9 +124,7 @@ class Model:
 
     def written_to(self, folder, form="glb", *more_chunks, **style):
         """Write the model and its files; return the path of the main file."""
-        for name, data in self.files.items():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(data)
+        write(folder, self.files)
         path = folder / ("model.glb" if form == "glb" else "model.gltf")
         if form == "gltf":
             (folder / "model.bin").write_bytes(bytes(self.binary))

@@ -6,6 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from oracles import surfaces
+
 # Multiples of 1/64 shrink well; they are exact in float32 and make coincident points and lines likely.
 GRAIN = 64
 
@@ -47,13 +49,9 @@ def patches(draw, max_side=6, dimensions=(2, 4), general=False):
     dimension = draw(st.integers(*dimensions))
     seed = draw(st.integers(0, 2**32 - 1))
     random = np.random.default_rng(seed)
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    cells = np.stack([np.column_stack([a, b, c]), np.column_stack([a, c, d])], axis=1).reshape(-1, 3)
+    flat, cells = surfaces.plane(rows, columns)
     positions = np.zeros((rows * columns, dimension))
-    positions[:, 0], positions[:, 1] = (
-        part.ravel() for part in np.meshgrid(np.arange(columns), np.arange(rows))
-    )
+    positions[:, :2] = flat[:, :2]
     jitter = draw(st.sampled_from((0.05, 0.2, 1.0) if general else (0.0, 0.2, 1.0)))
     positions += jitter * random.standard_normal(positions.shape)
     # How often each face occurs: mostly once, at times never or twice.
