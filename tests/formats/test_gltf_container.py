@@ -123,6 +123,7 @@ def test_binary_to_text_and_back_gives_the_same_file(tmp_path_factory, seed, com
     if not changed:
         same(decompressed(*unpacked(data)), decompressed(tree, buffers))
     middle = GltfDocument(joined(text), "b.gltf", folder)
+    np.testing.assert_allclose(middle.painted().colours, wanted, atol=0.5 / 255)
     back = joined(middle.patch(colours, Naming("c"), form="glb"))
     assert unpacked(back)[0] == unpacked(data)[0]
     same(decompressed(*unpacked(back)), decompressed(*unpacked(data)))
