@@ -1,7 +1,5 @@
 """usd-core without a process for each question."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from pathlib import Path

@@ -4,8 +4,6 @@ And what the validator of Khronos finds, an npm package that `make test` install
 BELTRAMI_GLTF_VALIDATOR may name the folder where it is elsewhere.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Models of the tests compressed with Draco and with meshoptimizer, by the encoders of these libraries."""
 
-from __future__ import annotations
-
 import json
 
 import DracoPy

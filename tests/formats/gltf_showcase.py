@@ -1,7 +1,5 @@
 """A glTF model with nearly everything that the format knows: what must come out as it went in."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from formats.gltf_files import Textured

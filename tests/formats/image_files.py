@@ -1,7 +1,5 @@
 """Image files of the tests' own, encoded by OpenImageIO without any code of the package."""
 
-from __future__ import annotations
-
 import io
 import tempfile
 import zlib

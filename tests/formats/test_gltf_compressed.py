@@ -3,8 +3,6 @@
 Data of Draco stay, and new colours lie beside them; views of meshoptimizer are compressed again without loss.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from functools import partial

@@ -4,8 +4,6 @@ Damaged files: cut off, of members of another kind, or of numbers that contradic
 document, each is refused in one line that names the place, or does no harm.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 from functools import cache

@@ -3,8 +3,6 @@
 JSON and buffers are compared value by value, and judged by the official validator.
 """
 
-from __future__ import annotations
-
 import re
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Patching glTF files changes the asked colours and images; nothing else does or moves, and no bytes are wasted."""
 
-from __future__ import annotations
-
 import json
 import re
 

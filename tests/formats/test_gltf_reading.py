@@ -1,7 +1,5 @@
 """What is painted and textured in a glTF file: rows, faces, places and texture coordinates."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Images that are damaged, too large or of no use end in one clear error, and never decode first.
 """
 
-from __future__ import annotations
-
 import errno
 import time
 import zlib

@@ -3,8 +3,6 @@
 KTX2 and AVIF: read, written again as they were, taken back to plain images in glTF, refused in one line.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 

@@ -1,7 +1,5 @@
 """Every tag, chunk, segment and attribute of an image is in the file that is written from it, or named as lost."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

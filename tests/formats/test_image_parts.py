@@ -3,8 +3,6 @@
 Layers and parts of EXR files, and what follows the first picture of a JPEG file, whose tables of quantisation are read.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """New places of vertices: positions and normals change in the file, and nothing else does."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

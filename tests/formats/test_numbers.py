@@ -1,7 +1,5 @@
 """Numbers in files: full scale is that of the least number of bits that holds them; tokens are split as by Python."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """OBJ files: vertex and face lines, colours of vertices and polypaint; a line for each fault; only colours change."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

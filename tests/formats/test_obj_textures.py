@@ -1,7 +1,5 @@
 """Textures of OBJ files, in the dialects of programs: which image lies where, and only images and names change."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """PLY files are read as trimesh reads them, in the dialects of scanners and libraries; damage is refused."""
 
-from __future__ import annotations
-
 import io
 import struct
 

@@ -1,7 +1,5 @@
 """Points in NumPy archives and in LAS, LAZ, E57 and PCD files: colours alone change, all else stays value for value."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io

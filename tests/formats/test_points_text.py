@@ -1,7 +1,5 @@
 """Lines of points: which columns are the colours, by names, by values, or by what users say; only colours change."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

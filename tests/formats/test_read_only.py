@@ -1,7 +1,5 @@
 """Formats that are read only: their colours come out as PLY or glTF, and damage is refused."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

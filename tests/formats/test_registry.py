@@ -3,8 +3,6 @@
 Meshes and points written as new files are read back the same, and what a format cannot hold is said.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import subprocess

@@ -1,7 +1,5 @@
 """Textured models in another format: what both formats have a place for is kept, and the rest is said in one line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

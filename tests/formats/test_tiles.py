@@ -1,7 +1,5 @@
 """Textures in tiles (UDIM): one manifold in several files, written as the files that they were."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """USD scenes: where images and colours are shown, and that nothing else changes, in layers as in packages."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

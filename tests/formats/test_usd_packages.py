@@ -1,7 +1,5 @@
 """USD packages: only images change in them, and what they were converted from comes back; none does harm."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

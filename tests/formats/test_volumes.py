@@ -3,8 +3,6 @@
 Damaged and harmful files are refused in one clear line, for no more memory than the refusal takes.
 """
 
-from __future__ import annotations
-
 import gzip
 import pickle
 import tracemalloc

@@ -1,7 +1,5 @@
 """TIFF and EXR files of the tests' own, written and read byte by byte, without any code of the package."""
 
-from __future__ import annotations
-
 import struct
 
 CODES = {1: "B", 2: "B", 3: "H", 4: "I", 5: "II", 6: "b", 7: "B", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d", 13: "I",

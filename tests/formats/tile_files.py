@@ -1,7 +1,5 @@
 """A waved sheet whose texture is in tiles, or in one image, with triangles that reach over the borders of tiles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from beltrami_cli.flow.parameters import KernelParameters

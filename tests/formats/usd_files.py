@@ -1,7 +1,5 @@
 """USD scenes as programs write them, made by usd-core itself where they are binary or packages."""
 
-from __future__ import annotations
-
 import zipfile
 
 import numpy as np

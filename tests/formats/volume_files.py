@@ -1,7 +1,5 @@
 """Files of level sets, made of arrays."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 

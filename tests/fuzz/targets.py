@@ -3,8 +3,6 @@
 What is read is also written with other colours and read again: then colours must be all that differs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Level sets whose surface is known, sampled on grids."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Off the grid points and their symmetries, so that no value is on the level by chance.

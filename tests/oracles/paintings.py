@@ -1,7 +1,5 @@
 """Pictures without noise, by formulas: like a photograph, flat paint, line art and shapes; and white noise on them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 _PALETTE = np.array(

@@ -1,7 +1,5 @@
 """Random small meshes for property tests, with everything that a mesh from the wild may have."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays

@@ -1,7 +1,5 @@
 """Small meshes whose geometry is known, as (positions (V, 3) float64, faces (F, 3) int32)."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

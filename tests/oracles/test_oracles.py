@@ -1,7 +1,5 @@
 """The oracles agree with what is known without them."""
 
-from __future__ import annotations
-
 from math import inf
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Textured surfaces whose atlas is known: planes cut in charts, cubes, cylinders."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pages in Chromium, as a user sees and operates them."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """One browser for the tests of a file: some 3 s of processor time, which count for the last of them."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

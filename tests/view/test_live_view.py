@@ -3,8 +3,6 @@
 Its server: who may ask, and requests that no page sends, which change nothing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

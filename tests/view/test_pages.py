@@ -3,8 +3,6 @@
 All pages fit their window, can be operated by everyone, fetch nothing, and show names as text.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Previews of the live view, and the controls and commands that stand for settings."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Views have the geometry, the brightness by the law of the lamp, and the colours of the model."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
