@@ -236,12 +236,16 @@ def page_server(live):
     thread.join()
 
 
+def own(server):
+    """Return the headers that a page of the server sends."""
+    return {"Host": server.host, "Origin": f"http://{server.host}"}
+
+
 def answered(page_server, method, path, body=None, **headers):
     """Send a request, by default as from its own page; return the answer, which is read."""
     connection = http.client.HTTPConnection(page_server.host, timeout=10)
     with contextlib.closing(connection):
-        own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
-        sent = {name: value for name, value in {**own, **headers}.items() if value is not None}
+        sent = {name: value for name, value in {**own(page_server), **headers}.items() if value is not None}
         connection.request(method, path, body, sent)
         answer = connection.getresponse()
         return answer, answer.read()
@@ -295,8 +299,7 @@ def test_the_program_ends_with_its_last_page_though_work_goes_on(monkeypatch):
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     connection = http.client.HTTPConnection(server.host, timeout=10)
-    own = {"Host": server.host, "Origin": f"http://{server.host}"}
-    connection.request("POST", f"/{server.token}/change", "{}", own)
+    connection.request("POST", f"/{server.token}/change", "{}", own(server))
     with contextlib.closing(connection), connection.getresponse() as answer:
         assert answer.readline() == b'{"kind": "accepted"}\n'
         thread.join(timeout=1)
@@ -363,8 +366,7 @@ def test_parts_of_another_type_save_and_change_nothing(request_name, name, page_
 @pytest.mark.slow
 def test_a_change_that_is_broken_off_ends_and_leaves_nothing(page_server):
     connection = http.client.HTTPConnection(page_server.host, timeout=10)
-    own = {"Host": page_server.host, "Origin": f"http://{page_server.host}"}
-    connection.request("POST", f"/{page_server.token}/change", json.dumps(CHANGE), own)
+    connection.request("POST", f"/{page_server.token}/change", json.dumps(CHANGE), own(page_server))
     assert json.loads(connection.getresponse().readline()) == {"kind": "accepted", "command": "command"}
     assert page_server.answered
     connection.close()
