@@ -65,7 +65,7 @@ def test_variances_are_relative_to_their_mean_and_never_nothing():
 @pytest.mark.parametrize(("patches", "tolerance"), [("off", 1e-5), ("on", 1e-3)])
 def test_the_same_number_everywhere_is_that_number(patches, tolerance):
     """To the rounding of float32, in which deviations are stored; that may also decide which patches are alike."""
-    noise = 12 / 255 * np.random.default_rng(3).standard_normal((SIZE, SIZE, 1))
+    noise = 12 / 255 * np.random.default_rng(3).standard_normal((64, 64, 1))
     noisy = np.float32(0.4 + noise)  # which is read as independent
     one = beltrami_cli.smooth_image(noisy, noise="12", patches=patches)
     all_alike = beltrami_cli.smooth_image(noisy, noise=np.full(noisy.shape, 12 / 255), patches=patches)

@@ -103,6 +103,7 @@ def test_noise_that_vertices_share_is_removed_and_the_psnr_is_told(sphere):
     assert most is None or reached <= most
 
 
+@pytest.mark.slow
 def test_black_stays_black_where_vertices_share_noise(sphere):
     """To a fifth of the 0.4 standard deviations by which noise that is cut off at 0 makes it brighter."""
     positions, faces = sphere

@@ -184,6 +184,7 @@ def test_a_limit_on_the_size_of_files(most, tmp_path):
     assert snapshot(tmp_path) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("info", "{}"), ("smooth", "{}", "-", "-n", "0")])
 def test_a_reader_that_has_enough_is_no_failure_to_speak_of(words):
     arguments = [*COMMAND, *(word.format(SAMPLES / "terrain-noisy.ply") for word in words)]

@@ -216,7 +216,7 @@ def test_steps_that_charts_do_not_explain_pass_no_more_often_than_the_test_says(
     assert sum(passed) <= 2
 
 
-@pytest.mark.parametrize("brightness", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("brightness", [0.5, 1.5])
 def test_exposures_are_found_at_any_brightness_and_taken_out(brightness):
     gains = brightness * np.random.default_rng(3).uniform(0.85, 1.15, 16)
     steps = grid(4, 0.1, 4, gains)
