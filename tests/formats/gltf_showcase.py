@@ -120,14 +120,10 @@ def animation(model, joint, body):
     time = tight(np.array([[0], [1]], "<f4"), bounds=True)
     turn = tight(np.array([[0, 0, 0, 1], [0, 0, 1, 0]], "<f4"))
     weights = tight(np.array([[0], [1], [1], [0]], "<f4"))
-    return {
-        "name": "walk",
-        "samplers": [{"input": time, "output": turn}, {"input": time, "output": weights}],
-        "channels": [
-            {"sampler": 0, "target": {"node": joint, "path": "rotation"}},
-            {"sampler": 1, "target": {"node": body, "path": "weights"}},
-        ],
-    }
+    samplers = [{"input": time, "output": turn}, {"input": time, "output": weights}]
+    targets = [{"node": joint, "path": "rotation"}, {"node": body, "path": "weights"}]
+    channels = [{"sampler": number, "target": target} for number, target in enumerate(targets)]
+    return {"name": "walk", "samplers": samplers, "channels": channels}
 
 
 def quantised(model):

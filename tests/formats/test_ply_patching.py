@@ -25,21 +25,16 @@ FAMILIES = (
     ("grey",),
 )
 COLOUR_TYPES = ("uchar", "uint8", "ushort", "uint16", "float", "float32", "double", "float64")
-FULL = {"B": 255, "H": 65535, "I": 2**32 - 1}
+FULL = {"B": 255, "H": 65535}
 
 
 def value(draw, kind):
     if " " in kind:
         return [value(draw, kind.split()[1]) for _ in range(draw(st.integers(0, 4)))]
-    code = CODES[kind]
-    if code in "fd":
+    if CODES[kind] in "fd":
         return draw(st.floats(-100, 100, width=32))
-    bits = {"b": 8, "h": 16, "i": 32}.get(code.lower(), 0)
-    return draw(
-        st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-        if code.islower()
-        else st.integers(0, 2**bits - 1)
-    )
+    limits = np.iinfo(CODES[kind])
+    return draw(st.integers(limits.min, limits.max))
 
 
 @st.composite
