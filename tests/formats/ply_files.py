@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass, field
 
@@ -28,6 +29,15 @@ class Built:
 
     data: bytes
     spans: dict[tuple[str, int, str], tuple[int, int]]
+
+    def is_same_but_at(self, changed, data, longest=24):
+        """Return whether a file differs in nothing but some scalars, which have at most so many characters as text."""
+        spans = sorted(self.spans[scalar] for scalar in changed)
+        ends, starts = [0, *(end for _, end in spans)], [*(start for start, _ in spans), len(self.data)]
+        kept = [self.data[a:b] for a, b in zip(ends, starts, strict=True)]
+        if b"format ascii" in self.data:
+            return re.fullmatch((b"[0-9.e-]{1,%d}" % longest).join(map(re.escape, kept)), data) is not None
+        return [data[a:b] for a, b in zip(ends, starts, strict=True)] == kept and len(data) == len(self.data)
 
 
 def build(tables, encoding="ascii", newline="\n", comments=None):

@@ -41,11 +41,14 @@ def square(z=0.0):
     return corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
-def textured_square(sheet, alpha_hides=True):
+def textured_square(sheet, alpha_hides=True, is_backed=False):
+    """Return a view of a square, perhaps with one behind it that has no texture."""
     corners, faces = square()
+    if is_backed:
+        corners, faces = np.concatenate([corners, square(-1.0)[0]]), np.concatenate([faces, faces + 4])
     uv = ((corners[:, :2] * (1, -1) + 1) / 2)[faces]
     texture = Texture("0", "a.png", b"", wrap=("clamp", "clamp"), alpha_hides=alpha_hides)
-    surface = TexturedSurface(corners, faces, uv, np.zeros(2, np.int32), (texture,))
+    surface = TexturedSurface(corners, faces, uv, np.int32([0, 0, -1, -1])[: len(faces)], (texture,))
     paint = TexturePaint(surface, [sheet.astype(np.float32)], triangle_areas(corners, faces))
     return SurfaceView(corners, faces, paint)
 
@@ -123,14 +126,8 @@ def test_what_is_transparent_shows_what_is_behind():
     front = textured_square(half)
     alone = seen_from_the_front(front, 9)
     assert alone == pytest.approx(np.broadcast_to([0.5, 0, 0, 0.5], (9, 9, 4)), abs=1e-6)
-    behind, faces = square(-1.0)
-    corners = np.concatenate([front.positions, behind])
-    both = np.concatenate([faces, faces + 4])
-    uv = np.concatenate([((front.positions[:, :2] * (1, -1) + 1) / 2)[faces]] * 2)
-    texture = Texture("0", "a.png", b"")
-    surface = TexturedSurface(corners, both, uv, np.array([0, 0, -1, -1], np.int32), (texture,))
-    paint = TexturePaint(surface, [half.astype(np.float32)], triangle_areas(corners, both))
-    seen = SurfaceView(corners, both, paint).draw(front_camera(front), (9, 9), INSIDE, lit=False)
+    backed = textured_square(half, is_backed=True)
+    seen = backed.draw(front_camera(front), (9, 9), INSIDE, lit=False)
     grey = seen[4, 4, 1] / 0.5  # of what has no texture
     assert seen == pytest.approx(
         np.broadcast_to([0.5 + grey / 2, grey / 2, grey / 2, 1], (9, 9, 4)), abs=1e-6
