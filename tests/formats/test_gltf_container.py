@@ -360,7 +360,7 @@ PART = "meshes.0.primitives.0"
 INFO = "materials.0.pbrMetallicRoughness.baseColorTexture"
 TRANSFORM = f"{INFO}.extensions.KHR_texture_transform"
 ZEROS = {"componentType": 5126, "type": "VEC3", "count": 10**9}
-NOT_FINITE = b"\x01\x00\x80\x7f"  # a NaN that signals, of which the processor would warn
+NOT_FINITE = b"\x01\x00\x80\x7f"  # a signalling NaN, which the processor would warn about
 DAMAGES = [
     ("no vertex colours", put(f"{PART}.attributes", {"POSITION": 1})),
     ("meshes[0].primitives[0].attributes.COLOR_0", put(f"{PART}.attributes.COLOR_0", 99)),

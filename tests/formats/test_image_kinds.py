@@ -134,8 +134,8 @@ def test_the_extension_of_a_texture_follows_the_image_that_is_written(tmp_path, 
     (shown,) = open_document(str(target)).textured("baseColor").textures
     assert read_image(shown.data, "x").suffix in (written, ".jpg")
     assert check_files(source, target).faithful
-    told = [each for each in report.warnings if "PSNR" in each]
-    assert len(told) == (kept not in (None, "EXT_texture_webp"))
+    reported = [each for each in report.warnings if "PSNR" in each]
+    assert len(reported) == (kept not in (None, "EXT_texture_webp"))
     if fallback and suffix is None:
         images = open_document(str(target)).images
         plain, better = (read_image(images.data(index), "x").pixels for index in (0, 1))

@@ -323,7 +323,7 @@ def test_what_is_written_is_read_back(tmp_path, form, stored, encoding, channels
 
 
 def rounding(form, stored, encoding):
-    """Return how far sRGB colours may be off: half a level of what is stored, or half of the last digit of text."""
+    """Return the tolerance of sRGB colours: half a stored level, or half of the last digit of text."""
     if form in ("obj", "xyz", "pts", "csv"):
         return 5.1e-7
     if encoding == "linear" and form in ("ply", "npz") and stored in FULL:
@@ -393,7 +393,7 @@ def test_another_reader_finds_the_same(form):
     np.testing.assert_allclose(other.vertices[other.faces], places, atol=1e-7)
     painted = open_bytes(data, f"x.{form}", None).painted()
     np.testing.assert_allclose(painted.positions[painted.faces], places, atol=1e-7)
-    if form != "glb":  # of which trimesh takes linear numbers of 16 bit for levels
+    if form != "glb":  # trimesh takes its linear 16-bit numbers for levels
         levels = np.rint(contents.colours * 255)[contents.corners].reshape(-1, 3, 3)
         np.testing.assert_array_equal(other.visual.vertex_colors[other.faces][..., :3], levels)
 

@@ -232,7 +232,7 @@ def _varied(number: int) -> bytes:
 
 
 def main() -> None:
-    """Write all seeds; inputs that once did harm lie beside them, and stay."""
+    """Write all seeds; other files in the folders, which fuzzing found, stay."""
     seeds = {"ply": ply_seeds(), "obj": obj_seeds(), "gltf": gltf_seeds(), **other_seeds(), **data_seeds()}
     for target, made in seeds.items():
         (CORPUS / target).mkdir(parents=True, exist_ok=True)

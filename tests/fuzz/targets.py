@@ -169,7 +169,7 @@ def smooth_arrays(data):
 
 @contextlib.contextmanager
 def _written(name, data):
-    """Write a file that is read as data, and beside it one that manifests can name."""
+    """Write a file that is read as data, next to a model that manifests can name."""
     with tempfile.TemporaryDirectory(dir=_SCRATCH) as folder:
         (Path(folder) / "a.ply").write_bytes(b"")
         (Path(folder) / name).write_bytes(data)
