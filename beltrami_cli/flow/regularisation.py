@@ -58,9 +58,8 @@ class GridGaussian:
     """Gaussian means over the filled cells of a grid, shape (R, C)."""
 
     taps: Float32s
-    reachable: (
-        Bools | None
-    )  # cells at which means do not stop; None: charts that keep their distance do without
+    # Cells at which means do not stop; None: charts that keep their distance do without
+    reachable: Bools | None
     partial: Int32s  # filled cells (flat indices) that lack a neighbour
     totals: Float32s  # of their weights
     cut_means: CutMeans | None
@@ -111,9 +110,8 @@ def _partial_totals(
     for first in range(0, len(filled), ROWS):  # whole planes would take the memory that this saves
         above = min(first, reach)
         band = filled[first - above : first + ROWS + reach]
-        total = _convolved(band[None].astype(np.float32), taps, None if reachable is None else band, threads)[
-            0
-        ]
+        planes = band[None].astype(np.float32)
+        (total,) = _convolved(planes, taps, None if reachable is None else band, threads)
         total = total[above : above + ROWS]
         lacking = np.flatnonzero((total < enough) & filled[first : first + ROWS])
         cells.append((lacking + first * filled.shape[1]).astype(np.int32))
@@ -144,9 +142,8 @@ def _convolve_up_to_holes(plane: Float32s, filled: Bools, taps: Float32s) -> Flo
             near, far = (
                 (slice(None, -step), slice(step, None)) if ahead else (slice(step, None), slice(None, -step))
             )
-            seen = (seen[:-1] if ahead else seen[1:]) & filled[
-                far
-            ]  # all cells from the near one to the far one
+            # All cells from the near one to the far one.
+            seen = (seen[:-1] if ahead else seen[1:]) & filled[far]
             result[near] += taps[reach + step] * np.where(seen, plane[far], np.float32(0))
     return result
 

@@ -36,12 +36,10 @@ from beltrami_cli.flow.noise.network import (
 # Noise below this deviation, in steps of 8 bits, is invisible: it is less than that of rounding.
 INVISIBLE = 0.29
 
-# Ratio of deviations between levels, above which they differ: readings of a camera's noise are drawn towards 1.
-MIN_RATIO_OF_LEVELS = 1.25
-
-# The same between places: of twelve pictures with white noise, medians reach 1.08, and 1.12 with noise that is equal in
-# all channels; of two exposures that are blended they are 1.25 to 2.4.
-MIN_RATIO_OF_PLACES = 1.25
+# Ratio of deviations between levels or places, above which they differ. Readings of a camera's noise by level are
+# drawn towards 1. Between places: of twelve pictures with white noise, medians reach 1.08, and 1.12 with noise that is
+# equal in all channels; of two exposures that are blended they are 1.25 to 2.4.
+MIN_RATIO = 1.25
 
 # Difference of the covariances of the finest two scales, of the smaller one, above which neighbours share noise: that
 # of readings of white noise is 0.29 at most, and that of filtered noise 1 or more, but for mosaics.
@@ -305,7 +303,7 @@ def _by_level(readings: Sequence[_Reading]) -> VarianceStabiliser | None:
     )
     # Channels have much in common here, and their mean is less uncertain.
     mean, seen = np.average(logs, axis=0, weights=blocks + 1e-9), blocks.sum(axis=0)
-    if np.ptp(mean[seen >= _MIN_SHARE_OF_LEVEL * seen.sum()]) < np.log2(MIN_RATIO_OF_LEVELS):
+    if np.ptp(mean[seen >= _MIN_SHARE_OF_LEVEL * seen.sum()]) < np.log2(MIN_RATIO):
         return None
     variances = 4.0**logs
     blocks /= blocks.sum(axis=1, keepdims=True)
@@ -333,7 +331,7 @@ def _by_place(reading: _Reading, stabiliser: VarianceStabiliser | None) -> Float
     logs, where = reading.places - of_level, reading.samples.where
     around = where.medians_around(logs)
     low, high = np.quantile(around, (_MIN_SHARE_OF_PLACES, 1 - _MIN_SHARE_OF_PLACES))
-    if high - low <= np.log2(MIN_RATIO_OF_PLACES):
+    if high - low <= np.log2(MIN_RATIO):
         return None
     variances = 4.0**logs
     if where.kind == "grid":

@@ -171,27 +171,20 @@ _MOST_BEFORE_PATCHES = 2.0
 _SHARED_BY_NEIGHBOURS = 1.5
 
 
-# Standard deviations of a normal distribution on both sides within which 90 % are.
-_NINETY = 1.645
-
-
 @dataclass(frozen=True)
 class Choice:
     """What was chosen, and by what estimate."""
 
     chosen: dict[str, float]  # values of the parameters that were free
-    psnr: float | None = (
-        None  # estimated, against noise-free colours, before clipped averages are restored; None: not known
-    )
+    # Estimated, against noise-free colours, before clipped averages are restored; None: not known
+    psnr: float | None = None
     error: float | None = None  # standard error of `psnr` in dB, if the estimate of the noise is right
     gain: float | None = None  # in dB over the estimated PSNR of the input
     candidates: int = 0  # schedules that were compared
     samples: int = 0  # of the surface that they were compared on
     correlated: bool = False  # whether neighbouring samples share noise, which was allowed for
-    doubt: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # mean square errors that may be missing, and too much, if the noise is wrong
+    # Mean square errors that may be missing, and too much, if the noise is wrong
+    doubt: tuple[float, float] = (0.0, 0.0)
 
     @property
     def interval(self) -> tuple[float, float | None] | None:
