@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from batch.dask_cluster import Cluster
 from beltrami_cli.batch.cluster import OnDask, do_on_worker, portable
 from beltrami_cli.batch.item import Item, Record
-from beltrami_cli.batch.run import Batch, ChunkRunner, OnWorkers
+from beltrami_cli.batch.run import Batch, ChunkRunner, Workers
 from beltrami_cli.flow.beltrami_flow import choose_parameters, smooth
 from beltrami_cli.flow.chunks import in_chunks
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
@@ -53,7 +53,7 @@ def many_files(client):
         ]
         record = Record(f"{folder}/batch.jsonl", resume=False, overwrite=False)
         start = time.perf_counter()
-        workers = OnWorkers(OnDask(client), lambda item: (do_on_worker, item, portable(item), None), 1)
+        workers = Workers(OnDask(client), lambda item: (do_on_worker, item, portable(item), None), 1)
         outcomes = Batch(jobs, record, Silent()).run(1, None, workers)
         assert all(outcome.status == "done" for outcome in outcomes)
         return time.perf_counter() - start

@@ -85,22 +85,16 @@ def _require_listener(address: str) -> None:
 
 async def _require_scheduler(address: str, security: Any) -> None:
     """Raise an exception of any kind if what listens at an address is no scheduler, where a client would hang."""
-    from distributed.comm import connect
+    from distributed.core import rpc
 
-    async def identity() -> str:
-        connection = await connect(address, timeout=_PATIENCE, **security.get_connection_args("client"))
+    arguments = security.get_connection_args("client")
+    async with rpc(address, timeout=_PATIENCE, connection_args=arguments) as peer:
         try:
-            await connection.write({"op": "identity", "reply": True})
-            return str((await connection.read())["type"])
-        finally:
-            connection.abort()
-
-    try:
-        found = await asyncio.wait_for(identity(), _PATIENCE)
-    except TimeoutError as error:
-        raise TimeoutError(f"it accepts connections, and says nothing for {_PATIENCE:g} s") from error
-    if found != "Scheduler":
-        raise ValueError(f"it is a {found}")
+            identity = await asyncio.wait_for(peer.identity(), _PATIENCE)
+        except TimeoutError as error:
+            raise TimeoutError(f"it accepts connections, and says nothing for {_PATIENCE:g} s") from error
+    if identity["type"] != "Scheduler":
+        raise ValueError(f"it is a {identity['type']}")
 
 
 class OnDask(Pool):
@@ -243,11 +237,6 @@ def do_on_worker(item: Item, local: Item, memory: int | None, progress: Progress
     threads, limit = worker.state.nthreads, worker.memory_manager.memory_limit
     if memory is None and limit:
         memory = limit // threads
-    # Threads share the memory of a process, which can then not be limited for one of them.
     local = dataclasses.replace(local, again=item.again or again)
-    attempt = do_item(local, memory, progress, is_alone=threads == 1)
-    outcome = dataclasses.replace(
-        attempt.outcome, input=item.source, output=item.target, parameters_sha256=item.parameters,
-        error=attempt.outcome.error.replace(local.source, item.source).replace(local.target, item.target),
-    )  # fmt: skip
-    return dataclasses.replace(attempt, outcome=outcome)
+    # Threads share the memory of a process, which can then not be limited for one of them.
+    return do_item(item, memory, progress, is_alone=threads == 1, local=local)

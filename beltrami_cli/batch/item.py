@@ -114,13 +114,17 @@ def failed(item: Item, error: str, exit_code: int, seconds: float = 0.0) -> Outc
 
 
 def do_item(
-    item: Item, memory: int | None, progress: Progress | None = None, *, is_alone: bool = True
-) -> Attempt:
-    """Smooth one file; a failure is returned, not raised. Only if the process `is_alone` can its memory be limited."""
+    item: Item, memory: int | None, progress: Progress | None = None, *,
+    is_alone: bool = True, local: Item | None = None,
+) -> Attempt:  # fmt: skip
+    """Smooth one file; a failure is returned, not raised. Only if the process `is_alone` can its memory be limited.
+
+    `local`: the item by its names on this machine.
+    """
     start = time.monotonic()
     try:
         with limited_memory(memory if is_alone else None, item.source):
-            done = _done(item, memory, progress)
+            done = _done(item, local or item, memory, progress)
         return Attempt(dataclasses.replace(done, seconds=round(time.monotonic() - start, 3)))
     except BeltramiError as error:
         # Whatever refuses a file for want of memory names the option as the way out.
@@ -136,15 +140,15 @@ def do_item(
         return Attempt(failed(item, message, 1, time.monotonic() - start), traceback=traceback.format_exc())
 
 
-def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
-    to_url = is_url(item.target)
-    with staged(item.source, item.target) as stage:
+def _done(item: Item, local: Item, memory: int | None, progress: Progress | None) -> Outcome:
+    to_url = is_url(local.target)
+    with staged(local.source, local.target) as stage:
         copy = dataclasses.replace(
-            item, source=stage.source, target=stage.target,
-            overwrite=item.overwrite or to_url, again=item.again and not to_url,
+            local, source=stage.source, target=stage.target,
+            overwrite=local.overwrite or to_url, again=local.again and not to_url,
         )  # fmt: skip
         try:
-            access = dataclasses.replace(stage.access(item.outside, memory), columns=item.columns)
+            access = dataclasses.replace(stage.access(local.outside, memory), columns=local.columns)
             report = _made(copy, access, progress)
         except BeltramiError as error:
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
@@ -153,9 +157,9 @@ def _done(item: Item, memory: int | None, progress: Progress | None) -> Outcome:
         names = [item.target, *sidecars]
         report = dataclasses.replace(report, input=item.source, output=item.target, written=names)
         if to_url:
-            written = stage.send(sidecars, overwrite=item.overwrite, again=item.again)
+            written = stage.send(sidecars, overwrite=local.overwrite, again=local.again)
         else:
-            output = Path(os.path.realpath(item.target))
+            output = Path(os.path.realpath(local.target))
             files = (output, *(output.parent / name for name in sidecars))
             written = {str(file): hash_at(str(file)) for file in files}
         return outcome_of(item, "done", read=stage.read, written=written, report=dataclasses.asdict(report))

@@ -12,16 +12,14 @@ import io
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from glob import has_magic
 from pathlib import Path, PurePath
 from typing import Any
 
-from beltrami_cli.batch.storage import find_at, fixed_part, is_url, joined, place_of, without_scheme
+from beltrami_cli.batch.storage import find, is_glob, is_url, joined, place_of, without_scheme
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import (
     MANIFEST,
     is_file,
-    is_there,
     parse_json,
     parse_toml,
     read_bounded,
@@ -65,13 +63,12 @@ def plan(inputs: Iterable[str], out_dir: str, suffix: str, extension: str | None
     for text in map(without_scheme, inputs):
         if text == "-":
             raise UsageError("a batch is of files, and - is none; beltrami smooth takes a pipe")
-        is_glob = has_magic(text) and not is_there(Path(text))
-        if Path(text).suffix.lower() in _READERS and not is_glob:  # a manifest
+        if Path(text).suffix.lower() in _READERS and not is_glob(text):  # a manifest
             requests += list(_of_manifest(text, out_dir, suffix, extension))
         else:
             requests += [
                 Request(source, joined(out_dir, _result_name(place, suffix, extension)))
-                for source, place in (_found_at if is_url(text) else _found)(text, out_dir)
+                for source, place in _found(text, out_dir)
             ]
     if not requests:
         raise UsageError("there is nothing to do; name files, globs, folders or a manifest")
@@ -93,64 +90,35 @@ def _result_name(place: PurePath, suffix: str, extension: str | None) -> PurePat
     return place.with_name(place.stem + suffix + (f".{extension}" if extension else place.suffix))
 
 
-def _found(text: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:
-    """Give the files that an input stands for, and their places below the output folder."""
-    path, results = Path(text), None if is_url(out_dir) else Path(out_dir)
-    if is_there(path) and path.is_dir():
-        inside = sorted(each for each in path.rglob("*") if each.suffix.lower() in MODEL_SUFFIXES)
-        found = [(each, each.relative_to(path)) for each in inside if _is_input(each, path, results)]
-    elif is_there(path) or not has_magic(text):
-        if not is_file(path):
-            raise InputError(text, "there is no such file", "check the path")
-        found = [(path, Path(path.name))]
-    else:
-        root = Path(fixed_part(path))
-        named = sorted(root.glob(str(path.relative_to(root))))
-        found = [(each, each.relative_to(root)) for each in named if _is_input(each, root, results)]
+def _found(text: str, out_dir: str) -> list[tuple[str, PurePath]]:
+    """Return the files that an input stands for, and their places below the output folder.
+
+    A folder stands for its models. Hidden files and results of an earlier run are meant only if they are named.
+    """
+    root, found = find(text)
+    if root:
+        inner, outer = PurePath(place_of(out_dir)), PurePath(place_of(root))
+        results = inner if inner != outer and inner.is_relative_to(outer) else None
+        found = [
+            (source, place)
+            for source, place in found
+            if (is_glob(text) or place.suffix.lower() in MODEL_SUFFIXES)
+            and not any(part.startswith(".") for part in place.parts)
+            and (results is None or not PurePath(place_of(source)).is_relative_to(results))
+        ]
     if not found:
-        raise InputError(text, *_why_empty(path))
-    yield from ((str(each), place) for each, place in found)
+        raise InputError(text, *_why_empty(text))
+    return found
 
 
-def _why_empty(path: Path) -> tuple[str, str]:
+def _why_empty(text: str) -> tuple[str, str]:
     """Return the cause and the remedy where a folder or a glob gives no file to smooth."""
-    images = (
-        sorted({each.suffix.lower() for each in path.glob("*")} & set(IMAGE_SUFFIXES))
-        if path.is_dir()
-        else []
-    )
-    if images:
+    path = Path(text)
+    images = {each.suffix.lower() for each in path.glob("*")} if path.is_dir() else set[str]()
+    if images := images & set(IMAGE_SUFFIXES):
         cause = "it holds images and no model; images are not taken from folders, as they may be textures"
-        return cause, f"name them by a pattern, such as '{path / f'*{images[0]}'}'"
-    return "no file that can be smoothed is found there", "check the path"
-
-
-def _found_at(url: str, out_dir: str) -> Iterator[tuple[str, PurePath]]:
-    """Do the same for a URL; of a folder, all models."""
-    found = [
-        (source, place)
-        for source, place in find_at(url)
-        if (source == url or has_magic(url) or place.suffix.lower() in MODEL_SUFFIXES)
-        and not _is_hidden(place)
-        and not (is_url(out_dir) and source.startswith(f"{out_dir.rstrip('/')}/") and source != url)
-    ]
-    if not found:
-        raise InputError(url, "no file that can be smoothed is found there", "check the URL")
-    yield from found
-
-
-def _is_hidden(place: PurePath) -> bool:
-    return any(part.startswith(".") for part in place.parts)
-
-
-def _is_input(path: Path, root: Path, out_dir: Path | None) -> bool:
-    """Whether a file that was found is meant: results of an earlier run and hidden files are not."""
-    if _is_hidden(path.relative_to(root)) or not path.is_file():
-        return False
-    if out_dir is None:
-        return True
-    inner, outer = out_dir.resolve(), root.resolve()
-    return inner == outer or not inner.is_relative_to(outer) or not path.resolve().is_relative_to(inner)
+        return cause, f"name them by a pattern, such as '{path / f'*{min(images)}'}'"
+    return "no file that can be smoothed is found there", "check the path or URL"
 
 
 def _refuse_clashes(requests: Iterable[Request]) -> None:

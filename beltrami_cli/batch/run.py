@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.batch.item import (
@@ -22,11 +23,11 @@ from beltrami_cli.batch.item import (
     outcome_of,
 )
 from beltrami_cli.batch.storage import exists, make_folder_of
-from beltrami_cli.batch.workers import Lost, Pool, Processes
+from beltrami_cli.batch.workers import Lost, Pool, Processes, Task
 from beltrami_cli.errors import OutputError, ProcessingError
 from beltrami_cli.flow.chunks import Chunk, Done, Figures, Work, in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
-from beltrami_cli.jobs.job import at_intervals
+from beltrami_cli.jobs.job import Progress, at_intervals
 
 # Attempts at a chunk before its file fails: a machine that restarts loses a few workers, and a chunk that is too large
 # for the memory kills every worker. A choice.
@@ -44,28 +45,13 @@ class Watcher(Protocol):
     def finished(self, key: int, attempt: Attempt) -> None: ...
 
 
-class Executor(ABC):
-    """Does items, to be used as a context; items still in work at its end are given up."""
+@dataclass(frozen=True)
+class Workers:
+    """A pool that does files: `call` gives the task of an item, and its arguments."""
 
+    pool: Pool
+    call: Callable[[Item], tuple[Any, ...]]
     threads: int | None = None  # for each file whose settings leave it open; None: as many as there are
-
-    def __enter__(self) -> Self:
-        return self
-
-    @abstractmethod
-    def __exit__(self, *error: object) -> None: ...
-
-    @property
-    @abstractmethod
-    def is_full(self) -> bool:
-        """Whether it takes no more items for now."""
-
-    @abstractmethod
-    def start(self, key: int, item: Item) -> None: ...
-
-    @abstractmethod
-    def attempts(self, advanced: Advanced) -> Iterator[tuple[int, Attempt]]:
-        """Wait for a while, call `advanced` with what comes of progress, and give by key what came of items."""
 
 
 class Batch:
@@ -80,8 +66,8 @@ class Batch:
         self._outcomes: dict[int, Outcome] = {}
         self._writers: dict[str, tuple[int, str]] = {}  # who wrote a file, and its hash
 
-    def run(self, at_once: int, memory: int | None, executor: Executor | None = None) -> list[Outcome]:
-        """Return one outcome an item, in their order; without an executor by `at_once` processes at a time.
+    def run(self, at_once: int, memory: int | None, workers: Workers | None = None) -> list[Outcome]:
+        """Return one outcome an item, in their order; without workers by `at_once` processes at a time.
 
         Each has an equal share of `memory` (bytes); what that is not enough for is done alone at the end, with all.
         """
@@ -91,15 +77,14 @@ class Batch:
                 self._finish(key, Attempt(dataclasses.replace(earlier, status="skipped")))
             else:
                 waiting.append(key)
-        if executor is not None:
-            self._work(waiting, executor, is_last=True)
+        if workers is not None:
+            self._work(waiting, workers, is_last=True)
         else:
             count = max(1, min(at_once, len(waiting)))
             share = None if memory is None else memory // count
             threads = KernelParameters().thread_count
-            larger = self._work(
-                waiting, in_processes(count, share, max(1, threads // count)), is_last=count == 1
-            )
+            several = in_processes(count, share, max(1, threads // count))
+            larger = self._work(waiting, several, is_last=count == 1)
             self._work(larger, in_processes(1, memory, threads), is_last=True)
         for key in set(range(len(self._items))) - self._outcomes.keys():  # left undone by --fail-fast
             written = _written(self._earlier[key])
@@ -108,16 +93,20 @@ class Batch:
         self._record.close(outcomes)
         return outcomes
 
-    def _work(self, waiting: deque[int], executor: Executor, *, is_last: bool) -> deque[int]:
+    def _work(self, waiting: deque[int], workers: Workers, *, is_last: bool) -> deque[int]:
         """Do what waits; return what wants more memory, unless `is_last`."""
         larger: deque[int] = deque()
         in_work = set[int]()
-        with executor as workers:
+        with contextlib.closing(workers.pool) as pool:
             while not self._stopped and (waiting or in_work):
-                while waiting and not workers.is_full and not self._stopped:
+                while waiting and not pool.is_full and not self._stopped:
                     in_work |= self._started(waiting.popleft(), workers)
-                for key, attempt in workers.attempts(self._watcher.advanced) if in_work else ():
+                for key, event in pool.events() if in_work else ():
+                    if isinstance(event, tuple):
+                        self._watcher.advanced(key, *event)
+                        continue
                     in_work.discard(key)
+                    attempt = self._lost(key, event) if isinstance(event, Lost) else event
                     if attempt.wants_memory and not is_last:
                         self._watcher.postponed(key)
                         larger.append(key)
@@ -125,7 +114,11 @@ class Batch:
                         self._finish(key, attempt)
         return larger
 
-    def _started(self, key: int, executor: Executor) -> set[int]:
+    def _lost(self, key: int, lost: Lost) -> Attempt:
+        item = self._items[key]
+        return Attempt(failed(item, f"{item.source}: {lost.cause}", 1), wants_memory=lost.wants_memory)
+
+    def _started(self, key: int, workers: Workers) -> set[int]:
         """Begin with an item; return it, unless it failed already."""
         item, earlier = self._items[key], self._earlier[key]
         overwrite = item.overwrite or is_ours(earlier)
@@ -141,10 +134,10 @@ class Batch:
             self._finish(key, Attempt(failed(item, str(error), error.exit_code)))
             return set()
         if item.settings.kernel.threads is None:
-            kernel = dataclasses.replace(item.settings.kernel, threads=executor.threads)
+            kernel = dataclasses.replace(item.settings.kernel, threads=workers.threads)
             item = dataclasses.replace(item, settings=dataclasses.replace(item.settings, kernel=kernel))
         self._record.add(outcome_of(item, "started", written=_written(earlier)))
-        executor.start(key, dataclasses.replace(item, overwrite=overwrite, again=again))
+        workers.pool.start(key, *workers.call(dataclasses.replace(item, overwrite=overwrite, again=again)))
         return {key}
 
     def _finish(self, key: int, attempt: Attempt) -> None:
@@ -176,67 +169,43 @@ def _written(earlier: Outcome | None) -> dict[str, str]:
     return {} if earlier is None else earlier.written
 
 
-class OnWorkers(Executor):
-    """Does files on the workers of a pool; `call` gives the task of an item, and its arguments."""
-
-    def __init__(
-        self, pool: Pool, call: Callable[[Item], tuple[Any, ...]], threads: int | None = None
-    ) -> None:
-        self._pool, self._call, self.threads = pool, call, threads
-        self._items: dict[int, Item] = {}
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.close()
-
-    @property
-    def is_full(self) -> bool:
-        return self._pool.is_full
-
-    def start(self, key: int, item: Item) -> None:
-        self._items[key] = item
-        self._pool.start(key, *self._call(item))
-
-    def attempts(self, advanced: Advanced) -> Iterator[tuple[int, Attempt]]:
-        for key, event in self._pool.events():
-            if isinstance(event, tuple):
-                advanced(key, *event)
-                continue
-            item = self._items.pop(key)
-            if isinstance(event, Lost):
-                outcome = failed(item, f"{item.source}: {event.cause}", 1)
-                event = Attempt(outcome, wants_memory=event.wants_memory)
-            yield key, event
-
-
-def in_processes(count: int, memory: int | None, threads: int) -> Executor:
+def in_processes(count: int, memory: int | None, threads: int) -> Workers:
     """Return what does up to `count` files at the same time in processes, each with `memory` bytes."""
-    return OnWorkers(Processes(count), lambda item: (do_item, item, memory), threads)
+    return Workers(Processes(count), lambda item: (do_item, item, memory), threads)
 
 
-class InPieces(Executor):
-    """Does one file at a time here, and has up to `count` chunks of each surface done by the workers of a pool."""
+def in_pieces(pool: Pool, count: int, memory: int | None, advanced: Advanced) -> Workers:
+    """Return what does one file at a time here, with up to `count` chunks of each surface in a pool."""
 
-    def __init__(self, pool: Pool, count: int, memory: int | None) -> None:
-        self._pool, self._count, self._memory = pool, count, memory
-        self._waiting: tuple[int, Item] | None = None
+    def do_in_pieces(item: Item, progress: Progress) -> Attempt:
+        runner = ChunkRunner(pool)
+        with in_chunks(count, runner):
+            attempt = do_item(item, memory, progress, is_alone=False)
+        return dataclasses.replace(attempt, pieces=runner.most)
 
-    def __exit__(self, *_: object) -> None:
-        self._pool.close()
+    return Workers(Here(advanced), lambda item: (do_in_pieces, item))
+
+
+class Here(Pool):
+    """Does one task at a time in this process."""
+
+    def __init__(self, advanced: Advanced) -> None:
+        self._advanced = advanced
+        self._waiting: list[tuple[int, Task, tuple[Any, ...]]] = []
 
     @property
     def is_full(self) -> bool:
-        return self._waiting is not None
+        return bool(self._waiting)
 
-    def start(self, key: int, item: Item) -> None:
-        self._waiting = key, item
+    def start(self, key: int, task: Task, *arguments: Any) -> None:
+        self._waiting.append((key, task, arguments))
 
-    def attempts(self, advanced: Advanced) -> Iterator[tuple[int, Attempt]]:
-        assert self._waiting is not None
-        (key, item), self._waiting = self._waiting, None
-        runner, progress = ChunkRunner(self._pool), at_intervals(_PAUSE, partial(advanced, key))
-        with in_chunks(self._count, runner):
-            attempt = do_item(item, self._memory, progress, is_alone=False)
-        yield key, dataclasses.replace(attempt, pieces=runner.most)
+    def events(self) -> Iterator[tuple[int, Any]]:
+        key, task, arguments = self._waiting.pop()
+        yield key, task(*arguments, at_intervals(_PAUSE, partial(self._advanced, key)))
+
+    def give_up(self) -> None:
+        self._waiting.clear()
 
 
 class ChunkRunner:

@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import Access, is_there, open_regular
+from beltrami_cli.formats.access import Access, is_file, is_there, open_regular
 from beltrami_cli.surface.worker_process import temporary_folder
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -110,21 +110,37 @@ def hash_at(name: str) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def find_at(url: str) -> Iterator[tuple[str, PurePosixPath]]:
-    """Give the URLs of the files that a file, folder or glob stands for, and their places below its fixed part."""
+def is_glob(name: str) -> bool:
+    """Whether a name stands for all files that match it; a file may have such a name itself."""
+    return has_magic(name) and (is_url(name) or not is_there(name))
+
+
+def find(name: str) -> tuple[str, list[tuple[str, PurePath]]]:
+    """Return the folder that a folder or a glob means, and the files there with their places; of a file no folder."""
+    if is_url(name):
+        return _find_at(name)
+    path = Path(name)
+    if is_file(path):
+        return "", [(str(path), PurePath(path.name))]
+    if not is_glob(name) and not is_there(path):
+        raise InputError(name, "there is no such file", "check the path")
+    root = Path(fixed_part(path)) if is_glob(name) else path
+    paths = root.glob(str(path.relative_to(root))) if is_glob(name) else root.rglob("*")
+    return str(root), [(str(each), each.relative_to(root)) for each in sorted(paths) if is_file(each)]
+
+
+def _find_at(url: str) -> tuple[str, list[tuple[str, PurePath]]]:
     files, path = filesystem(url)
     try:
-        if has_magic(path):
-            names, root = files.glob(path), str(fixed_part(PurePosixPath(path)))
-        elif files.isfile(path):
-            names, root = [path], path.rpartition("/")[0]
-        else:
-            names, root = files.find(path), path
+        if files.isfile(path):
+            return "", [(url, PurePosixPath(path.rpartition("/")[2]))]
+        root = str(fixed_part(PurePosixPath(path))) if has_magic(path) else path
+        names = files.glob(path) if has_magic(path) else files.find(path)
         found = [name for name in sorted(names) if files.isfile(name)]
     except OSError as error:
         raise InputError(url, f"cannot be listed ({error})", "check the URL and your rights") from error
-    for name in found:
-        yield files.unstrip_protocol(name), PurePosixPath(name).relative_to(root or "")
+    places = ((name, PurePosixPath(name).relative_to(root or "")) for name in found)
+    return files.unstrip_protocol(root), [(files.unstrip_protocol(name), place) for name, place in places]
 
 
 class Stage:

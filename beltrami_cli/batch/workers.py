@@ -65,9 +65,9 @@ class Pool(ABC):
     def events(self) -> Iterator[tuple[int, Any]]:
         """Wait for a while, and give by the keys of tasks their progress, a tuple of three, or what came of them."""
 
-    @abstractmethod
     def share(self, value: Any) -> Any:
         """Return what stands for a large value among the arguments of tasks; workers hold it while it is kept here."""
+        return value
 
     def choose(self, keys: Sequence[int], shared: Mapping[int, Any]) -> int:
         """Return which of some tasks to start next; `shared`: by key, an argument of tasks that workers may hold."""

@@ -26,7 +26,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 if TYPE_CHECKING:
     from beltrami_cli.batch.item import Item, Outcome
     from beltrami_cli.batch.plan import Request
-    from beltrami_cli.batch.run import Executor
+    from beltrami_cli.batch.run import Workers
 
     Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None, tuple[str, ...]]
     from beltrami_cli.batch.item import Attempt
@@ -154,6 +154,7 @@ def batch(
     from beltrami_cli.batch.item import Record
     from beltrami_cli.batch.plan import plan
     from beltrami_cli.batch.run import Batch
+    from beltrami_cli.batch.storage import make_folder_of
 
     start = time.monotonic()
     requests = plan(inputs, out_dir, given["suffix"], given["output_format"])
@@ -165,10 +166,13 @@ def batch(
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
     path = _report_path(report_path, out_dir, inputs, jobs)
-    with _executor(scheduler, pieces, given, messages) as executor, Display(jobs, messages) as display:
+    display = Display(jobs, messages)
+    with _workers(scheduler, pieces, given, display) as workers, display:
+        if report_path is None:
+            make_folder_of(path)
         record = Record(path, resume=given["resume"], overwrite=overwrite)
         batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
-        outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), executor)
+        outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), workers)
     if not messages.quiet:
         show_table(outcomes)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
@@ -244,7 +248,7 @@ def _settings(request: Request, given: dict[str, Any]) -> Settings:
 
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
-    """Return where the report goes, by default in a folder that is made; OutputError if it would replace a file."""
+    """Return where the report goes; OutputError if it would replace a file."""
     from beltrami_cli.batch.storage import is_url, without_scheme
 
     path = given
@@ -252,13 +256,7 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
         if is_url(out_dir):
             remedy = "with a URL as --out-dir, name it with --report"
             raise UsageError(f"the report is a file of this machine; {remedy}")
-        folder = Path(without_scheme(out_dir))
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            cause = f"the folder cannot be made ({error.strerror})"
-            raise OutputError(out_dir, cause, "choose another") from error
-        path = str(folder / "batch.jsonl")
+        path = str(Path(without_scheme(out_dir)) / "batch.jsonl")
     if path == "-":
         raise OutputError(path, "the report is a file, so that a run can go on from it", "name a file")
     named = (name for job in jobs for name in (job.source, job.target, *job.settings.files_besides()))
@@ -268,36 +266,33 @@ def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: S
 
 
 @contextlib.contextmanager
-def _executor(
-    scheduler: str | None, pieces: int | None, given: Mapping[str, Any], messages: Messages
-) -> Iterator[Executor | None]:
+def _workers(
+    scheduler: str | None, pieces: int | None, given: Mapping[str, Any], display: Display
+) -> Iterator[Workers | None]:
     """Give what does the files, if neither these nor surfaces are cut and done on this machine: None then."""
-    if scheduler is None and pieces is None:
-        yield None
-        return
-    from beltrami_cli.batch.run import InPieces, OnWorkers
+    from beltrami_cli.batch.run import Workers, in_pieces
     from beltrami_cli.batch.workers import Processes
 
     at_once, memory = given["at_once"], given["max_memory"]
-    if scheduler is None:
-        processes = Processes(_at_once(given), grace=0)  # which write nothing
-        yield InPieces(processes, pieces or 1, memory or default_memory())
-        return
-    from beltrami_cli.batch.cluster import OnDask, connected, do_on_worker, portable
+    with contextlib.ExitStack() as stack:
+        client: Any = None
+        if scheduler is not None:
+            from beltrami_cli.batch.cluster import OnDask, connected, do_on_worker, portable
 
-    with connected(scheduler) as client:
-        if not client.nthreads():
-            messages.say(f"{scheduler} has no workers yet; the files wait for them")
-        if pieces is None:
-
-            def call(item: Item) -> tuple[Any, ...]:
-                return do_on_worker, item, portable(item), memory
-
-            # A worker does as many files at once as it has threads.
-            yield OnWorkers(OnDask(client, at_once), call, 1)
+            client = stack.enter_context(connected(scheduler))
+            if not client.nthreads():
+                display.messages.say(f"{scheduler} has no workers yet; the files wait for them")
+        if pieces is not None:
+            # Processes write nothing, so they have nothing to clean up. On a cluster a second chunk is on its way.
+            pool = OnDask(client, at_once, per_worker=2) if client else Processes(_at_once(given), grace=0)
+            stack.enter_context(contextlib.closing(pool))
+            yield in_pieces(pool, pieces, memory or default_memory(), display.advanced)
+        elif client:
+            # A worker does as many files at once as it has threads, each on one.
+            pool = OnDask(client, at_once)
+            yield Workers(pool, lambda item: (do_on_worker, item, portable(item), memory), 1)
         else:
-            pool = OnDask(client, at_once, per_worker=2)  # one in work and one on its way
-            yield InPieces(pool, pieces, memory or default_memory())
+            yield None
 
 
 def _counts(outcomes: Sequence[Outcome]) -> str:
@@ -318,7 +313,7 @@ class Display:
         from beltrami_cli.cli.progress_bar import ProgressBar
         from beltrami_cli.jobs.progress import Work
 
-        self._jobs, self._messages = jobs, messages
+        self._jobs, self.messages = jobs, messages
         self._work, self._finished, self._skipped = Work(time.monotonic), 0, 0
         self._shares: dict[int, float] = {}  # of the files in work that are done
         self._bar = ProgressBar(self._work, is_shown=not messages.quiet and sys.stderr.isatty())
@@ -344,7 +339,7 @@ class Display:
 
     def postponed(self, key: int) -> None:
         self._shares.pop(key, None)
-        if self._messages.verbose:
+        if self.messages.verbose:
             self._print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
@@ -353,11 +348,11 @@ class Display:
         self._finished += 1
         self._skipped += outcome.status == "skipped"
         self._show()
-        if attempt.traceback and self._messages.verbose >= 2:
+        if attempt.traceback and self.messages.verbose >= 2:
             self._print(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
             self._print(f"failed: {outcome.error}")
-        elif self._messages.verbose and not self._messages.quiet:
+        elif self.messages.verbose and not self.messages.quiet:
             pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
             self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 

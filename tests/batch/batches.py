@@ -16,29 +16,13 @@ from hostile.textured_models import write_model
 QUICK = ("-n", "1", "-t", "0.5", "--beta", "10", "--beta-growth", "1", "--metric-steps", "0")
 
 
-class Here(run.Executor):
-    """Does files in this process, where others would be started: half a second of processor time for each."""
-
-    def __init__(self, _, memory, threads):
-        self.memory, self.threads, self.done = memory, threads, []
-
-    def __exit__(self, *_):
-        pass
-
-    @property
-    def is_full(self):
-        return bool(self.done)
-
-    def start(self, key, item):
-        self.done.append((key, do_item(item, self.memory)))
-
-    def attempts(self, _):
-        yield self.done.pop()
-
-
 def without_workers():
-    """Have batches do their files in this process."""
-    return patch.object(run, "in_processes", Here)
+    """Have batches do their files in this process, where others would take half a second each to start."""
+
+    def here(_, memory, threads):
+        return run.Workers(run.Here(lambda *_: None), lambda item: (do_item, item, memory), threads)
+
+    return patch.object(run, "in_processes", here)
 
 
 def batch(*arguments, code=0, cwd=None):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -374,3 +376,19 @@ def test_a_dry_run_says_what_would_be_done_and_does_nothing(tmp_path):
     again = beltrami("batch", scans, "--out-dir", out, "--dry-run", "--overwrite", text=True)
     assert "exists: is replaced" in again.stdout
     assert "would fail" not in again.stderr
+
+
+@pytest.mark.parametrize("is_installed", [True, False], ids=["no scheduler", "no Dask"])
+def test_a_batch_that_finds_no_workers_makes_no_folder(is_installed, tmp_path, monkeypatch):
+    if is_installed:
+        pytest.importorskip("distributed")
+    else:
+        monkeypatch.setitem(sys.modules, "distributed", None)
+    scans = copies("nonmanifold-noisy.ply", ("a.ply",), tmp_path / "scans")
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        address = f"tcp://127.0.0.1:{closed.getsockname()[1]}"
+    for pieces in ((), ("--pieces", 2)):
+        words = (scans, "--out-dir", tmp_path / "deep" / "out", "--scheduler", address, *pieces)
+        said = batch(*words, *QUICK, code=1)
+        assert "no Dask scheduler answers there" in said if is_installed else "not installed" in said
+        assert not (tmp_path / "deep").exists()
