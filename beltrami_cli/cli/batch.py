@@ -15,7 +15,7 @@ from click.core import ParameterSource
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, values_for
-from beltrami_cli.cli.console import NO_NOISE, Messages, printable
+from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
@@ -174,7 +174,7 @@ def batch(
         batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
         outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), workers)
     if not messages.quiet:
-        show_table(outcomes)
+        show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
     if lost := sum(outcome.status == "failed" for outcome in outcomes):
         remedy = "fix or remove them, and run the same command again with --resume"
@@ -302,8 +302,6 @@ def _counts(outcomes: Sequence[Outcome]) -> str:
 
 
 _FILES, _STEPS = "files", 1000  # what progress counts, and its steps for each
-_WIDTH = 140  # of the table, where it goes to a file
-_COLOURS = {"done": "green", "skipped": "dim", "failed": "bold red", "not started": "yellow"}
 
 
 class Display:
@@ -352,9 +350,13 @@ class Display:
             self._print(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
             self._print(f"failed: {outcome.error}")
-        elif self.messages.verbose and not self.messages.quiet:
-            pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
-            self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
+        elif not self.messages.quiet:
+            self._print(
+                *(f"warning: {outcome.input}: {text}" for text in (outcome.report or {}).get("warnings", ()))
+            )
+            if self.messages.verbose:
+                pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
+                self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 
     def _print(self, *lines: str) -> None:
         """Print lines above the progress bars."""
@@ -362,34 +364,10 @@ class Display:
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def show_table(outcomes: Sequence[Outcome]) -> None:
-    """Print what came of every file to the standard error."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("output", overflow="fold")
-    table.add_column("result", no_wrap=True)
-    for name in ("time", "noise", "change"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("remark", overflow="fold")
-    for outcome in outcomes:
-        cells = [outcome.output, outcome.status, *_cells(outcome)]
-        texts = [Text(printable(cell)) for cell in cells]
-        texts[1].stylize(_COLOURS.get(outcome.status, ""))
-        table.add_row(*texts)
-    Console(stderr=True, width=None if sys.stderr.isatty() else _WIDTH).print(table)
-
-
-def _cells(outcome: Outcome) -> list[str]:
-    seconds = f"{outcome.seconds:.1f} s" if outcome.seconds else ""
-    if outcome.status == "failed":
-        return [seconds, "", "", "see above"]  # where `finished` reported it
-    remarks, found = list((outcome.report or {}).get("warnings", ())), outcome.figures()
+def _row(outcome: Outcome) -> list[str]:
+    seconds, found = f"{outcome.seconds:.1f} s" if outcome.seconds else "", outcome.figures()
     if found is None:
-        return [seconds, "", "", "; ".join(remarks)]
+        return [outcome.output, outcome.status, seconds, "", ""]
     noise, change, is_left = found
-    if is_left:  # it may be changed by levelling
-        remarks.append(f"noise {NO_NOISE}, so it is {'not smoothed' if change else 'left as it is'}")
-    return [seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255", "; ".join(remarks)]
+    result = "done, not smoothed" if is_left and outcome.status == "done" else outcome.status
+    return [outcome.output, result, seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"]

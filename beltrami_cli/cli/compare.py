@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
-import sys
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
-from beltrami_cli.cli.console import Messages, counted, printable
+from beltrami_cli.cli.console import Messages, counted, printable, show_table
 from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.job import Limits
 from beltrami_cli.layers.settings import SmoothSettings
@@ -221,39 +218,6 @@ def _worst(worst: dict[str, Any]) -> str:
     looks = "" if worst["delta_e"] is None else f", Delta E {worst['delta_e']:.1f}"
     change = f"({', '.join(before)}) became ({', '.join(after)})"
     return f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {change}"
-
-
-def show_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table, as wide as a terminal if it goes to one."""
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    for line in table_lines(head, [[printable(cell) for cell in row] for row in rows], width):
-        click.echo(line)
-
-
-def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
-    """Give the lines of a table, in which no number is broken: names stand above where lines are too short."""
-    lines = _aligned([head, *rows])
-    if width is None or len(lines[0]) <= width:
-        yield from lines
-        return
-    parted = [name.partition(" ") for name in head[1:]]
-    first, second = ([words[k] for words in parted] for k in (0, 2))
-    numbers = _aligned([["", *first], ["", *second], *(["", *row[1:]] for row in rows)])
-    if len(numbers[0]) <= width:
-        yield from numbers[:2]
-        for row, line in zip(rows, numbers[2:], strict=True):
-            yield from (row[0], line)
-        return
-    for name, *cells in rows:
-        yield name
-        yield from (f"  {line}" for line in _aligned(list(zip(head[1:], cells, strict=True))))
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows as lines: the first column to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    aligned = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
-    return ["  ".join(cells).rstrip() for cells in aligned]
 
 
 _CHECK_EPILOG = """\b

@@ -12,10 +12,11 @@ import contextlib
 import errno
 import io
 import os
+import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -46,7 +47,7 @@ def counted(number: int, noun: str) -> str:
 
 def choice_in_words(choice: dict[str, Any]) -> str:
     """Return what was chosen, by what estimate, and how sure that is."""
-    chosen = ", ".join(f"{name} {value:.3g}" for name, value in choice["chosen"].items())
+    chosen = ", ".join(f"{name.replace('_', ' ')} {value:.3g}" for name, value in choice["chosen"].items())
     if not choice["candidates"]:
         return f"{chosen}; by the fixed rule of --fast"
     if choice["psnr"] is None and choice["samples"] == 1:
@@ -56,13 +57,47 @@ def choice_in_words(choice: dict[str, Any]) -> str:
         return f"{chosen}; {plain}, so no PSNR can be estimated: give --noise"
     least, most = choice["interval"]
     within = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
-    shared = ""
-    if choice["correlated"]:
-        shared = "; neighbours share noise, as in JPEG pictures, so it is known less well: give --noise if you know it"
-    return (
-        f"{chosen}; estimated PSNR {choice['psnr']:.1f} dB (90 %: {within}), {choice['gain']:+.1f} dB "
-        f"against the input; the best of {choice['candidates']} on {choice['samples']} samples{shared}"
+    shared = (
+        "; less certain, since neighbours share noise: give --noise if you know it"
+        if choice["correlated"]
+        else ""
     )
+    before = choice["psnr"] - choice["gain"]
+    return f"{chosen}; estimated PSNR {before:.1f} -> {choice['psnr']:.1f} dB (90 %: {within}){shared}"
+
+
+def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, err: bool = False) -> None:
+    """Print a table, as wide as a terminal if it goes to one."""
+    is_terminal = (sys.stderr if err else sys.stdout).isatty()
+    width = shutil.get_terminal_size().columns if is_terminal else None
+    for line in table_lines(head, [[printable(cell) for cell in row] for row in rows], width):
+        click.echo(line, err=err)
+
+
+def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None) -> Iterator[str]:
+    """Give the lines of a table, in which no number is broken: names stand above where lines are too short."""
+    lines = _aligned([head, *rows])
+    if width is None or len(lines[0]) <= width:
+        yield from lines
+        return
+    parted = [name.partition(" ") for name in head[1:]]
+    first, second = ([words[k] for words in parted] for k in (0, 2))
+    numbers = _aligned([["", *first], ["", *second], *(["", *row[1:]] for row in rows)])
+    if len(numbers[0]) <= width:
+        yield from numbers[:2]
+        for row, line in zip(rows, numbers[2:], strict=True):
+            yield from (row[0], line)
+        return
+    for name, *cells in rows:
+        yield name
+        yield from (f"  {line}" for line in _aligned(list(zip(head[1:], cells, strict=True))))
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines: the first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    aligned = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
+    return ["  ".join(cells).rstrip() for cells in aligned]
 
 
 def _progress_in_lines() -> Callable[[str, float], None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import click
 
 from beltrami_cli.cli import options
 from beltrami_cli.cli.commands import HelpfulCommand
-from beltrami_cli.cli.compare import show_table
 from beltrami_cli.cli.console import (
     ALL_THE_SAME,
     NO_AREA,
@@ -19,6 +18,7 @@ from beltrami_cli.cli.console import (
     choice_in_words,
     counted,
     printable,
+    show_table,
 )
 from beltrami_cli.errors import BeltramiError, InputError
 from beltrami_cli.layers.settings import SmoothSettings
@@ -63,11 +63,9 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
     if as_json:
         click.echo(json.dumps(facts, indent=2))
         return
-    _put_choices_in_words(facts, settings, choice_in_words if verbose else _choice_in_short)
-    if verbose:
-        _show_facts(facts)
-    else:
-        _show_summary(facts)
+    _put_choices_in_words(facts, settings)
+    for line in _lines(facts) if verbose else _summary(facts):
+        click.echo(printable(line))
 
 
 def _show_many(
@@ -121,8 +119,8 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
         ]
 
 
-def _show_summary(facts: dict[str, Any]) -> None:
-    """Print at most 20 lines: each coloured part with its noise and what smoothing it would do, then the notices."""
+def _summary(facts: dict[str, Any]) -> Iterator[str]:
+    """Give at most 20 lines: each coloured part with its noise and what smoothing it would do, then the notices."""
     rows = [("file", f"{facts['file']['name']}: {', '.join(_size_in_words(facts))}")]
     for slot in facts.get("textures", []):
         charts = f"{slot['covered']} texels in {counted(slot['charts'], 'chart')}"
@@ -146,8 +144,9 @@ def _show_summary(facts: dict[str, Any]) -> None:
     rows += [("note", text) for text in notices[:space]]
     more = f"{len(notices) - space} more notices, and " if len(notices) > space else ""
     width = max(len(label) for label, _ in rows)
-    for label, text in [*rows, ("", f"{more}details with -v or --json")]:
-        click.echo(printable(f"{label:<{width}}  {text}"))
+    yield from (
+        f"{label:<{width}}  {text}" for label, text in [*rows, ("", f"{more}details with -v or --json")]
+    )
 
 
 def _size_in_words(facts: dict[str, Any]) -> Iterator[str]:
@@ -173,22 +172,7 @@ def _answer(part: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "smooth", choice
 
 
-def _choice_in_short(choice: dict[str, Any]) -> str:
-    if choice["psnr"] is None and choice["candidates"]:
-        return choice_in_words(choice)
-    iterations = choice["chosen"].get("iterations")
-    words = "the given parameters" if iterations is None else counted(iterations, "iteration")
-    if not choice["candidates"]:
-        return f"{words}, by the fixed rule of --fast"
-    least, most = choice["interval"]
-    interval = f"at least {least:.1f}" if most is None else f"{least:.1f} to {most:.1f}"
-    now = choice["psnr"] - choice["gain"]
-    return f"{words}; estimated PSNR {now:.1f} -> {choice['psnr']:.1f} dB (90 %: {interval})"
-
-
-def _put_choices_in_words(
-    facts: dict[str, Any], settings: SmoothSettings, in_words: Callable[[dict[str, Any]], str]
-) -> None:
+def _put_choices_in_words(facts: dict[str, Any], settings: SmoothSettings) -> None:
     slots: Any = facts.get("textures", [])
     image: Any = facts.get("image", {"width": 1, "height": 1, "holes": 0})
     samples = image["width"] * image["height"] - image["holes"]
@@ -198,97 +182,62 @@ def _put_choices_in_words(
         *((slot["smooth"], "" if slot["covered"] else _NO_SAMPLES) for slot in slots),
     ]
     for smooth, obstacle in planned:
-        if not smooth:
-            continue
-        if settings.kernel.iterations:
-            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(smooth, in_words)
-        if "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
-            several = f" of {smooth['iterations']} iterations; smooth gives the mean over all"
-            which = several if smooth["iterations"] > 1 else " iteration"
-            smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first{which}"
+        if smooth and settings.kernel.iterations:
+            smooth["choice"] = f"nothing to smooth: {obstacle}" if obstacle else _choice(smooth)
+        if smooth and "samples_per_kernel" in smooth:  # `smooth` gives the mean over all iterations
+            smooth["samples_per_kernel"] = f"{smooth['samples_per_kernel']:.5g} in the first iteration"
 
 
-def _show_facts(facts: dict[str, Any]) -> None:
-    for section, content in facts.items():
-        for part in content if isinstance(content, list) and section == "textures" else [content]:
-            _print(section, part)
-
-
-def _print(section: str, part: Any) -> None:
-    """Print a section, and what smoothing would do to textures as one of its own."""
-    if not part:
-        return
-    nested = part.get("smooth") if isinstance(part, dict) else None
-    if nested is not None:
-        part = {key: value for key, value in part.items() if key != "smooth"}
-    click.echo("\n".join(map(printable, [section, *_lines(part, section)])))
-    if nested is not None:
-        _print("smooth", nested)
-
-
-def _lines(content: Any, section: str) -> list[str]:
-    if not isinstance(content, dict):
-        return [f"  {_show(entry)}" for entry in content]
-    if section in ("noise", "noise_model"):
-        content = _noise_of(content)
-    rows = [row for key, value in content.items() if value not in (None, []) for row in _rows(key, value)]
-    width = max((len(label) for label, _ in rows), default=0)
-    return [f"  {label:<{width}}  {text}" for label, text in rows]
-
-
-def _noise_of(values: dict[str, float]) -> dict[str, str]:
-    shown = {name: _noise(value) for name, value in values.items()}
-    return shown | ({"grain": f"{values['grain']:.1f} samples"} if "grain" in values else {})
-
-
-def _choice(smooth: dict[str, Any], in_words: Callable[[dict[str, Any]], str]) -> str | None:
+def _choice(smooth: dict[str, Any]) -> str | None:
     """Say what would be chosen, and by what; None: all is given."""
     if "choice" in smooth:
-        return in_words(smooth["choice"])
+        return choice_in_words(smooth["choice"])
     if smooth["iterations"]:
         return None
     why = "smoothing would not reduce the noise" if smooth.get("noise") else NO_NOISE_FOUND
     return f"nothing to smooth: {why}; {ALL_THE_SAME}"
 
 
-def _rows(key: str, value: Any) -> list[tuple[str, str]]:
-    """Return what stands on the lines of a value: one, or as many as there are records in a list."""
-    label = key.replace("_", " ")
-    if isinstance(value, list) and value and all(isinstance(entry, dict) for entry in value):
-        shown = [_image(entry) if key == "images" else _show(entry) for entry in value]
-        return [(label if number == 0 else "", text) for number, text in enumerate(shown)]
-    if key in ("noise", "noise_model") and isinstance(value, dict):
-        value = _noise_of(value)
-    return [(label, _show(value))]
+def _lines(facts: dict[str, Any]) -> Iterator[str]:
+    """Give a line for each fact; what belongs together is indented below its name."""
+    shown = {key.replace("_", " "): value for key, value in facts.items() if value not in (None, [], {})}
+    width = max((len(label) for label, value in shown.items() if not _parts_in(value)), default=0)
+    for label, value in shown.items():
+        if label == "notices":
+            yield from (label, *(f"  {text}" for text in value))
+            continue
+        for part in _parts_in(value):
+            yield label
+            yield from (
+                f"  {line}" for line in _lines(_with_noise_in_words(part) if "noise" in label else part)
+            )
+        if not _parts_in(value):
+            yield f"{label:<{width}}  {_in_words(value)}"
 
 
-def _image(facts: dict[str, Any]) -> str:
-    facts = dict(facts)
-    name, width, height = (facts.pop(key) for key in ("name", "width", "height"))
-    kind, stored, channels = (facts.pop(key) for key in ("format", "stored", "channels"))
-    shown = [f"covered {100 * facts.pop('covered'):.0f} %"]
-    shown += [f"{key} {text}" for key, value in facts.items() for _, text in _rows(key, value)]
-    return f"{name}: {width} x {height} {kind}, {stored} {' '.join(channels)}; {', '.join(shown)}"
+def _parts_in(value: Any) -> list[dict[str, Any]]:
+    """Return the record that a value is, or the records in it."""
+    values = value if isinstance(value, list) else [value]
+    return values if all(isinstance(each, dict) for each in values) else []
+
+
+def _with_noise_in_words(values: dict[str, float]) -> dict[str, str]:
+    return {
+        name: f"{value:.1f} samples" if name == "grain" else _noise(value) for name, value in values.items()
+    }
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(
+            f"({_in_words(each)})" if isinstance(each, list) else _in_words(each) for each in value
+        )
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _noise(share: float) -> str:
     """Write noise as `beltrami noise` takes it."""
     return f"{255 * share:.1f}/255"
-
-
-def _show(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.5g}"
-    if isinstance(value, list):
-        return ", ".join(
-            f"({_show(each)})" if isinstance(each, list | dict) else _show(each) for each in value
-        )
-    if isinstance(value, dict):
-        shown = {
-            key: f"({_show(each)})" if isinstance(each, dict) else _show(each) for key, each in value.items()
-        }
-        return ", ".join(f"{key.replace('_', ' ')} {text}" for key, text in shown.items())
-    return str(value)
 
 
 _KERNEL_EPILOG = """\b

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from beltrami_cli.cli.compare import table_lines
+from beltrami_cli.cli.console import table_lines
 from beltrami_cli.errors import InputError
 from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.job import Limits
