@@ -30,25 +30,6 @@ _NOUNS = {bool: "True or False", int: "a whole number", float: "a number", str: 
 
 
 @dataclasses.dataclass(frozen=True)
-class Option:
-    """How a value is given on the command line, in files and variables."""
-
-    flags: (
-        tuple[str, ...] | None
-    ) = ()  # as click takes them; empty: from the name of the parameter; None: no option
-    metavar: str | None = None
-    repeatable: bool = False  # whether the option of several values is given once for each
-    # Makes the value from text; ValueError names the fault.
-    parse: Callable[[str], Any] | None = None
-    show: Callable[[Any], str] = str  # makes that text from the value
-    words: tuple[str, ...] = ()  # texts that `parse` takes, for completion
-    is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
-
-
-_OF_OPTIONS = {each.name for each in dataclasses.fields(Option)}
-
-
-@dataclasses.dataclass(frozen=True)
 class Parameter:
     """The declaration of a parameter: which values it can have, and its option."""
 
@@ -72,17 +53,15 @@ class Parameter:
     # Returns the file at the end of a value that may name one, or "".
     file_in: Callable[[str], str] | None = None
     lifts_limit: bool = False
-    option: Option = Option()
-
-    def changed(self, **details: Any) -> Parameter:
-        """Return the declaration with other attributes, of its option or its own."""
-        of_option = {name: details.pop(name) for name in _OF_OPTIONS & details.keys()}
-        return dataclasses.replace(self, option=dataclasses.replace(self.option, **of_option), **details)
-
-    @property
-    def flags(self) -> tuple[str, ...]:
-        """The spellings of the option, and click's name of it if that differs."""
-        return self.option.flags or (f"--{self.name.replace('_', '-')}",)
+    # Spellings of the option, and click's name of it if that differs; empty: there is none.
+    flags: tuple[str, ...] = ()
+    metavar: str | None = None
+    repeatable: bool = False  # whether the option of several values is given once for each
+    # Makes the value from the text of the option; ValueError names the fault.
+    parse: Callable[[str], Any] | None = None
+    show: Callable[[Any], str] = str  # makes that text from the value
+    words: tuple[str, ...] = ()  # texts that `parse` takes, for completion
+    is_daily: bool = False  # shown by --help; all others by --help-all only, under their group
 
     @property
     def flag(self) -> str:
@@ -115,7 +94,7 @@ class Parameter:
             return yes if self.default else no
         if self.kind is bool or self.default in (None, (), REQUIRED):
             return ""
-        return self.option.show(self.default)
+        return self.show(self.default)
 
     def files(self, value: Any) -> list[str]:
         if value is None or not (self.is_file or self.file_in):
@@ -178,12 +157,16 @@ class Parameter:
 
 
 def parameter(default: Any, meaning: str, **details: Any) -> Any:
-    """Declare a field of a record as a parameter; the details are attributes of `Parameter` and `Option`."""
+    """Declare a field of a record as a parameter; the details are attributes of `Parameter`.
+
+    `flags`: by default from the name of the field.
+    """
     several = isinstance(default, tuple)
     sample = default[0] if several and default else None if several else default
     kind = str if sample is None else type(sample)
+    guessed = {"kind": kind, "several": several, "optional": default is None, "flags": None}
     # The name is known only when the class is made, see `parameters`.
-    declared = Parameter("", default, meaning, kind, several, optional=default is None).changed(**details)
+    declared = Parameter("", default, meaning, **{**guessed, **details})
     return dataclasses.field(default=default, metadata={_PARAMETER: declared})
 
 
@@ -228,8 +211,9 @@ def _parameters_of(record: type, deep: bool) -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     for each in dataclasses.fields(record):
         if _PARAMETER in each.metadata:
-            group = getattr(record, "group", "")
-            found.append(dataclasses.replace(each.metadata[_PARAMETER], name=each.name, group=group))
+            declared, group = each.metadata[_PARAMETER], getattr(record, "group", "")
+            flags = (f"--{each.name.replace('_', '-')}",) if declared.flags is None else declared.flags
+            found.append(dataclasses.replace(declared, name=each.name, group=group, flags=flags))
         elif deep and _PART in each.metadata:
             found += _parameters_of(each.metadata[_PART], deep)
     return tuple(found)

@@ -238,7 +238,7 @@ def _settings(request: Request, given: dict[str, Any]) -> Settings:
 
     for each in parameters(SmoothSettings, deep=True):
         if each.name in own:  # files are relative to the manifest; guides may be something else
-            renamed = partial(next_to_manifest, may_be_other=each.option.repeatable)
+            renamed = partial(next_to_manifest, may_be_other=each.repeatable)
             own[each.name] = each.with_files(own[each.name], renamed)
     context = _OF_A_FILE.make_context("file", [], default_map={**given, **own})
     for name in own:  # overrides the options for all files, also with a preset

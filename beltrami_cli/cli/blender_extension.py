@@ -72,27 +72,27 @@ def write_blender_extension(target: str, *, overwrite: bool) -> int:
 def declared_parameters() -> Iterator[dict[str, Any]]:
     """Give the parameters of smoothing that the extension shows, in JSON types."""
     for each in parameters(SmoothSettings, deep=True):
-        if each.option.flags is None or each.group not in _GROUPS or each.name in _LEFT_OUT:
+        if not each.flags or each.group not in _GROUPS or each.name in _LEFT_OUT:
             continue
         flag = each.flag.partition("/")[0]
-        is_number = each.kind in (bool, int, float) and each.option.parse is None and not each.several
+        is_number = each.kind in (bool, int, float) and each.parse is None and not each.several
         yield {
             "name": each.name,
             "flag": flag,
             "label": flag.lstrip("-").replace("-", " ").capitalize(),
             "kind": each.kind.__name__ if is_number else "text",
             "default": _default(each),
-            "choices": list(each.choices) if each.option.parse is None else [],
+            "choices": list(each.choices) if each.parse is None else [],
             "low": each.low,
             "high": each.high,
             "help": f"{each.help}{f' In {each.unit}.' if each.unit else ''}",
             "unset": each.unset.format(default=each.default),
-            "daily": each.option.is_daily,
+            "daily": each.is_daily,
             "group": each.group,
         }
 
 
 def _default(declared: Parameter) -> Any:
-    if declared.option.parse is not None:
-        return None if declared.unset else declared.option.show(declared.default)
+    if declared.parse is not None:
+        return None if declared.unset else declared.show(declared.default)
     return None if declared.default in (None, ()) else declared.default

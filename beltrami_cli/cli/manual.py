@@ -60,8 +60,7 @@ def parameter_table() -> str:
 
 
 def _cells(declared: Parameter) -> tuple[str, str, str]:
-    has_option = declared.option.flags is not None
-    flags = [flag for flag in declared.flags if flag.startswith("-")] if has_option else []
+    flags = [flag for flag in declared.flags if flag.startswith("-")]
     default = "required" if declared.default is REQUIRED else declared.default_in_words
     return (
         ", ".join(f"`{flag}`" for flag in flags),

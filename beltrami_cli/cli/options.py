@@ -36,7 +36,7 @@ class ParameterOption(GroupedOption):
     """An option that is made from the field of a parameter."""
 
     def __init__(self, *arguments: Any, declared: Parameter, **attributes: Any) -> None:
-        super().__init__(*arguments, group="" if declared.option.is_daily else declared.group, **attributes)
+        super().__init__(*arguments, group="" if declared.is_daily else declared.group, **attributes)
         self.declared = declared
 
 
@@ -52,20 +52,20 @@ class _Value(click.ParamType):  # type: ignore[type-arg]  # generic only in newe
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        return [CompletionItem(word) for word in self._declared.option.words if word.startswith(incomplete)]
+        return [CompletionItem(word) for word in self._declared.words if word.startswith(incomplete)]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the value, or its text; UsageError if it is out of its range."""
-        declared, option = self._declared, self._declared.option
+        declared = self._declared
         kind: Any = {int: click.INT, float: click.FLOAT}.get(declared.kind, click.STRING)
         try:
-            made = kind.convert(value, param, ctx) if option.parse is None else parsed(declared, str(value))
-            self._named.check((made,) if option.repeatable else made)
+            made = kind.convert(value, param, ctx) if declared.parse is None else parsed(declared, str(value))
+            self._named.check((made,) if declared.repeatable else made)
         except UsageError as error:
             variable = variable_behind(param, ctx)
             origin = f" (from the environment: {variable})" if variable else ""
             raise UsageError(f"{error}{origin}") from None
-        return made if option.parse is None else str(value)
+        return made if declared.parse is None else str(value)
 
 
 def options_of(
@@ -76,11 +76,10 @@ def options_of(
 ) -> Decorator:
     """Return a decorator that adds the options of a record; `changed`: attributes of parameters that differ."""
     chosen = [
-        each.changed(**(changed or {}).get(each.name, {}))
+        dataclasses.replace(each, **(changed or {}).get(each.name, {}))
         for each in parameters(record, deep=True)
-        if each.option.flags is not None and (only is None or each.name in only) and each.name not in without
+        if each.flags and (only is None or each.name in only) and each.name not in without
     ]
-
     return adding(chosen)
 
 
@@ -97,19 +96,18 @@ def adding(parameters: Sequence[Parameter]) -> Decorator:
 
 def _option_of(declared: Parameter) -> Decorator:
     attributes: dict[str, Any] = {}
-    option = declared.option
     if declared.kind is bool:
         attributes = {"is_flag": True, "default": declared.default}
-    elif declared.choices and option.parse is None:
+    elif declared.choices and declared.parse is None:
         attributes = {"type": click.Choice(declared.choices)}
     else:
-        attributes = {"type": _Value(declared), "metavar": option.metavar}
-    if option.repeatable:
+        attributes = {"type": _Value(declared), "metavar": declared.metavar}
+    if declared.repeatable:
         attributes["multiple"] = True
     elif declared.default is REQUIRED:
         attributes["required"] = True
     elif not declared.unset and declared.default is not None:
-        attributes["default"] = option.show(declared.default) if option.parse else declared.default
+        attributes["default"] = declared.show(declared.default) if declared.parse else declared.default
     return click.option(
         *declared.flags, cls=ParameterOption, declared=declared, help=_help(declared), **attributes
     )
@@ -121,9 +119,9 @@ def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) ->
         value = values.get(_destination(declared))
         if declared.name in made or value in (None, ()):
             continue
-        if declared.option.repeatable:
+        if declared.repeatable:
             value = tuple(parsed(declared, text) for text in value)
-        elif declared.option.parse is not None:
+        elif declared.parse is not None:
             value = parsed(declared, value)
         made[declared.name] = value
     for name, kind in parts(record).items():
@@ -134,10 +132,10 @@ def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) ->
 
 def parsed(declared: Parameter, text: str) -> Any:
     """Make the value of a parameter from the text of its option."""
-    if declared.option.parse is None:
+    if declared.parse is None:
         return text
     try:
-        return declared.option.parse(text)
+        return declared.parse(text)
     except ValueError as error:
         raise UsageError(f"{declared.flag} {error}") from None
 
@@ -170,7 +168,7 @@ def words_of(settings: SmoothSettings, preset: str | None = None) -> list[str]:
                 is_given = declared.name not in settings.kernel.free and value is not None
             else:
                 is_given = value != default
-            if is_given and declared.option.flags is not None:
+            if is_given and declared.flags:
                 words += _typed(declared, value)
     return words
 
@@ -179,11 +177,11 @@ def _typed(declared: Parameter, value: Any) -> list[str]:
     flag = declared.flags[0].partition("/")[0]
     if declared.kind is bool:
         return [flag]
-    if declared.option.repeatable:
+    if declared.repeatable:
         return [word for each in value for word in (flag, _in_short(each))]
     if declared.several:
         return [flag, ",".join(map(_in_short, value)) or "none"]
-    return [flag, _in_short(value) if declared.option.parse is None else declared.option.show(value)]
+    return [flag, _in_short(value) if declared.parse is None else declared.show(value)]
 
 
 def _in_short(value: Any) -> str:
@@ -334,10 +332,10 @@ def job_from(values: Mapping[str, Any], source: str, messages: Messages) -> Iter
 
 def _destination(declared: Parameter) -> str:
     """Return the name that click has for the option of a parameter; empty if there is none."""
-    if declared.option.flags is None:
-        return ""
-    named = [flag for flag in declared.flags if flag.isidentifier()]
-    return named[0] if named else declared.flags[-1].partition("/")[0].lstrip("-").replace("-", "_")
+    last = declared.flags[-1] if declared.flags else ""
+    return next(
+        filter(str.isidentifier, declared.flags), last.partition("/")[0].lstrip("-").replace("-", "_")
+    )
 
 
 def _help(declared: Parameter) -> str:

@@ -7,6 +7,7 @@ import itertools
 import os
 import shlex
 import sys
+from dataclasses import replace
 from typing import Any, Literal
 
 import click
@@ -91,8 +92,9 @@ def _listed(declared: Parameter) -> Parameter:
             raise ValueError(f"is {text!r}, but must be a list of numbers such as 4,8,16") from None
         return tuple(dict.fromkeys(values))
 
-    return declared.changed(
-        default=None, several=True, optional=True, unset="one value, as for smooth", metavar="A,B,...", parse=values_in
+    return replace(
+        declared, default=None, several=True, optional=True, unset="one value, as for smooth", metavar="A,B,...",
+        parse=values_in,
     )  # fmt: skip
 
 

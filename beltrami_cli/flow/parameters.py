@@ -137,7 +137,7 @@ class KernelParameters:
         "On textures and images: distances through the triangles of neighbouring samples; or the paper's, "
         "by a heap march over the quadrants of the grid with the metric from central differences, obtuse "
         "ones split by it.",
-        choices=get_args(Scheme), flags=None,
+        choices=get_args(Scheme), flags=(),
     )  # fmt: skip
     clipping: Clipping = parameter(
         "restore",
@@ -157,7 +157,7 @@ class KernelParameters:
         (),
         "The parameters to choose from the data by their estimated error; the others are kept. The given "
         "values are used where there is no noise. With a beta of 0 or 0 iterations nothing is chosen.",
-        choices=TUNABLE, flags=None,
+        choices=TUNABLE, flags=(),
     )  # fmt: skip
     fast: bool = parameter(
         False,

@@ -69,7 +69,7 @@ def beyond(declared):
 @pytest.mark.parametrize(("name", "declared"), PARAMETERS)
 def test_every_parameter_is_an_option_with_its_help_and_range(name, declared):
     option = option_for(name, declared)
-    if declared.option.flags is None:
+    if not declared.flags:
         assert option is None
         return
     assert declared.help in option.help
@@ -78,7 +78,7 @@ def test_every_parameter_is_an_option_with_its_help_and_range(name, declared):
 
 
 @pytest.mark.parametrize(
-    "declared", [each for each in parameters(SmoothSettings, deep=True) if "FILE" in (each.option.metavar or "")],
+    "declared", [each for each in parameters(SmoothSettings, deep=True) if "FILE" in (each.metavar or "")],
     ids=lambda each: each.name,
 )  # fmt: skip
 def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared, tmp_path):
@@ -115,7 +115,7 @@ def test_what_is_out_of_range_is_refused_as_an_option_and_as_a_keyword_in_the_sa
         wanted = (value,) if declared.several else value
         with pytest.raises(UsageError, match=rf"{declared.name} is .*, but must be") as refused:
             override(RECORDS[name], **{declared.name: wanted})
-        if declared.option.parse is None:
+        if declared.parse is None:
             with pytest.raises(UsageError) as typed:
                 values_of(name, f"{option.opts[-1]}={value}")
             flag = next(each for each in option.opts if each.startswith("--"))

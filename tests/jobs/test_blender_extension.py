@@ -55,7 +55,7 @@ def test_parameters_are_those_that_the_program_declares(archive):
     assert about["parameters"] == list(declared_parameters())
     found = {each["name"]: each for each in about["parameters"]}
     for declared in parameters(KernelParameters):
-        if declared.option.flags is not None:
+        if declared.flags:
             assert found[declared.name]["help"].startswith(declared.help)
             assert (found[declared.name]["low"], found[declared.name]["high"]) == (
                 declared.low,
