@@ -32,34 +32,6 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.item import Attempt
 
 
-EPILOG = """\b
-Examples:
-  beltrami batch scans/*.ply --out-dir clean            each as beltrami smooth would
-  beltrami batch scans --out-dir clean -j 4             a folder: all models in it and below
-  beltrami batch 'photos/**/*.png' --out-dir clean      a glob, here of images
-  beltrami batch scans --out-dir clean --format glb     convert all
-  beltrami batch scans --out-dir clean --suffix -clean  a.ply becomes clean/a-clean.ply
-  beltrami batch jobs.toml --out-dir clean              a manifest with parameters for each file
-  beltrami batch scans --out-dir clean --dry-run        what would be done
-  beltrami batch scans --out-dir clean --resume         go on after a failure, or with new files
-  beltrami batch scans --out-dir noisy --add-noise --kind camera    noise for tests, as beltrami noise adds it
-  beltrami batch scans --out-dir clean --scheduler tcp://head:8786     on many machines
-
-\b
-A manifest has the names of options without dashes. In TOML, with options for all first:
-  iterations = 3
-  [[files]]
-  input = "scans/face.ply"
-  output = "face/clean.ply"
-  beta = 8
-As CSV:            input,output,beta,iterations
-                   scans/face.ply,,8,3
-As JSON lines:     {"input": "scans/face.ply", "beta": 8}
-Inputs are relative to the manifest, outputs to --out-dir. Values in the manifest override
-options on the command line, which apply to all files.
-"""
-
-
 _OF_NOISE = [each.name for each in parameters(NoiseSettings)]
 
 
@@ -83,7 +55,7 @@ SHARED_WITH_SMOOTH = tuple(option.name for option in _LIKE_SMOOTH.params if opti
 _CLUSTER = "Many machines"
 
 
-@click.command("batch", cls=HelpfulCommand, epilog=EPILOG)
+@click.command("batch", cls=HelpfulCommand)
 @click.argument("inputs", metavar="INPUTS...", nargs=-1, required=True)
 @click.option("--out-dir", metavar="DIR", required=True, help="Folder of the outputs; it is made.")
 @click.option(
@@ -136,21 +108,7 @@ def batch(
     messages: Messages,
     **given: Any,
 ) -> None:
-    """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte.
-
-    INPUTS are files, globs, folders with all models and points in them and their subfolders, or manifests (.toml, .csv,
-    .jsonl) with parameters for each file. If a file fails, the others continue. At the end there are a table, and a
-    report with a line of JSON for each file: the files read and written, with hashes, and the result.
-
-    A killed run leaves no file half written. The same command with --resume continues it.
-
-    --max-memory is divided equally among the jobs; a file that needs more than its share is processed alone at the end,
-    with all of it. The program itself takes some 0.2G more for each job. With --scheduler the limit is for each file;
-    with --pieces, for the process that leads the others.
-
-    With --scheduler the workers of a Dask cluster process the files (extra cluster). INPUTS and --out-dir may be URLs
-    that fsspec opens, also without a scheduler.
-    """
+    """Smooth many files at the same time; each comes out as `beltrami smooth` makes it, to the last byte."""
     from beltrami_cli.batch.item import Record
     from beltrami_cli.batch.plan import plan
     from beltrami_cli.batch.run import Batch

@@ -18,18 +18,8 @@ from beltrami_cli.cli.console import Messages
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.layers.settings import SmoothSettings
 
-EPILOG = """\b
-Examples:
-  beltrami blender-extension beltrami.zip
-  blender --command extension install-file -r user_default -e beltrami.zip
 
-\b
-In Blender: Edit > Preferences > Get Extensions > Install from Disk. The panel is in the sidebar of the 3D view
-(N), under Beltrami. It runs this program on temporary files; nothing leaves the machine.
-"""
-
-
-@click.command("blender-extension", cls=HelpfulCommand, epilog=EPILOG)
+@click.command("blender-extension", cls=HelpfulCommand)
 @click.argument("target", metavar="OUT.zip")
 @options.overwrite
 @options.messages

@@ -14,26 +14,8 @@ from beltrami_cli.cli.smooth import besides, show_levelled, written
 from beltrami_cli.jobs.job import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
 
-_LEVEL_EPILOG = """\b
-Examples:
-  beltrami level photoscan.obj level.obj                     visible patches gone, if exposure made them
-  beltrami level photoscan.obj level.obj --preview look.png  before and after in a picture
-  beltrami level scan.glb level.glb --strength 0.5           half of the way
-  beltrami level scan.glb level.glb --report run.json        exposures of all charts, with their numbers
-  beltrami level scan.glb level.glb --reference 12           chart 12 stays, and the others are matched to it
-  beltrami level model.obj level.obj --reference "front*"    so do all on textures or materials of such names
-  beltrami level cloud.ply level.ply --photographs camera    vertex colours, by an attribute
-  beltrami smooth photoscan.obj clean.obj --level            level, and then smooth across the seams
-  beltrami batch scans --out-dir clean --level -n 0          level many files, and do not smooth them
 
-\b
-Each chart gets one gain and one offset a channel, or a gain that changes linearly over it. Steps at seams count as
-exposure if gains fitted to some seams predict the steps at the others. Otherwise they are paint, and stay; if all are
-paint, OUTPUT equals INPUT. See `beltrami docs levelling`.
-"""
-
-
-@click.command("level", cls=HelpfulCommand, epilog=_LEVEL_EPILOG)
+@click.command("level", cls=HelpfulCommand)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @options.options_of(LevelSettings)
@@ -65,18 +47,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     show_levelled(messages, report.levelled, f"{target}: {unwritten}")
 
 
-_BAKE_EPILOG = """\b
-Examples:
-  beltrami bake scan.ply scan.glb --to texture              vertex colours into a new texture
-  beltrami bake scan.ply scan.obj --to texture --size 2048
-  beltrami bake model.glb model.ply --to vertices           a texture into vertex colours
-
-\b
-OUTPUT is a new file with the triangles and their colours. A message lists everything else that INPUT holds.
-"""
-
-
-@click.command("bake", cls=HelpfulCommand, epilog=_BAKE_EPILOG)
+@click.command("bake", cls=HelpfulCommand)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
@@ -101,37 +72,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
     messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))
 
 
-_NOISE_EPILOG = """\b
-Examples:
-  beltrami noise clean.ply noisy.ply --sigma 20                     a standard deviation of 20/255
-  beltrami noise clean.glb noisy.glb --sigma 8% --seed 7            textures, across their seams; other noise
-  beltrami noise photo.png noisy.png --sigma 40 --kind poisson      the dark has less of it
-  beltrami noise cloud.xyz noisy.xyz --sigma 5% --kind salt-pepper  one point in twenty black or white
-  beltrami noise clean.glb noisy.glb --kind camera --shot 0.02      as a camera with a Bayer mosaic sees it
-  beltrami noise clean.obj noisy.obj --kind grain --sigma 12 --size 3   grain that reaches over 3 texels
-  beltrami noise photo.png coded.png --kind jpeg --quality 75       what JPEG leaves of it
-  beltrami noise scan.ply noisy.ply --sigma 20 && beltrami smooth noisy.ply clean.ply && \\
-    beltrami compare scan.ply clean.ply                             how much does smoothing restore?
-
-\b
-What --sigma S means:
-  gaussian     the standard deviation of every channel, whatever the colour
-  poisson      the same at full scale; it falls with the square root of the colour, as when photons are counted
-  speckle      the same at full scale; it falls with the colour
-  salt-pepper  the share of samples that turn black or white, half of them each
-  grain        as gaussian, but neighbours share it up to the distance --size
-  white        another name of gaussian
-
-\b
-Kinds that need no --sigma:
-  camera       the variance is --shot L + --read^2 of the light L, linear, from 0 to 1. In images and textures each
-               pixel measures one colour, and demosaicing (bilinear, chart by chart) mixes them; vertices measure all.
-  jpeg         each picture is coded and decoded at --quality with colour at half the resolution; textures as they
-               lie flat. Vertex colours are no picture and are refused: bake them first.
-"""
-
-
-@click.command("noise", cls=HelpfulCommand, epilog=_NOISE_EPILOG)
+@click.command("noise", cls=HelpfulCommand)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @options.options_of(NoiseSettings)

@@ -9,6 +9,7 @@ import inspect
 import os
 from collections import Counter
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -114,6 +115,27 @@ def overwrite_at(option: str, *, overwrite: bool) -> Overwrite:
     return "own" if overwrite and not is_direct else overwrite
 
 
+def docs_folder() -> Path:
+    """Return where the pages of the documentation are: in the package, or in the sources that it runs from."""
+    package = Path(__file__).parents[1]
+    installed = package / "docs"
+    return installed if installed.is_dir() else package.parent / "docs"
+
+
+def notes_on(command: str) -> str:
+    """Return the examples and notes of a command, for click, from its section of the page of commands."""
+    text = (docs_folder() / "commands.md").read_text(encoding="utf-8")
+    section = text.partition(f"\n## {command}\n")[2].partition("\n## ")[0]
+    notes: list[str] = []
+    for block in section.strip().split("\n\n"):
+        if not block.startswith("```"):
+            notes.append(block)
+            continue
+        title = notes.pop() if notes and notes[-1].endswith(":") else "Examples:"
+        notes.append("\n".join(["\b", title, *(f"  {line}" for line in block.split("\n")[1:-1])]))
+    return "\n\n".join(notes)
+
+
 _FEW = 12  # up to this many options are shown at once
 _EXAMPLES = 8  # lines of examples in the short help
 
@@ -187,7 +209,7 @@ class HelpfulCommand(click.Command):
             formatter.write_text(f"--help-all shows more options: {others}.")
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        text = inspect.cleandoc(self.epilog or "")
+        text = notes_on(str(self.name))
         formatter.write_paragraph()
         with formatter.indentation():
             formatter.write_text(text if self._is_full(ctx) else _first_examples(text))

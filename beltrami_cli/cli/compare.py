@@ -19,37 +19,6 @@ if TYPE_CHECKING:
     from beltrami_cli.jobs.compare.files import Comparison
     from beltrami_cli.jobs.output import Output
 
-
-_COMPARE_EPILOG = """\b
-Examples:
-  beltrami compare truth.ply clean.ply                                   a table
-  beltrami compare truth.glb clean.glb --min-psnr 35 --max-delta-e 2     exit code 1 if a limit is broken
-  beltrami compare golden.obj new.obj --max-seam-jump 1 --weights area   seams may not be seen more than before
-  beltrami compare truth.glb clean.glb --slots baseColor                 nothing but the base colour
-  beltrami compare truth.png clean.png --json | jq .overall.psnr
-  beltrami compare truth.glb clean.glb --map differences.png             dark is equal, bright differs
-  beltrami compare truth.ply clean.ply --map differences.ply
-  beltrami compare truth.glb clean.glb --min-psnr 35 --junit report.xml  what CI services show
-
-\b
-Measured for each texture and for the vertices, and for all of them together:
-  PSNR       10 log10 (1 / mean squared error) over samples and channels, full scale 1
-  SSIM       structural similarity of images, and of textures where the surface covers the whole window
-  dE         Delta E 2000 from colour to colour: mean, 95th percentile, worst. 1 can hardly be seen
-  seams      PSNR and mean dE within 4 texels of seams; of vertices, where the file splits them
-  jump       the mean step of colours over seams, extrapolated from three texels on either side (of vertices,
-             between those at one place), in TEST minus in REFERENCE. Noise makes steps too
-Every texture of each slot and the vertex colours are compared; equal parts among several are called identical. A
-limit holds for each part alone. Vertices that moved break any limit unless --max-move allows it. A line names colours
-that are not compared, and a difference in opacity.
-SSIM is of Wang et al. 2004, Delta E of CIE 142-2001 (Sharma et al. 2005).
-
-\b
-Exit codes: 0 all limits are kept, or none given; 1 a limit is broken; 3 one cannot be measured, such as SSIM of
-vertices (only steps over seams are kept where there is no seam); otherwise as `beltrami`.
-`beltrami docs ci` has examples for GitHub Actions and Makefiles.
-"""
-
 _COLUMNS = (
     "part", "samples", "PSNR dB", "SSIM", "dE mean", "dE 95 %", "dE worst", "seams: dB", "seams: dE", "jump /255",
 )  # fmt: skip
@@ -67,7 +36,7 @@ _XML = b'<?xml version="1.0" encoding="utf-8"?>\n'
 _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 
 
-@click.command("compare", cls=HelpfulCommand, epilog=_COMPARE_EPILOG)
+@click.command("compare", cls=HelpfulCommand)
 @click.argument("reference", metavar="REFERENCE")
 @click.argument("test", metavar="TEST")
 @options.options_of(Limits)
@@ -220,18 +189,7 @@ def _worst(worst: dict[str, Any]) -> str:
     return f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {change}"
 
 
-_CHECK_EPILOG = """\b
-Examples:
-  beltrami check scan.ply clean.ply
-  beltrami check scan.glb clean.glb --json | jq .differences
-  beltrami check scan.obj clean.obj -q && echo nothing but colours differs
-
-\b
-Exit codes: 0 nothing but colours and images differs; 1 something else does; otherwise as `beltrami`.
-"""
-
-
-@click.command("check", cls=HelpfulCommand, epilog=_CHECK_EPILOG)
+@click.command("check", cls=HelpfulCommand)
 @click.argument("before", metavar="BEFORE")
 @click.argument("after", metavar="AFTER")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

@@ -204,38 +204,7 @@ def _require_own(status: os.stat_result) -> None:
         raise UntrustedError("others than its owner may write to it (chmod go-w)")
 
 
-EPILOG = """\b
-Examples:
-  beltrami config                  all that is not as it is by default
-  beltrami config smooth           every option of smooth
-  beltrami --config other.toml config
-  BELTRAMI_SMOOTH_BETA=8 beltrami config smooth
-
-\b
-In order of precedence:
-  1. options on the command line
-  2. variables of the environment: BELTRAMI_, the command, the option in capitals with _ for -, such as
-     BELTRAMI_SMOOTH_BETA=8; flags are 1 or 0, options that may be repeated have spaces between values
-  3. the file that --config or BELTRAMI_CONFIG names; or else beltrami.toml, or pyproject.toml with
-     [tool.beltrami], in the working folder or the nearest one above it, up to the home folder, the
-     root of a repository (.git) or the border of a file system
-  4. the defaults
-
-\b
-A file that was found, and not named, may set only parameters of the method and of the encoding of results.
-Options that name files or a scheduler, permit something or raise a limit (--report, --overwrite, --out-dir ...)
-are refused in it. It is read only if it, and any link to it, belongs to you or root and is not writable by others.
-
-\b
-beltrami.toml (in pyproject.toml the tables are [tool.beltrami] and [tool.beltrami.smooth]):
-  threads = 4          # for all commands that have the option
-  [smooth]             # for smooth; also for batch, if it affects the result of a file
-  beta = 8
-  channels = ["red", "green"]
-"""
-
-
-@click.command("config", cls=HelpfulCommand, epilog=EPILOG)
+@click.command("config", cls=HelpfulCommand)
 @click.argument("name", metavar="[COMMAND]", required=False)
 @click.pass_context
 def config(context: click.Context, name: str | None) -> None:

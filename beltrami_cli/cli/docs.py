@@ -8,25 +8,16 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.commands import HelpfulCommand, docs_folder
 
-EPILOG = """\b
-Examples:
-  beltrami docs                  the topics
-  beltrami docs which-flags      which options suit which data
-  beltrami docs tuning > t.md    a page as Markdown
-"""
-_PACKAGE = Path(__file__).parents[1]
 _LEFT_OUT = {"index", "changelog"}  # they consist of links and of another file
 # Markup for the site alone: what its plug-ins insert, and marks for scripts.
 _FOR_THE_SITE = re.compile(r"^(?:::: .*\n(?: {4}.*\n)*|<!--.*-->\n)", re.MULTILINE)
 
 
 def pages() -> dict[str, Path]:
-    """Return the topics and their files, from the package or from the sources that it runs from."""
-    installed = _PACKAGE / "docs"
-    folder = installed if installed.is_dir() else _PACKAGE.parent / "docs"
-    return {path.stem: path for path in sorted(folder.glob("*.md")) if path.stem not in _LEFT_OUT}
+    """Return the topics and their files."""
+    return {path.stem: path for path in sorted(docs_folder().glob("*.md")) if path.stem not in _LEFT_OUT}
 
 
 def page_text(path: Path) -> str:
@@ -39,7 +30,7 @@ def page_text(path: Path) -> str:
     return text
 
 
-@click.command("docs", cls=HelpfulCommand, epilog=EPILOG)
+@click.command("docs", cls=HelpfulCommand)
 @click.argument("topic", type=click.Choice(list(pages())), metavar="[TOPIC]", required=False)
 def docs(topic: str | None) -> None:
     """Show a page of the documentation, or list the pages.

@@ -29,18 +29,8 @@ _SHOWN_IMAGES = 6
 _NO_SAMPLES = "there are no samples"
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
-INFO_EPILOG = """\b
-Examples:
-  beltrami info scan.ply
-  beltrami info scan.ply --json | jq .noise                  of vertex colours
-  beltrami info scan.glb --json | jq '.textures[].noise'     of textures, each slot
-  beltrami info scan.obj --json | jq '.textures[].images'    each texture: size, charts, overlap, noise, ...
-  beltrami info scan.ply -t 4 --beta 5       how large would kernels be?
-  beltrami info scans 'more/**/*.glb' --fast             a table of many files; or lines of JSON
-"""
 
-
-@click.command("info", cls=HelpfulCommand, epilog=INFO_EPILOG)
+@click.command("info", cls=HelpfulCommand)
 @click.argument("sources", metavar="FILE...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; of several files a line each.")
 @options.smoothing
@@ -240,35 +230,13 @@ def _noise(share: float) -> str:
     return f"{255 * share:.1f}/255"
 
 
-_KERNEL_EPILOG = """\b
-Examples:
-  beltrami kernel scan.ply kernel.ply --at 1234               of a vertex, as a mesh to look at
-  beltrami kernel scan.ply kernel.ply --at 0.1,0.2,0.3        of the vertex nearest to a position
-  beltrami kernel model.glb kernel.png --at 0.31,0.62         of a texel, by its texture coordinates
-  beltrami kernel model.obj kernel.png --at skin*:0.31,0.62   in one of several textures
-  beltrami kernel photo.jpg kernel.png --at 640,360           of a pixel of an image, by column and row
-  beltrami kernel scan.ply gauss.ply --at 1234 --beta 0       the linear kernel, for comparison
-  beltrami kernel scan.ply - --at 1234 --preset paper         the paper's kernel, as a table
-  beltrami kernel scan.ply later.ply --at 1234 --iteration 5  of the fifth iteration
-
-\b
-OUTPUT by its extension:
-  .ply                the mesh: bright is near, dark is where the kernel ends, grey beyond; its vertices
-                      have the properties distance (NaN beyond) and weight
-  .png and the like   three squares: the colours, the distances, the weights
-  .csv                the samples of the kernel: which, distance, weight, colour. The sum of weight times
-                      colour over the sum of the weights is the colour that the iteration gives the sample
-                      (before `smooth` corrects clipped noise).
-"""
-
-
 # Parameters that concern the averages, while this command looks at the kernel only.
 _OF_WRITING = (
     "clipping", "gutter", "image_suffix", "jpeg_quality", "small", "smooth_geometry", "normal_beta", "level_seams",
 )  # fmt: skip
 
 
-@click.command("kernel", cls=HelpfulCommand, epilog=_KERNEL_EPILOG)
+@click.command("kernel", cls=HelpfulCommand)
 @click.argument("source", metavar="FILE")
 @click.argument("target", metavar="OUTPUT")
 @click.option(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from beltrami_cli.cli.commands import spelled, variable_behind, with_variables
+from beltrami_cli.cli.commands import notes_on, spelled, variable_behind, with_variables
 from beltrami_cli.cli.console import Interruption, ReaderGoneError, SignalGuard, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError
 
@@ -47,6 +47,7 @@ _MODULES = {
 }  # fmt: skip
 
 _ALIASES = {"denoise": "smooth"}
+ALL_COMMANDS = "All commands"  # the section on the program in the page of commands
 
 _INTERRUPTED = "interrupted; files are as they were, or complete"
 
@@ -70,6 +71,11 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write_paragraph()
+        with formatter.indentation():
+            formatter.write_text(notes_on(ALL_COMMANDS))
+
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
@@ -88,34 +94,8 @@ class LazyGroup(click.Group):
             raise click.UsageError(f"{error.message}{hint}", ctx) from None
 
 
-EPILOG = """\b
-Examples:
-  beltrami smooth scan.ply clean.ply          denoise the vertex colours of a scan
-  beltrami info scan.ply                      coloured parts, and their noise
-  beltrami smooth scan.obj clean.glb          smooth and convert
-  beltrami check scan.ply clean.ply           prove that nothing but colours differs
-  beltrami compare truth.ply clean.ply        how far colours differ, for tests in CI
-  cat scan.ply | beltrami smooth - - > c.ply  through a pipe
-  beltrami batch scans --out-dir clean        all models in a folder
-  beltrami config smooth                      options from files and the environment
-  beltrami docs which-flags                   the documentation, by topic
-
-\b
-beltrami COMMAND --help shows the most important options of a command, --help-all all of them.
-
-\b
-Exit codes: 0 done; 1 processing failed; 2 wrong usage; 3 input unreadable or not fit;
-4 output not writable; 128 + N ended by signal N: 130 by Ctrl-C, 143 by SIGTERM.
-
-\b
-Shell completion, for bash (zsh and fish likewise):
-  eval "$(_BELTRAMI_COMPLETE=bash_source beltrami)"
-"""
-
-
 @click.group(
     cls=LazyGroup,
-    epilog=EPILOG,
     context_settings={
         "help_option_names": ["-h", "--help"],
         "max_content_width": 100,

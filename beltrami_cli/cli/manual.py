@@ -12,8 +12,8 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import DAILY, HelpfulCommand
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.commands import DAILY, HelpfulCommand, notes_on
+from beltrami_cli.cli.main import ALL_COMMANDS, COMMANDS, group
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
@@ -98,7 +98,8 @@ def _page(context: click.Context, version: str) -> Iterator[str]:
             yield f'.SS "{_text(title)}"'
         records = [option.get_help_record(context) for option in options]
         yield from _pairs([record for record in records if record is not None])
-    examples, _, rest = (command.epilog or "").partition("\n\n")
+    notes = notes_on(ALL_COMMANDS if command is group else str(command.name))
+    examples, _, rest = notes.partition("\n\n")
     yield ".SH EXAMPLES"
     yield from _verbatim(examples.split("\n")[2:])
     if rest.strip():

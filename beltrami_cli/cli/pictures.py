@@ -22,26 +22,8 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 
-_RENDER_EPILOG = """\b
-Examples:
-  beltrami render scan.ply scan.png                                   from the front
-  beltrami render scan.ply scan.png --view three-quarter --lit        from above and the right, with light
-  beltrami render noisy.glb clean.glb both.png --crop auto            side by side, with a detail
-  beltrami render a.ply b.ply ab.png --label before --label after --crop 0.4,0.3,0.1 --crop 0.6,0.7
-  beltrami render model.obj around.png --turntable 8 --size 300       eight views all around
-  beltrami render model.obj turning.gif --turntable 24 --lit          one that turns; .webp and .mp4 likewise
-  beltrami render room.ply room.png --up z --azimuth 120 --elevation 45
-  beltrami render photo.png clean.png photos.png --crop auto,0.1      images, unchanged, with a detail
-  beltrami render model.glb icon.png --size 128 --background transparent
 
-\b
-No display or graphics card is needed; surfaces need a package: pip install 'beltrami-cli[render]'. Models at the
-same place share one camera. Colours are lit and averaged in linear light, and stored as sRGB. Factors of materials
-and reflections are not shown.
-"""
-
-
-@click.command("render", cls=HelpfulCommand, epilog=_RENDER_EPILOG)
+@click.command("render", cls=HelpfulCommand)
 @click.argument("sources", nargs=-1, required=True, metavar="FILE...")
 @click.argument("target", metavar="OUT.png")
 @options.options_of(RenderSettings)
@@ -61,20 +43,6 @@ def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Mes
         width, height = render_file(sources, target, settings, job)
     messages.say(f"{target}: {width} x {height} pixels")
 
-
-_SWEEP_EPILOG = """\b
-Examples:
-  beltrami sweep scan.ply sheet.png --beta 4,8,16 -n 2,5,10            nine trials, three by three
-  beltrami sweep scan.glb sheet.html -t 1,2.4,4                        a page; click on a view to see it next to INPUT
-  beltrami sweep noisy.glb sheet.html --reference clean.glb --beta 5,10,20 -n 3,5   with PSNR and the like
-  beltrami sweep photo.jpg sheet.png --metric-steps 1,2,4 --crop auto,0.1 --size 400
-  beltrami sweep scan.ply figures.csv --format csv --beta 4,8,16       estimated PSNR and gain, and no pictures
-  beltrami sweep scan.ply sheet.png --beta 0,10 --space oklab --view left      other options as for smooth and render
-
-\b
-Every combination of values is tried, and the default. All other parameters are chosen as by `beltrami smooth`. Results
-are drawn and discarded: run `beltrami smooth` with the parameters that you like best.
-"""
 
 _SWEPT = ("beta", "t", "iterations", "metric_scale", "metric_steps")
 _SHOWN = {"iterations": "n", "metric_scale": "metric scale", "metric_steps": "metric steps"}
@@ -101,7 +69,7 @@ def _listed(declared: Parameter) -> Parameter:
 _LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in _SWEPT]
 
 
-@click.command("sweep", cls=HelpfulCommand, epilog=_SWEEP_EPILOG)
+@click.command("sweep", cls=HelpfulCommand)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUT.png|OUT.html|OUT")
 @click.option(
@@ -162,21 +130,7 @@ def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothS
     return trials, max(2, rows[-1] if rows else 2)
 
 
-_REPORT_EPILOG = """\b
-Examples:
-  beltrami report scan.ply clean.ply what-changed.html
-  beltrami smooth model.glb clean.glb --report run.json && \\
-    beltrami report model.glb clean.glb page.html --parameters run.json
-  beltrami report photo.png clean.png photo.html               an image, with a swipe
-  beltrami report model.glb clean.glb page.html --slots emissive
-
-\b
-The page is one file that opens without a network, so it can be mailed or kept as an artefact of CI. The models are
-drawn with WebGL by three.js (MIT licence, in the package).
-"""
-
-
-@click.command("report", cls=HelpfulCommand, epilog=_REPORT_EPILOG)
+@click.command("report", cls=HelpfulCommand)
 @click.argument("before", metavar="BEFORE")
 @click.argument("after", metavar="AFTER")
 @click.argument("target", metavar="OUT.html")
@@ -225,20 +179,7 @@ def _result(found: dict[str, Any]) -> str:
     return f"{found['psnr']:.2f} dB from one to the other"
 
 
-_VIEW_EPILOG = """\b
-Examples:
-  beltrami view scan.ply                         in the browser, with all parameters chosen
-  beltrami view model.glb --strength gentle      start with other parameters, as for smooth
-  beltrami view photo.jpg --no-open              print the address, and open no browser
-
-\b
-The page is served on this machine only, at an address with a secret, until it is closed or Ctrl-C is pressed. While a
-control is moved, a part of the model is smoothed at once, and the whole follows. Nothing is written unless "Save" is
-pressed; "Copy command" gives the call of `beltrami smooth` that does the same.
-"""
-
-
-@click.command("view", cls=HelpfulCommand, epilog=_VIEW_EPILOG)
+@click.command("view", cls=HelpfulCommand)
 @click.argument("source", metavar="MODEL")
 @click.option("--no-open", is_flag=True, help="Print the address of the page, and open no browser.")
 @options.smoothing

@@ -48,37 +48,6 @@ _preview = click.option(
     "--report does.",
 )  # fmt: skip
 
-EPILOG = """\b
-Examples:
-  beltrami smooth scan.ply clean.ply                    all parameters chosen from the data
-  beltrami smooth scan.ply clean.ply --strength strong  stronger; or gentle
-  beltrami smooth scan.ply clean.ply --fast             by a fixed rule, without choosing
-  beltrami smooth scan.ply clean.ply -n 2 -v            two iterations; the rest chosen around it, and shown
-  beltrami smooth photoscan.obj clean.obj               textures too, across their seams
-  beltrami smooth photoscan.obj clean.obj --level       take exposure steps between its charts out first
-  beltrami smooth scan.glb clean.glb -n 6 -t 8 --beta 12 --metric-steps 2    parameters by hand
-  beltrami smooth scan.ply clean.glb --unwrap           in a new texture, for meshes without one
-  beltrami smooth photoscan.obj clean.glb               smooth and convert, with all textures
-  beltrami smooth photo.jpg clean.png                   an image, on its plane
-  beltrami smooth photo.png clean.png --height depth.exr --height-scale 200  an image on a height map
-  beltrami smooth cloud.ply clean.ply                   points without faces; .xyz, .pts and .npz too
-  beltrami smooth fusion.npz clean.ply                  a level set with colours, as a mesh
-  beltrami smooth density.nrrd clean.glb --iso 0.5 --inside above --colours points.ply
-  beltrami smooth scan.ply blur.ply --beta 0            a Gaussian on the surface, for comparison
-  beltrami smooth temperature.ply out.ply --space data  scalars painted as colours
-  beltrami smooth model.glb clean.glb --guide normal    the clean normal map guides the base colour
-  beltrami smooth render.png clean.png --guide albedo.png --metric-channels none   joint filtering
-  beltrami smooth scan.ply clean.ply --guide quality.npy --guide-beta 5
-  beltrami smooth scan.ply clean.ply --smooth-geometry  positions too; creases stay
-  beltrami smooth scan.ply clean.ply --preview look.png  before and after in a picture
-  zcat scan.ply.gz | beltrami smooth - - | gzip > clean.ply.gz
-
-\b
-Other parameters are chosen by an estimate of the error, see `beltrami docs tuning`. Strength grows with -n and -t,
-and falls with --beta. If edges soften, raise --beta, or say --strength gentle; if noise stays, raise -n, lower --beta,
-or say --strength strong. `beltrami info FILE` shows the noise, and what would be chosen.
-"""
-
 
 def besides(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of a dry run, a report and a preview."""
@@ -156,7 +125,7 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
         )
 
 
-@click.command("smooth", cls=HelpfulCommand, epilog=EPILOG)
+@click.command("smooth", cls=HelpfulCommand)
 @click.argument("source", metavar="INPUT")
 @click.argument("target", metavar="OUTPUT")
 @options.smoothing
@@ -167,23 +136,7 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
 @besides
 @options.messages
 def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> None:
-    """Smooth the colours of INPUT, in its vertices or textures or pixels, and write OUTPUT with nothing else changed.
-
-    INPUT and OUTPUT are PLY, OBJ, glTF, GLB or USD files, points (.xyz, .asc, .txt, .csv, .pts, .npz, .las, .laz, .e57,
-    .pcd), images (PNG, JPEG, TIFF, EXR and the other formats of OpenImageIO), or - for a pipe. OUTPUT keeps the bytes
-    of INPUT apart from the colours. With another extension it is converted, and losses are listed: vertex colours go to
-    any mesh format, textures with their materials to glTF, GLB, OBJ and PLY, images to any image format. -n 0 converts
-    and smooths nothing.
-
-    Points without faces are smoothed on the surface that they lie on; points far from all others stay as they are. In
-    .xyz, .asc, .txt, .csv and .pts the columns are named by --columns or a first line, or else recognised by their
-    values; in .npz the arrays are positions (P, 3), or (H, W, 3) for a range image, and colours (P, C) or intensity
-    (P).
-
-    INPUT may also be a level set on a grid, which becomes a mesh with a vertex for each voxel on the surface: NRRD, or
-    .npz with the arrays values (X, Y, Z) and colours (X, Y, Z, C), or points (P, 3) and point_colours (P, C) near the
-    surface; optionally spacing, origin, level and mask (X, Y, Z). NaN, and 0 in the mask, are holes.
-    """
+    """Smooth the colours of INPUT, in its vertices, textures or pixels, and write OUTPUT with nothing else changed."""
     settings, dry_run = options.settings_from(smoothing), smoothing["dry_run"]
     unwrap = options.unwrapping_from(smoothing)
     from beltrami_cli.jobs.smooth import smooth_file

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli import SmoothSettings, inspect_file
-from beltrami_cli.cli.info import INFO_EPILOG
+from beltrami_cli.cli.commands import notes_on
 from beltrami_cli.fields import override
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode
@@ -25,7 +25,7 @@ def info(name, *options):
 
 def test_the_keys_in_the_examples_of_help_are_there():
     samples = {"ply": "nonmanifold-noisy.ply", "glb": "tiled-noisy.glb", "obj": "mirrored-noisy.obj"}
-    examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", INFO_EPILOG)
+    examples = re.findall(r"scan\.(\w+) --json \| jq '?\.([.\w\[\]]+)", notes_on("info"))
     assert len(examples) == 3
     for suffix, path in examples:
         values = [info(samples[suffix], "--fast")]
