@@ -215,7 +215,7 @@ class HelpfulCommand(click.Command):
             formatter.write_text(text if self._is_full(ctx) else _first_examples(text))
 
     def _is_full(self, context: click.Context) -> bool:
-        return not self._is_long or bool(context.meta.get(_ALL))
+        return not self._is_long or bool(context.meta.get(HELP_ALL))
 
 
 def _misplaced(name: str, context: click.Context) -> click.UsageError | None:
@@ -231,12 +231,12 @@ def _misplaced(name: str, context: click.Context) -> click.UsageError | None:
     return None
 
 
-_ALL = "help_all"
+HELP_ALL = "help_all"
 
 
 def _show_all(context: click.Context, option: click.Parameter, wanted: bool) -> None:
     if wanted and not context.resilient_parsing:
-        context.meta[_ALL] = True
+        context.meta[HELP_ALL] = True
         click.echo(context.get_help(), color=context.color)
         context.exit()
 

@@ -47,7 +47,6 @@ _MODULES = {
 }  # fmt: skip
 
 _ALIASES = {"denoise": "smooth"}
-ALL_COMMANDS = "All commands"  # the section on the program in the page of commands
 
 _INTERRUPTED = "interrupted; files are as they were, or complete"
 
@@ -74,7 +73,7 @@ class LazyGroup(click.Group):
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write_paragraph()
         with formatter.indentation():
-            formatter.write_text(notes_on(ALL_COMMANDS))
+            formatter.write_text(notes_on("All commands"))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import DAILY, HelpfulCommand, notes_on
-from beltrami_cli.cli.main import ALL_COMMANDS, COMMANDS, group
+from beltrami_cli.cli.commands import DAILY, HELP_ALL
+from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access
@@ -69,75 +69,63 @@ def _cells(declared: Parameter) -> tuple[str, str, str]:
     )
 
 
+class _Roff(click.HelpFormatter):
+    """Writes for man(7) what click writes for a terminal."""
+
+    def write_usage(self, prog: str, args: str = "", prefix: str | None = None) -> None:
+        self.write(f".SH SYNOPSIS\n.B {_text(prog)}\n.I {_text(args)}\n.SH DESCRIPTION\n")
+
+    def write_heading(self, heading: str) -> None:
+        self.write(
+            f".SH {heading.upper()}\n" if heading in (DAILY, "Commands") else f'.SS "{_text(heading)}"\n'
+        )
+
+    def write_paragraph(self) -> None:
+        pass
+
+    def write_text(self, text: str) -> None:
+        """Write paragraphs; after a line with a backspace they have a title and keep their lines, see `notes_on`."""
+        for block in re.split(r"\n\s*\n", text.strip()):
+            first, *lines = block.strip().split("\n")
+            if first.strip() != "\b":
+                self.write(f".PP\n{_text(' '.join(block.split()))}\n")
+                continue
+            title = lines[0].strip()
+            self.write(".SH EXAMPLES\n" if title == "Examples:" else f".PP\n{_text(title)}\n.PP\n")
+            self.write("\n".join([".nf", *(_text(line.strip()) for line in lines[1:]), ".fi\n"]))
+
+    def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
+        for term, meaning in rows:
+            self.write(f".TP\n.B {_text(term)}\n{_text(' '.join(meaning.split()))}\n")
+
+
 def manual(version: str) -> Iterator[tuple[str, str]]:
     """Yield the names of the manual pages, such as ``beltrami-smooth.1``, and their text for man(7)."""
     top = click.Context(group, info_name="beltrami", **group.context_settings)
-    known = {name: each for name in COMMANDS if (each := group.get_command(top, name)) is not None}
-    listed = [(f"beltrami-{name}(1)", each.get_short_help_str(300)) for name, each in known.items()]
-    lines = [*_page(top, version), ".SH COMMANDS", *_pairs(listed), *_ending("beltrami")]
-    yield "beltrami.1", "\n".join(lines)
-    for name, command in known.items():
-        context = click.Context(command, top, name)
-        yield f"beltrami-{name}.1", "\n".join([*_page(context, version), *_ending(name)])
+    yield "beltrami.1", _page(top, version)
+    for name in COMMANDS:
+        command = group.get_command(top, name)
+        assert command is not None
+        yield f"beltrami-{name}.1", _page(click.Context(command, top, name), version)
 
 
-def _page(context: click.Context, version: str) -> Iterator[str]:
-    """Yield what the help of a command says, as sections."""
-    command, name = context.command, context.command_path.replace(" ", "-")
-    usage = " ".join(command.collect_usage_pieces(context))
-    yield f'.TH "{_text(name.upper())}" 1 "" "beltrami {_text(version)}" "User Commands"'
-    yield from (".SH NAME", f"{_text(name)} \\- {_text(command.get_short_help_str(300).rstrip('.'))}")
-    yield from (".SH SYNOPSIS", f".B {_text(context.command_path)}", f".I {_text(usage)}")
-    yield ".SH DESCRIPTION"
-    yield from _blocks(command.help or "")
-    yield ".SH OPTIONS"
-    others = [each for each in command.get_params(context) if isinstance(each, click.Option)]
-    groups = command.option_groups(context) if isinstance(command, HelpfulCommand) else {DAILY: others}
-    for title, options in groups.items():
-        if title != DAILY:
-            yield f'.SS "{_text(title)}"'
-        records = [option.get_help_record(context) for option in options]
-        yield from _pairs([record for record in records if record is not None])
-    notes = notes_on(ALL_COMMANDS if command is group else str(command.name))
-    examples, _, rest = notes.partition("\n\n")
-    yield ".SH EXAMPLES"
-    yield from _verbatim(examples.split("\n")[2:])
-    if rest.strip():
-        yield ".SH NOTES"
-        yield from _blocks(rest)
-
-
-def _ending(name: str) -> Iterator[str]:
-    yield ".SH EXIT STATUS"
-    yield from _pairs(list(_EXIT_STATUS))
-    shown = "smooth" if name == "beltrami" else name
-    yield from (".SH ENVIRONMENT", ".PP")
-    yield _text(_ENVIRONMENT.format(f"BELTRAMI_{shown.upper()}_OPTION", shown))
-    yield from (".SH FILES", ".PP", _text(_FILES))
-    others = sorted(({"beltrami"} | {f"beltrami-{each}" for each in COMMANDS}) - {name, f"beltrami-{name}"})
-    yield from (".SH SEE ALSO", ".PP", ", ".join(f"\\fB{_text(other)}\\fR(1)" for other in others), "")
-
-
-def _pairs(pairs: list[tuple[str, str]]) -> Iterator[str]:
-    for term, meaning in pairs:
-        yield from (".TP", f".B {_text(term)}", _text(" ".join(meaning.split())))
-
-
-def _blocks(text: str) -> Iterator[str]:
-    """Yield paragraphs; those after a line with a backspace keep their lines, as click has it."""
-    for block in re.split(r"\n\s*\n", text.strip()):
-        lines = block.strip().split("\n")
-        if lines[0].strip() != "\b":
-            yield from (".PP", _text(" ".join(block.split())))
-        elif len(lines) > 2 and lines[1].rstrip().endswith(":"):
-            yield from (".PP", _text(lines[1].strip()), ".PP")
-            yield from _verbatim(lines[2:])
-        else:
-            yield from (".PP", _text(" ".join(" ".join(lines[1:]).split())))
-
-
-def _verbatim(lines: list[str]) -> Iterator[str]:
-    yield from (".nf", *(_text(line.strip()) for line in lines if line.strip()), ".fi")
+def _page(context: click.Context, version: str) -> str:
+    """Return the whole help of a command as a page."""
+    name, page = context.command_path.replace(" ", "-"), _Roff()
+    page.write(f'.TH "{_text(name.upper())}" 1 "" "beltrami {_text(version)}" "User Commands"\n')
+    page.write(f".SH NAME\n{_text(name)} \\- {_text(context.command.get_short_help_str(300).rstrip('.'))}\n")
+    context.meta[HELP_ALL] = True
+    context.command.format_help(context, page)
+    page.write(".SH EXIT STATUS\n")
+    page.write_dl(_EXIT_STATUS)
+    shown = "smooth" if context.command is group else str(context.info_name)
+    page.write(
+        f".SH ENVIRONMENT\n.PP\n{_text(_ENVIRONMENT.format(f'BELTRAMI_{shown.upper()}_OPTION', shown))}\n"
+    )
+    page.write(f".SH FILES\n.PP\n{_text(_FILES)}\n")
+    others = sorted({"beltrami", *(f"beltrami-{each}" for each in COMMANDS)} - {name})
+    page.write(f".SH SEE ALSO\n.PP\n{', '.join(f'{_text(other)}(1)' for other in others)}\n")
+    return page.getvalue()
 
 
 def _text(text: str) -> str:
