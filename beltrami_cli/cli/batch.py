@@ -327,5 +327,7 @@ def _row(outcome: Outcome) -> list[str]:
     if found is None:
         return [outcome.output, outcome.status, seconds, "", ""]
     noise, change, is_left = found
-    result = "done, not smoothed" if is_left and outcome.status == "done" else outcome.status
+    result = outcome.status
+    if is_left and result == "done":  # it may be changed by levelling
+        result = "not smoothed" if change else "left as it is"
     return [outcome.output, result, seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"]

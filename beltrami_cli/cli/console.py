@@ -16,7 +16,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -100,6 +100,55 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     return ["  ".join(cells).rstrip() for cells in aligned]
 
 
+def lines_on(facts: dict[str, Any]) -> Iterator[str]:
+    """Give a line for each fact, or of a report for each figure; what belongs together is indented below its name."""
+    shown = {key.replace("_", " "): value for key, value in facts.items() if not _is_empty(value)}
+    if isinstance(shown.get("choice"), dict):
+        shown["choice"] = choice_in_words(shown["choice"])
+    width = max((len(label) for label, value in shown.items() if not _parts_in(value)), default=0)
+    for label, value in shown.items():
+        if label == "notices":
+            yield from (label, *(f"  {text}" for text in value))
+            continue
+        for part in _parts_in(value):
+            yield label
+            yield from (
+                f"  {line}" for line in lines_on(_with_noise_in_words(part) if "noise" in label else part)
+            )
+        if not _parts_in(value):
+            yield f"{label:<{width}}  {_in_words(value)}"
+
+
+def _is_empty(value: Any) -> bool:
+    return value is None or (isinstance(value, Sized) and not len(value))
+
+
+def _parts_in(value: Any) -> list[dict[str, Any]]:
+    """Return the record that a value is, or the records in it."""
+    values = value if isinstance(value, list) else [value]
+    return values if all(isinstance(each, dict) for each in values) else []
+
+
+def _with_noise_in_words(values: dict[str, float]) -> dict[str, str]:
+    return {
+        name: f"{value:.1f} samples" if name == "grain" else noise_of_255(value)
+        for name, value in values.items()
+    }
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(
+            f"({_in_words(each)})" if isinstance(each, list) else _in_words(each) for each in value
+        )
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def noise_of_255(share: float) -> str:
+    """Write noise as `beltrami noise` takes it."""
+    return f"{255 * share:.1f}/255"
+
+
 def _progress_in_lines() -> Callable[[str, float], None]:
     """Return a function that prints a line for each label and percentage, which other programs can read."""
     printed: set[tuple[str, int]] = set()
@@ -138,33 +187,22 @@ class Messages:
             self.warn(text if text.startswith(shown) else f"{shown}: {text}")
 
     @contextmanager
-    def log_shown(self) -> Iterator[None]:
-        """Print what the package logs: warnings, and, within `work_shown`, how much work is ahead."""
+    def log_shown(self, *, work: bool) -> Iterator[None]:
+        """Print what the package logs: warnings, and with `work` how much of it is ahead."""
         import logging
 
         def show(record: logging.LogRecord) -> None:
             (self.warn if record.levelno >= logging.WARNING else self.say)(record.getMessage())
 
         handler, log = logging.Handler(), logging.getLogger("beltrami_cli")
-        handler.emit = show  # type: ignore[method-assign]
+        handler.emit, level = show, log.level  # type: ignore[method-assign]
         log.addHandler(handler)
+        log.setLevel(logging.INFO if work else level)
         try:
             yield
         finally:
             log.removeHandler(handler)
-
-    @contextmanager
-    def work_shown(self, *, wanted: bool) -> Iterator[None]:
-        """Have the package log how much work is ahead, before it starts."""
-        import logging
-
-        log = logging.getLogger("beltrami_cli")
-        before = log.level
-        log.setLevel(logging.INFO if wanted else before)
-        try:
-            yield
-        finally:
-            log.setLevel(before)
+            log.setLevel(level)
 
     @contextmanager
     def progress(self) -> Iterator[Work | None]:

@@ -17,6 +17,8 @@ from beltrami_cli.cli.console import (
     Messages,
     choice_in_words,
     counted,
+    lines_on,
+    noise_of_255,
     printable,
     show_table,
 )
@@ -54,7 +56,7 @@ def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any
         click.echo(json.dumps(facts, indent=2))
         return
     _put_choices_in_words(facts, settings)
-    for line in _lines(facts) if verbose else _summary(facts):
+    for line in lines_on(facts) if verbose else _summary(facts):
         click.echo(printable(line))
 
 
@@ -103,7 +105,7 @@ def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:
             str(facts["file"]["format"]),
             what,
             "" if samples is None else str(samples),
-            _noise(max(noise.values(), default=0.0)),
+            noise_of_255(max(noise.values(), default=0.0)),
             "" if iterations is None else str(iterations),
             *("" if plan.get(key) is None else f"{plan[key]:.3g}" for key in ("t", "beta")),
         ]
@@ -122,7 +124,7 @@ def _summary(facts: dict[str, Any]) -> Iterator[str]:
         rows += [("", f"and {len(images) - _SHOWN_IMAGES} more")] if len(images) > _SHOWN_IMAGES else []
         rows += _answer(slot)
         if slot.get("exposure", {}).get("is_exposure"):
-            step = f"median step {_noise(slot['exposure']['step'])} at seams; `beltrami level` removes them"
+            step = f"median step {noise_of_255(slot['exposure']['step'])} at seams; `beltrami level` removes them"
             rows.append(("exposure", step))
     if "smooth" in facts:
         colours = facts.get("colours") or facts["image"]
@@ -186,48 +188,6 @@ def _choice(smooth: dict[str, Any]) -> str | None:
         return None
     why = "smoothing would not reduce the noise" if smooth.get("noise") else NO_NOISE_FOUND
     return f"nothing to smooth: {why}; {ALL_THE_SAME}"
-
-
-def _lines(facts: dict[str, Any]) -> Iterator[str]:
-    """Give a line for each fact; what belongs together is indented below its name."""
-    shown = {key.replace("_", " "): value for key, value in facts.items() if value not in (None, [], {})}
-    width = max((len(label) for label, value in shown.items() if not _parts_in(value)), default=0)
-    for label, value in shown.items():
-        if label == "notices":
-            yield from (label, *(f"  {text}" for text in value))
-            continue
-        for part in _parts_in(value):
-            yield label
-            yield from (
-                f"  {line}" for line in _lines(_with_noise_in_words(part) if "noise" in label else part)
-            )
-        if not _parts_in(value):
-            yield f"{label:<{width}}  {_in_words(value)}"
-
-
-def _parts_in(value: Any) -> list[dict[str, Any]]:
-    """Return the record that a value is, or the records in it."""
-    values = value if isinstance(value, list) else [value]
-    return values if all(isinstance(each, dict) for each in values) else []
-
-
-def _with_noise_in_words(values: dict[str, float]) -> dict[str, str]:
-    return {
-        name: f"{value:.1f} samples" if name == "grain" else _noise(value) for name, value in values.items()
-    }
-
-
-def _in_words(value: Any) -> str:
-    if isinstance(value, list):
-        return ", ".join(
-            f"({_in_words(each)})" if isinstance(each, list) else _in_words(each) for each in value
-        )
-    return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def _noise(share: float) -> str:
-    """Write noise as `beltrami noise` takes it."""
-    return f"{255 * share:.1f}/255"
 
 
 # Parameters that concern the averages, while this command looks at the kernel only.

@@ -294,7 +294,7 @@ def messages(command: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(command)
     def with_messages(*, quiet: bool, verbose: int, **given: Any) -> Any:
         messages = Messages(quiet=quiet, verbose=verbose)
-        with messages.log_shown():
+        with messages.log_shown(work=verbose > 0 or given.get("dry_run", False)):
             return command(messages=messages, **given)
 
     return quiet(verbose(with_messages))

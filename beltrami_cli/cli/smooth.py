@@ -19,13 +19,13 @@ from beltrami_cli.cli.console import (
     NO_AREA,
     NO_NOISE,
     Messages,
-    choice_in_words,
     counted,
+    lines_on,
 )
 from beltrami_cli.errors import OutputError, UsageError
 from beltrami_cli.jobs.job import Job, show_size
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.view.parameters import NO_NOISE_FOUND, noise_in_words
+from beltrami_cli.view.parameters import NO_NOISE_FOUND
 
 if TYPE_CHECKING:
     from beltrami_cli.jobs.level import LevelFileReport
@@ -62,11 +62,7 @@ def written(
     from beltrami_cli.formats.document import Written
     from beltrami_cli.jobs.output import FileSet
 
-    with (
-        options.job_from(values, ends[0], messages) as job,
-        messages.work_shown(wanted=messages.verbose > 0 or values["dry_run"]),
-        FileSet(ends) as files,
-    ):
+    with options.job_from(values, ends[0], messages) as job, FileSet(ends) as files:
         job = replace(job, dry_run=values["dry_run"], files=files)
         report_file = _open_report(values["report_path"], job)
         preview = _open_preview(values["preview_path"], ends, settings, job)
@@ -151,6 +147,9 @@ def smooth(source: str, target: str, messages: Messages, **smoothing: Any) -> No
     if report.new_texture:
         unwritten = "not written (dry run), " if dry_run else ""
         messages.say(f"{report.output}: {unwritten}{report.new_texture}")
+    details = asdict(report)
+    for line in lines_on({key: details[key] for key in ("stages", "vertices", "image", "textures")}):
+        messages.detail(line)
 
 
 def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool, dry_run: bool) -> None:
@@ -170,14 +169,9 @@ def _show_unchanged(messages: Messages, report: SmoothReport, *, unwrapped: bool
 
 def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> None:
     messages.warn_of(report.input, report.warnings)
-    for stage, seconds in report.stages.items():
-        messages.detail(f"{stage:>14}: {seconds['wall']:.2f} s, {seconds['cpu']:.2f} s CPU")
     if report.peak_memory is not None:
         show = messages.say if dry_run else messages.detail
-        show(f"{'peak memory':>14}: {show_size(report.peak_memory)}")
-    free = cast("list[str]", report.parameters["free"])
-    for key in ("iterations", "t", "threshold", "metric_scale", "metric_steps", "space"):
-        messages.detail(f"{key:>14}: {'chosen from the data' if key in free else report.parameters[key]}")
+        show(f"peak memory: {show_size(report.peak_memory)}")
     name = f"{report.output}: {'not written (dry run), ' if dry_run else ''}"
     if report.vertices is not None:
         done = report.vertices
@@ -202,9 +196,6 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         what = f"{textures}, {counted(slot.counts['covered'], 'texel')} in {charts}"
         is_empty = not slot.counts["covered"]
         _show_done(messages, name + what, slot, slot.samples_per_kernel, is_empty=is_empty)
-        if slot.counts["jumps"]:
-            jumps = f"{slot.counts['jumps']} of {counted(slot.counts['seams'], 'seam')}"
-            messages.detail(f"{jumps} are real colour edges and were not smoothed over")
 
 
 def _show_done(
@@ -226,13 +217,6 @@ def _show_done(
         f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
         f"mean change {255 * done.change['mean']:.1f}/255"
     )
-    messages.detail(f"noise: {noise_in_words(done.noise, done.noise_model)}")
-    for guide, beta in done.guides.items():
-        messages.detail(f"guide {guide}: beta {beta:.3g}")
-    if done.patches is not None:
-        messages.detail(f"patches: {100 * done.patches:.0f} % of the result, the rest from the kernel alone")
-    if done.choice is not None:
-        messages.detail(f"chosen: {choice_in_words(done.choice)}")
 
 
 def _geometry(geometry: dict[str, float], spacing: float) -> str:
