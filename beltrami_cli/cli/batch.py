@@ -6,6 +6,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,17 +21,13 @@ from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.access import Access, is_file
-from beltrami_cli.jobs.job import BakeSettings, NoiseSettings, default_memory
+from beltrami_cli.jobs.job import NoiseSettings, default_memory
 from beltrami_cli.layers.settings import SmoothSettings
 
 if TYPE_CHECKING:
-    from beltrami_cli.batch.item import Item, Outcome
+    from beltrami_cli.batch.item import Attempt, Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
-
-    Settings = tuple[SmoothSettings, BakeSettings | None, NoiseSettings | None, tuple[str, ...]]
-    from beltrami_cli.batch.item import Attempt
-
 
 _OF_NOISE = [each.name for each in parameters(NoiseSettings)]
 
@@ -158,36 +155,38 @@ def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) ->
 
 
 def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite: bool) -> list[Item]:
-    from beltrami_cli.batch.item import Item
-
-    common = _settings_from(values)
+    common = _item_from(values)
     # What a preset takes the place of is not given.
     of_a_file = [option.name for option in _OF_A_FILE.params if option.name]
     given = {name: values[name] for name in of_a_file if options.is_given(name)}
     jobs = []
     for request in requests:
         try:
-            settings, unwrap, noise, columns = _settings(request, given) if request.options else common
+            item = _settings(request, given) if request.options else common
         except (click.UsageError, UsageError, ValueError) as error:
             cause = error.format_message() if isinstance(error, click.UsageError) else str(error)
             raise UsageError(f"{request.origin}: {cause}") from error
-        ends = request.source, request.target
         how = {"outside": values["allow_outside"], "overwrite": overwrite}
-        jobs.append(Item(*ends, settings, unwrap, noise, columns=columns, **how))
+        jobs.append(replace(item, source=request.source, target=request.target, **how))
     return jobs
 
 
-def _settings_from(values: dict[str, Any]) -> Settings:
+def _item_from(values: dict[str, Any]) -> Item:
+    """Return what is to be done, by the values of options; with which file is left open."""
+    from beltrami_cli.batch.item import Item
+
     noise = None
     if values["add_noise"]:
         noise = options.record_from(NoiseSettings, values)
     elif given := [name for name in _OF_NOISE if options.is_given(name)]:
         raise UsageError(f"--{given[0]} is of noise; say --add-noise, which is then all that is done")
     columns = options.record_from(Access, values).columns
-    return options.settings_from(values), options.unwrapping_from(values), noise, columns
+    return Item(
+        "", "", options.settings_from(values), options.unwrapping_from(values), noise, columns=columns
+    )
 
 
-def _settings(request: Request, given: dict[str, Any]) -> Settings:
+def _settings(request: Request, given: dict[str, Any]) -> Item:
     own = values_for(options_by_name(_OF_A_FILE), request.options)
 
     def next_to_manifest(name: str, *, may_be_other: bool) -> str:
@@ -202,7 +201,7 @@ def _settings(request: Request, given: dict[str, Any]) -> Settings:
     for name in own:  # overrides the options for all files, also with a preset
         context.set_parameter_source(name, ParameterSource.COMMANDLINE)
     with context.scope():
-        return _settings_from(context.params)
+        return _item_from(context.params)
 
 
 def _report_path(given: str | None, out_dir: str, inputs: Sequence[str], jobs: Sequence[Item]) -> str:
@@ -309,9 +308,8 @@ class Display:
         if outcome.status == "failed":  # also with --quiet, as every error
             self._print(f"failed: {outcome.error}")
         elif not self.messages.quiet:
-            self._print(
-                *(f"warning: {outcome.input}: {text}" for text in (outcome.report or {}).get("warnings", ()))
-            )
+            warnings = (outcome.report or {}).get("warnings", ()) if outcome.status == "done" else ()
+            self._print(*(f"warning: {outcome.input}: {text}" for text in warnings))
             if self.messages.verbose:
                 pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
                 self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
@@ -327,7 +325,7 @@ def _row(outcome: Outcome) -> list[str]:
     if found is None:
         return [outcome.output, outcome.status, seconds, "", ""]
     noise, change, is_left = found
-    result = outcome.status
+    result: str = outcome.status
     if is_left and result == "done":  # it may be changed by levelling
         result = "not smoothed" if change else "left as it is"
     return [outcome.output, result, seconds, f"{255 * noise:.1f}/255", f"{255 * change:.1f}/255"]

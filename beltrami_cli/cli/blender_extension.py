@@ -24,10 +24,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 @options.overwrite
 @options.messages
 def blender_extension(target: str, overwrite: bool, messages: Messages) -> None:
-    """Write the extension for Blender 4.2 and newer, which smooths colour attributes and image textures.
-
-    Its panel has the parameters of `beltrami smooth`, and calls the program that wrote it.
-    """
+    """Write the extension for Blender 4.2 and newer, which smooths colour attributes and image textures."""
     count = write_blender_extension(target, overwrite=overwrite)
     messages.say(f"{target}: an extension for Blender 4.2 and newer, with {count} parameters")
 

@@ -28,13 +28,7 @@ from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
 @besides
 @options.messages
 def level(source: str, target: str, messages: Messages, **values: Any) -> None:
-    """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT.
-
-    Charts from photographs of differing exposure meet in steps. Gains and offsets, which may change smoothly over a
-    chart, make colours agree across seams. Painted steps stay, and so do models without exposure steps. The mean colour
-    stays. INPUT and OUTPUT have the formats of `beltrami smooth`, and nothing but colours changes. Vertex colours are
-    levelled if an attribute names the photograph of each vertex.
-    """
+    """Remove the exposure steps between the charts of the textures of INPUT, and write OUTPUT."""
     wanted = options.record_from(LevelSettings, values)
     del values["strength"]  # which is another parameter where colours are smoothed
     settings = options.record_from(SmoothSettings, values)
@@ -55,11 +49,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
 @options.output_format
 @options.writing
 def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any) -> None:
-    """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices.
-
-    A new texture gets a new atlas. Vertices take the colour that a renderer would show at their places; on a seam they
-    take the mean of both sides, or stay split where the seam is a real colour edge.
-    """
+    """Move the colours of INPUT from its vertices to a texture, or from its textures to the vertices."""
     settings = options.record_from(BakeSettings, values)
     from beltrami_cli.jobs.new_texture import bake_file
 
@@ -80,12 +70,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
 @options.output_format
 @options.writing
 def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
-    """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations.
-
-    INPUT and OUTPUT have the formats of `beltrami smooth`. The noise depends on the place on the surface: vertices
-    at one place get the same noise, and so do texels around a chart and their counterparts beyond the seam. Format,
-    type, alpha and metadata stay. Colours are clipped at 0 and full scale, as in a camera, unless INPUT exceeds them.
-    """
+    """Add noise to the colours of INPUT, and write OUTPUT with nothing else changed: for tests and demonstrations."""
     settings = options.record_from(SmoothSettings, values)
     noise = options.record_from(NoiseSettings, values)
     from beltrami_cli.jobs.noise import noise_file

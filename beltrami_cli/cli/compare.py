@@ -69,12 +69,7 @@ def compare(
     messages: Messages,
     **values: Any,
 ) -> int:
-    """Measure how much the colours of TEST differ from REFERENCE, and fail beyond given limits.
-
-    Both are files of one model, with the same triangles, vertices and sizes of textures, or two images of one size;
-    formats and types may differ. All coloured parts are compared, unless --slots or --on select some. In textures only
-    texels that the surface covers count.
-    """
+    """Measure how much the colours of TEST differ from REFERENCE, and fail beyond given limits."""
     settings = options.compared_from(values)
     from beltrami_cli.jobs.compare.files import compare_files
 
@@ -197,11 +192,7 @@ def _worst(worst: dict[str, Any]) -> str:
 @options.quiet
 @options.verbose
 def check(before: str, after: str, as_json: bool, quiet: bool, verbose: int, **reading: Any) -> int:
-    """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours.
-
-    Colours and the pixels of images may differ. Any other difference is an error: in positions, faces, materials,
-    names, comments and everything else that the format holds. Cleared colours under an alpha of 0 are an error, too.
-    """
+    """List what differs between two files of a format, to prove that AFTER is BEFORE with other colours."""
     from beltrami_cli.jobs.inspect import check_files
 
     with options.reading_from(reading, before) as access:

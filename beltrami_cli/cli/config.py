@@ -86,44 +86,26 @@ class Configuration:
 
 def load(named: str | None) -> Configuration:
     """Read the file that is named, or else the nearest one that is found; see `candidates`."""
-    if named is not None:
-        path = Path(named)
+    for path in candidates() if named is None else [Path(named)]:
         try:
-            table = _parsed(path, read_bounded(path, CONFIGURATION))
+            table = _table_in(path, read_found(path) if named is None else read_bounded(path, CONFIGURATION))
+        except UntrustedError as error:
+            if is_for_beltrami(path):
+                remedy = f"to have it read, name it: --config {path}"
+                click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
+            continue
         except (OSError, ValueError) as error:
-            raise _unreadable(path, error) from error
-        if table is None:
-            raise InputError(named, "it has no table [tool.beltrami]", "add one, or name another file")
-        return _sorted(named, table, is_named=True)
-    try:
-        here = Path.cwd()
-    except OSError:  # the folder was removed
-        return Configuration()
-    for path in candidates(here):
-        table = _found_table(path)
+            raise InputError(str(path), f"cannot be read ({error})", "fix or remove it") from error
         if table is not None:
-            return _sorted(str(path), table, is_named=False)
+            tables = {name: value for name, value in table.items() if isinstance(value, dict)}
+            common = {name: value for name, value in table.items() if name not in tables}
+            return Configuration(str(path) if named is None else named, named is not None, common, tables)
+        if named is not None:
+            raise InputError(named, "it has no table [tool.beltrami]", "add one, or name another file")
     return Configuration()
 
 
-def _found_table(path: Path) -> dict[str, object] | None:
-    """Return what a file says that was found; a warning says if it is not to be trusted."""
-    try:
-        return _parsed(path, read_found(path))
-    except UntrustedError as error:
-        if is_for_beltrami(path):
-            remedy = f"to have it read, name it: --config {path}"
-            click.echo(printable(f"warning: {path} is not read, because {error}; {remedy}"), err=True)
-        return None
-    except (OSError, ValueError) as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path, error: Exception) -> InputError:
-    return InputError(str(path), f"cannot be read ({error})", "fix or remove it")
-
-
-def _parsed(path: Path, text: str) -> dict[str, object] | None:
+def _table_in(path: Path, text: str) -> dict[str, object] | None:
     """Return the table of options in a file; None if it is one of other programs; ValueError if it is no TOML."""
     tree = parse_toml(text)
     tool = tree.get("tool", {})
@@ -134,12 +116,6 @@ def _parsed(path: Path, text: str) -> dict[str, object] | None:
     if not isinstance(tree, dict):
         raise InputError(str(path), "[tool.beltrami] is no table", "see beltrami config --help")
     return tree
-
-
-def _sorted(path: str, table: Mapping[str, object], *, is_named: bool) -> Configuration:
-    tables = {name: value for name, value in table.items() if isinstance(value, dict)}
-    common = {name: value for name, value in table.items() if name not in tables}
-    return Configuration(path, is_named, common, tables)
 
 
 OWN_NAME, SHARED_NAME = "beltrami.toml", "pyproject.toml"
@@ -161,8 +137,12 @@ def may_be_found(option: click.Parameter, value: object = None) -> bool:
     return option.name in _HARMLESS
 
 
-def candidates(here: Path) -> Iterator[Path]:
+def candidates() -> Iterator[Path]:
     """Give the places of a configuration, nearest first: up to the home folder, a repository's root or a border."""
+    try:
+        here = Path.cwd()
+    except OSError:  # the folder was removed
+        return
     home, device = None, here.stat().st_dev
     with contextlib.suppress(OSError, RuntimeError):
         home = Path.home().resolve()
@@ -208,10 +188,7 @@ def _require_own(status: os.stat_result) -> None:
 @click.argument("name", metavar="[COMMAND]", required=False)
 @click.pass_context
 def config(context: click.Context, name: str | None) -> None:
-    """Show the options in force, and where each comes from: a file, the environment, or the default.
-
-    The output is TOML for beltrami.toml; defaults are comments in it.
-    """
+    """Show the options in force, and where each comes from: a file, the environment, or the default."""
     group = context.parent
     assert group is not None
     commands: Any = group.command  # the `LazyGroup`

@@ -33,10 +33,7 @@ def page_text(path: Path) -> str:
 @click.command("docs", cls=HelpfulCommand)
 @click.argument("topic", type=click.Choice(list(pages())), metavar="[TOPIC]", required=False)
 def docs(topic: str | None) -> None:
-    """Show a page of the documentation, or list the pages.
-
-    A terminal shows pages formatted, by $PAGER; pipes and files get Markdown.
-    """
+    """Show a page of the documentation, formatted on a terminal and as Markdown elsewhere; or list the pages."""
     if topic is None:
         for name, path in pages().items():
             click.echo(f"{name:<16}{page_text(path).partition('# ')[2].splitlines()[0]}")

@@ -39,10 +39,7 @@ _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 @options.reading
 @options.verbose
 def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any) -> None:
-    """Show the coloured parts of FILE, how noisy they are, and what smoothing would do.
-
-    For several files, a folder or a glob it prints a table with a line for each part that would be smoothed.
-    """
+    """Show the coloured parts of FILE, how noisy they are, and what smoothing would do."""
     settings = options.settings_from(smoothing)
     if len(sources) > 1 or (sources[0] != "-" and not Path(sources[0]).is_file()):
         _show_many(sources, settings, smoothing, as_json=as_json)
@@ -212,11 +209,7 @@ _OF_WRITING = (
 @options.preset
 @options.writing
 def kernel(source: str, target: str, at: str, iteration: int, messages: Messages, **smoothing: Any) -> None:
-    """Write the geodesic distances and the weights of one kernel of FILE as a mesh, an image or a table.
-
-    Distances are measured on the image manifold, in space and colour together. The parameters are
-    chosen as by `beltrami smooth` with the same options.
-    """
+    """Write the geodesic distances and the weights of one kernel of FILE as a mesh, an image or a table."""
     settings = options.settings_from(smoothing)
     from beltrami_cli.jobs.kernel import kernel_file
 

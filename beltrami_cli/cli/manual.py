@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import click
@@ -94,7 +94,7 @@ class _Roff(click.HelpFormatter):
             self.write(".SH EXAMPLES\n" if title == "Examples:" else f".PP\n{_text(title)}\n.PP\n")
             self.write("\n".join([".nf", *(_text(line.strip()) for line in lines[1:]), ".fi\n"]))
 
-    def write_dl(self, rows: Sequence[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
+    def write_dl(self, rows: Iterable[tuple[str, str]], col_max: int = 30, col_spacing: int = 2) -> None:
         for term, meaning in rows:
             self.write(f".TP\n.B {_text(term)}\n{_text(' '.join(meaning.split()))}\n")
 

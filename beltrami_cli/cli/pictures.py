@@ -30,10 +30,7 @@ from beltrami_cli.view.settings import RenderSettings
 @click.option("--no-labels", is_flag=True, help="No words in the picture.")
 @options.writing
 def render(sources: tuple[str, ...], target: str, no_labels: bool, messages: Messages, **values: Any) -> None:
-    """Draw each FILE, a model, points or an image, and write all as one picture.
-
-    Textures and vertex colours are shown without light, so that the colours can be judged, unless --lit is given.
-    """
+    """Draw each FILE, a model, points or an image, and write all as one picture."""
     if values["labels"] and no_labels:
         raise UsageError("--label and --no-labels contradict each other")
     settings = options.record_from(RenderSettings, values, **({"labels": ()} if no_labels else {}))
@@ -92,11 +89,7 @@ def sweep(
     messages: Messages,
     **given: Any,
 ) -> None:
-    """Smooth INPUT with every combination of parameters, and show all results in one picture or page, or their figures.
-
-    The first views show the reference, if there is one, INPUT unchanged, and the default; the others are labelled with
-    their parameters.
-    """
+    """Smooth INPUT with every combination of parameters, and show all results in a picture or page, or as figures."""
     trials, columns = _trials(given)
     plain = trials[0][1]
     on = "vertices" if plain.on == "vertices" else "auto"
@@ -154,11 +147,7 @@ def report(
     messages: Messages,
     **values: Any,
 ) -> None:
-    """Write a page that shows what changed from BEFORE to AFTER, two models or two images that differ in colours only.
-
-    The page shows both models under one camera with a swipe between them, textures with a swipe, figures, a histogram
-    of the change, and a map of the seams.
-    """
+    """Write a page that shows what changed from BEFORE to AFTER, two models or images that differ in colours only."""
     from beltrami_cli.view.report import report_file
 
     settings = options.compared_from(values)
@@ -186,11 +175,7 @@ def _result(found: dict[str, Any]) -> str:
 @options.reading
 @options.messages
 def view(source: str, no_open: bool, messages: Messages, **smoothing: Any) -> None:
-    """Show MODEL in the browser, and smooth it there while parameters are changed.
-
-    MODEL is any input of `beltrami smooth`: a mesh, a textured model, points, an image or a level set. The page shows
-    it before and after with a line between them, the difference, and the chosen parameters.
-    """
+    """Show MODEL in the browser, and smooth it there while parameters are changed."""
     settings = options.settings_from(smoothing)
     from beltrami_cli.view.live import Live
     from beltrami_cli.view.server import PageServer
