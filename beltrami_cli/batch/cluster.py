@@ -10,7 +10,9 @@ import queue
 import socket
 import uuid
 from collections.abc import Iterator
+from concurrent.futures import Future
 from importlib.metadata import version
+from math import inf
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -112,15 +114,13 @@ class OnDask(Pool):
 
     @property
     def is_full(self) -> bool:
-        if self._at_once is not None and len(self._futures) >= self._at_once:
-            return True
-        return self._per_worker is not None and len(self._futures) >= self._per_worker * self._count_workers()
-
-    def _count_workers(self) -> int:
-        try:
-            return len(self._client.nthreads())
-        except (OSError, TimeoutError) as error:
-            raise ProcessingError(_LOST) from error
+        most = inf if self._at_once is None else self._at_once
+        if self._per_worker is not None:
+            try:
+                most = min(most, self._per_worker * len(self._client.nthreads()))
+            except (OSError, TimeoutError) as error:
+                raise ProcessingError(_LOST) from error
+        return len(self._futures) >= most
 
     def start(self, key: int, task: Task, *arguments: Any) -> None:
         # What a task is called with alone would go through the scheduler.
@@ -130,9 +130,8 @@ class OnDask(Pool):
                 _on_worker, task, self._topic, key, version("beltrami-cli"), *sent, pure=False
             )
         except Exception as error:  # of many kinds where a worker or the scheduler is gone
-            self._futures[key] = None
-            self._events.put((key, Lost(_in_words(error))))
-            return
+            future = Future[Any]()
+            future.set_exception(error)
         self._futures[key] = future
         future.add_done_callback(lambda done: self._events.put((key, done)))
 
@@ -146,9 +145,9 @@ class OnDask(Pool):
         if isinstance(event, tuple):
             if key in self._futures:
                 yield key, event
-        elif isinstance(event, Lost) or self._futures.get(key) is event:  # else of a task that was given up
+        elif self._futures.get(key) is event:  # else of a task that was given up
             del self._futures[key]
-            yield key, event if isinstance(event, Lost) else _result(event)
+            yield key, _result(event)
 
     def share(self, value: Any) -> Any:
         try:
@@ -158,7 +157,7 @@ class OnDask(Pool):
 
     def give_up(self) -> None:
         with contextlib.suppress(Exception):  # where the scheduler is gone, nothing is left to be cancelled
-            self._client.cancel([each for each in self._futures.values() if each is not None], force=True)
+            self._client.cancel([each for each in self._futures.values() if not each.done()], force=True)
         self._futures.clear()
 
     def close(self) -> None:
@@ -182,11 +181,7 @@ def _result(future: Any) -> Any:
     except CancelledError:
         return Lost(f"{_LOST}, or the work was cancelled there")
     except Exception as error:
-        return Lost(_in_words(error))
-
-
-def _in_words(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+        return Lost(" ".join(f"{type(error).__name__}: {error}".split()))
 
 
 def portable(item: Item) -> Item:

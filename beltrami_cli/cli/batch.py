@@ -172,7 +172,7 @@ def _jobs_for(requests: Iterable[Request], values: dict[str, Any], *, overwrite:
 
 
 def _item_from(values: dict[str, Any]) -> Item:
-    """Return what is to be done, by the values of options; with which file is left open."""
+    """Return the item that the values of options describe, without its files."""
     from beltrami_cli.batch.item import Item
 
     noise = None

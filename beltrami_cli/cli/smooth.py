@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -181,7 +180,8 @@ def _show_result(messages: Messages, report: SmoothReport, *, dry_run: bool) -> 
         what += f", {NO_AREA}" if is_empty else ""
         _show_done(messages, name + what, done, done.counts["samples_per_kernel"], is_empty=is_empty)
         if done.geometry is not None:
-            messages.say(name + _geometry(done.geometry, done.spacing))
+            share = done.geometry["mean_move"] / done.spacing if done.spacing else 0.0
+            messages.say(f"{name}positions too, by {share:.2f} sample spacings on average")
     if report.image is not None:
         facts = report.image.image
         holes = f" with {counted(cast('int', facts['holes']), 'hole')}" if facts["holes"] else ""
@@ -216,12 +216,4 @@ def _show_done(
     messages.say(
         f"{noise}, beta {done.beta:.3g}, {samples:.0f} samples a kernel{iterations}, "
         f"mean change {255 * done.change['mean']:.1f}/255"
-    )
-
-
-def _geometry(geometry: dict[str, float], spacing: float) -> str:
-    share = geometry["mean_move"] / spacing if spacing else 0.0
-    return (
-        f"positions too, noise of the normals {math.degrees(geometry['normal_noise']):.1f} degrees, normal beta "
-        f"{geometry['normal_beta']:.3g}, mean move {geometry['mean_move']:.3g} ({share:.2f} sample spacings)"
     )

@@ -16,8 +16,8 @@ import pytest
 import trimesh
 
 from beltrami_cli.cli.commands import notes_on
-from beltrami_cli.cli.docs import pages
 from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.manual import pages
 from beltrami_cli.cli.options import ParameterOption
 from cli.commands import COMMAND, SAMPLES, beltrami
 from formats.image_files import encode
