@@ -15,7 +15,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import GroupedOption, HelpfulCommand, options_by_name, values_for
+from beltrami_cli.cli.commands import GroupedOption, command, options_by_name, values_for
 from beltrami_cli.cli.console import Messages, printable, show_table
 from beltrami_cli.errors import OutputError, ProcessingError, UsageError
 from beltrami_cli.fields import parameters
@@ -52,8 +52,7 @@ SHARED_WITH_SMOOTH = tuple(option.name for option in _LIKE_SMOOTH.params if opti
 _CLUSTER = "Many machines"
 
 
-@click.command("batch", cls=HelpfulCommand)
-@click.argument("inputs", metavar="INPUTS...", nargs=-1, required=True)
+@command("batch", inputs="INPUTS...")
 @click.option("--out-dir", metavar="DIR", required=True, help="Folder of the outputs; it is made.")
 @click.option(
     "--suffix", default="", metavar="TEXT",

@@ -10,17 +10,14 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import Any
 
-import click
-
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.commands import command
 from beltrami_cli.cli.console import Messages
 from beltrami_cli.fields import Parameter, parameters
 from beltrami_cli.layers.settings import SmoothSettings
 
 
-@click.command("blender-extension", cls=HelpfulCommand)
-@click.argument("target", metavar="OUT.zip")
+@command("blender-extension", target="OUT.zip")
 @options.overwrite
 @options.messages
 def blender_extension(target: str, overwrite: bool, messages: Messages) -> None:

@@ -8,16 +8,14 @@ from typing import Any, get_args
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.commands import command
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.cli.smooth import besides, show_levelled, written
 from beltrami_cli.jobs.job import BakeSettings, NoiseSettings
 from beltrami_cli.layers.settings import BakeTo, LevelSettings, SmoothSettings
 
 
-@click.command("level", cls=HelpfulCommand)
-@click.argument("source", metavar="INPUT")
-@click.argument("target", metavar="OUTPUT")
+@command("level", source="INPUT", target="OUTPUT")
 @options.options_of(LevelSettings)
 @options.options_of(
     SmoothSettings, only=(*options.TEXTURES, *options.ENCODING, "alpha"), changed=options.UNMIXED
@@ -41,9 +39,7 @@ def level(source: str, target: str, messages: Messages, **values: Any) -> None:
     show_levelled(messages, report.levelled, f"{target}: {unwritten}")
 
 
-@click.command("bake", cls=HelpfulCommand)
-@click.argument("source", metavar="INPUT")
-@click.argument("target", metavar="OUTPUT")
+@command("bake", source="INPUT", target="OUTPUT")
 @click.option("--to", type=click.Choice(get_args(BakeTo)), required=True, help="Where the colours go.")
 @options.options_of(BakeSettings)
 @options.output_format
@@ -62,9 +58,7 @@ def bake(source: str, target: str, to: BakeTo, messages: Messages, **values: Any
     messages.say(f"{report.output}: {made}" + (f", {report.texture}" if report.texture else ""))
 
 
-@click.command("noise", cls=HelpfulCommand)
-@click.argument("source", metavar="INPUT")
-@click.argument("target", metavar="OUTPUT")
+@command("noise", source="INPUT", target="OUTPUT")
 @options.options_of(NoiseSettings)
 @options.options_of(SmoothSettings, only=(*options.COLOURS, *options.ENCODING), changed=options.UNMIXED)
 @options.output_format

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -216,6 +216,20 @@ class HelpfulCommand(click.Command):
 
     def _is_full(self, context: click.Context) -> bool:
         return not self._is_long or bool(context.meta.get(HELP_ALL))
+
+
+def command(called: str, /, **arguments: str) -> Callable[[Callable[..., Any]], HelpfulCommand]:
+    """Declare a command and its arguments, as the help shows them: FILE... takes several, [TOPIC] may be left out."""
+
+    def decorate(function: Callable[..., Any]) -> HelpfulCommand:
+        for name, metavar in reversed(arguments.items()):
+            nargs = -1 if metavar.endswith("...") else 1
+            function = click.argument(name, metavar=metavar, nargs=nargs, required=metavar[0] != "[")(
+                function
+            )
+        return click.command(called, cls=HelpfulCommand)(function)
+
+    return decorate
 
 
 def _misplaced(name: str, context: click.Context) -> click.UsageError | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
+from beltrami_cli.cli.commands import command, overwrite_at
 from beltrami_cli.cli.console import Messages, counted, printable, show_table
 from beltrami_cli.flow.parameters import KernelParameters, Weights
 from beltrami_cli.jobs.job import Limits
@@ -36,9 +36,7 @@ _XML = b'<?xml version="1.0" encoding="utf-8"?>\n'
 _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
 
 
-@click.command("compare", cls=HelpfulCommand)
-@click.argument("reference", metavar="REFERENCE")
-@click.argument("test", metavar="TEST")
+@command("compare", reference="REFERENCE", test="TEST")
 @options.options_of(Limits)
 @options.options_of(KernelParameters, only=("weights",))
 @options.options_of(SmoothSettings, only=options.COLOURS, changed=options.COMPARED)
@@ -184,9 +182,7 @@ def _worst(worst: dict[str, Any]) -> str:
     return f"{place}, off by {255 * worst['error']:.1f}/255{looks}: {change}"
 
 
-@click.command("check", cls=HelpfulCommand)
-@click.argument("before", metavar="BEFORE")
-@click.argument("after", metavar="AFTER")
+@command("check", before="BEFORE", after="AFTER")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @options.reading
 @options.quiet

@@ -21,7 +21,7 @@ import click
 from click.core import ParameterSource
 
 from beltrami_cli.cli.commands import (
-    HelpfulCommand,
+    command,
     long_name,
     options_by_name,
     plain,
@@ -184,8 +184,7 @@ def _require_own(status: os.stat_result) -> None:
         raise UntrustedError("others than its owner may write to it (chmod go-w)")
 
 
-@click.command("config", cls=HelpfulCommand)
-@click.argument("name", metavar="[COMMAND]", required=False)
+@command("config", name="[COMMAND]")
 @click.pass_context
 def config(context: click.Context, name: str | None) -> None:
     """Show the options in force, and where each comes from: a file, the environment, or the default."""

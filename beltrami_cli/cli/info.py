@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.commands import command
 from beltrami_cli.cli.console import (
     ALL_THE_SAME,
     NO_AREA,
@@ -32,8 +32,7 @@ _NO_SAMPLES = "there are no samples"
 _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 
 
-@click.command("info", cls=HelpfulCommand)
-@click.argument("sources", metavar="FILE...", nargs=-1, required=True)
+@command("info", sources="FILE...")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON; of several files a line each.")
 @options.smoothing
 @options.reading
@@ -193,9 +192,7 @@ _OF_WRITING = (
 )  # fmt: skip
 
 
-@click.command("kernel", cls=HelpfulCommand)
-@click.argument("source", metavar="FILE")
-@click.argument("target", metavar="OUTPUT")
+@command("kernel", source="FILE", target="OUTPUT")
 @click.option(
     "--at", required=True, metavar="INDEX|X,Y,Z|[GLOB:]U,V|X,Y",
     help="Which sample: a vertex by its index or a position near it, a texel by texture coordinates, or a pixel of an "

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from beltrami_cli.cli.commands import DAILY, HELP_ALL, HelpfulCommand, docs_folder
+from beltrami_cli.cli.commands import DAILY, HELP_ALL, command, docs_folder
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.fields import REQUIRED, Parameter, parameters
 from beltrami_cli.flow.parameters import KernelParameters
@@ -61,7 +61,7 @@ def page_text(path: Path) -> str:
     return text
 
 
-@click.command("docs", cls=HelpfulCommand)
+@command("docs")
 @click.argument("topic", type=click.Choice(list(pages())), metavar="[TOPIC]", required=False)
 def docs(topic: str | None) -> None:
     """Show a page of the documentation, formatted on a terminal and as Markdown elsewhere; or list the pages."""
@@ -139,9 +139,9 @@ def manual(version: str) -> Iterator[tuple[str, str]]:
     top = click.Context(group, info_name="beltrami", **group.context_settings)
     yield "beltrami.1", _page(top, version)
     for name in COMMANDS:
-        command = group.get_command(top, name)
-        assert command is not None
-        yield f"beltrami-{name}.1", _page(click.Context(command, top, name), version)
+        known = group.get_command(top, name)
+        assert known is not None
+        yield f"beltrami-{name}.1", _page(click.Context(known, top, name), version)
 
 
 def _page(context: click.Context, version: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import HelpfulCommand
+from beltrami_cli.cli.commands import command
 from beltrami_cli.cli.console import Messages, counted
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import Parameter, parameters
@@ -23,9 +23,7 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 
 
-@click.command("render", cls=HelpfulCommand)
-@click.argument("sources", nargs=-1, required=True, metavar="FILE...")
-@click.argument("target", metavar="OUT.png")
+@command("render", sources="FILE...", target="OUT.png")
 @options.options_of(RenderSettings)
 @click.option("--no-labels", is_flag=True, help="No words in the picture.")
 @options.writing
@@ -66,9 +64,7 @@ def _listed(declared: Parameter) -> Parameter:
 _LISTS = [_listed(each) for each in parameters(KernelParameters) if each.name in _SWEPT]
 
 
-@click.command("sweep", cls=HelpfulCommand)
-@click.argument("source", metavar="INPUT")
-@click.argument("target", metavar="OUT.png|OUT.html|OUT")
+@command("sweep", source="INPUT", target="OUT.png|OUT.html|OUT")
 @click.option(
     "--reference", metavar="FILE", help="The same without noise: measure how near to it each result is."
 )
@@ -123,10 +119,7 @@ def _trials(given: dict[str, Any]) -> tuple[list[tuple[dict[str, float], SmoothS
     return trials, max(2, rows[-1] if rows else 2)
 
 
-@click.command("report", cls=HelpfulCommand)
-@click.argument("before", metavar="BEFORE")
-@click.argument("after", metavar="AFTER")
-@click.argument("target", metavar="OUT.html")
+@command("report", before="BEFORE", after="AFTER", target="OUT.html")
 @click.option(
     "--parameters", metavar="FILE.json",
     help="Also show the parameters, from what `beltrami smooth --report` wrote.",
@@ -168,8 +161,7 @@ def _result(found: dict[str, Any]) -> str:
     return f"{found['psnr']:.2f} dB from one to the other"
 
 
-@click.command("view", cls=HelpfulCommand)
-@click.argument("source", metavar="MODEL")
+@command("view", source="MODEL")
 @click.option("--no-open", is_flag=True, help="Print the address of the page, and open no browser.")
 @options.smoothing
 @options.reading

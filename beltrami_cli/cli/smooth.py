@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.commands import HelpfulCommand, overwrite_at
+from beltrami_cli.cli.commands import command, overwrite_at
 from beltrami_cli.cli.console import (
     ALL_THE_SAME,
     NO_AREA,
@@ -120,9 +120,7 @@ def show_levelled(messages: Messages, reports: Sequence[LevelReport], name: str)
         )
 
 
-@click.command("smooth", cls=HelpfulCommand)
-@click.argument("source", metavar="INPUT")
-@click.argument("target", metavar="OUTPUT")
+@command("smooth", source="INPUT", target="OUTPUT")
 @options.smoothing
 @options.unwrapping
 @options.output_format
