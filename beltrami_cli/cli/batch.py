@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from beltrami_cli.batch.item import Attempt, Item, Outcome
     from beltrami_cli.batch.plan import Request
     from beltrami_cli.batch.run import Workers
+    from beltrami_cli.jobs.progress import Work
 
 _OF_NOISE = [each.name for each in parameters(NoiseSettings)]
 
@@ -120,13 +120,14 @@ def batch(
         _show_plan(requests, resume=given["resume"], overwrite=overwrite)
         return
     path = _report_path(report_path, out_dir, inputs, jobs)
-    display = Display(jobs, messages)
-    with _workers(scheduler, pieces, given, display) as workers, display:
-        if report_path is None:
-            make_folder_of(path)
-        record = Record(path, resume=given["resume"], overwrite=overwrite)
-        batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
-        outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), workers)
+    with messages.progress(time.monotonic) as work:  # others do the work, not this process
+        display = Display(jobs, messages, work)
+        with _workers(scheduler, pieces, given, display) as workers:
+            if report_path is None:
+                make_folder_of(path)
+            record = Record(path, resume=given["resume"], overwrite=overwrite)
+            batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
+            outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), workers)
     if not messages.quiet:
         show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
@@ -261,25 +262,15 @@ _FILES, _STEPS = "files", 1000  # what progress counts, and its steps for each
 
 
 class Display:
-    """Shows one bar for all files, on a terminal only; prints failures at once."""
+    """Shows how far all files are together; prints failures at once."""
 
-    def __init__(self, jobs: Sequence[Item], messages: Messages) -> None:
-        from beltrami_cli.cli.progress_bar import ProgressBar
-        from beltrami_cli.jobs.progress import Work
-
-        self._jobs, self.messages = jobs, messages
-        self._work, self._finished, self._skipped = Work(time.monotonic), 0, 0
+    def __init__(self, jobs: Sequence[Item], messages: Messages, work: Work | None) -> None:
+        self._jobs, self.messages, self._work = jobs, messages, work
+        self._finished = self._skipped = 0
         self._shares: dict[int, float] = {}  # of the files in work that are done
-        self._bar = ProgressBar(self._work, is_shown=not messages.quiet and sys.stderr.isatty())
-
-    def __enter__(self) -> Display:
-        self._work.expect([(_FILES, float(len(self._jobs)))], timed=False)
+        if work is not None:
+            work.expect([(_FILES, float(len(jobs)))], timed=False)
         self._show()
-        self._bar.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
 
     def advanced(self, key: int, label: str, done: int, total: int) -> None:
         self._shares[key] = done / total
@@ -288,13 +279,14 @@ class Display:
     def _show(self) -> None:
         # Files that are skipped take no time, and say nothing about that of others.
         count, done = len(self._jobs), self._finished - self._skipped + sum(self._shares.values())
-        label = f"{self._finished} of {count} {_FILES}"
-        self._work(label, round(_STEPS * done), _STEPS * (count - self._skipped))
+        if self._work is not None:
+            label = f"{self._finished} of {count} {_FILES}"
+            self._work(label, round(_STEPS * done), _STEPS * (count - self._skipped))
 
     def postponed(self, key: int) -> None:
         self._shares.pop(key, None)
         if self.messages.verbose:
-            self._print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
+            _print(f"{self._jobs[key].source}: wants more than its share of memory, so it waits")
 
     def finished(self, key: int, attempt: Attempt) -> None:
         self._shares.pop(key, None)
@@ -303,20 +295,20 @@ class Display:
         self._skipped += outcome.status == "skipped"
         self._show()
         if attempt.traceback and self.messages.verbose >= 2:
-            self._print(*attempt.traceback.splitlines())
+            _print(*attempt.traceback.splitlines())
         if outcome.status == "failed":  # also with --quiet, as every error
-            self._print(f"failed: {outcome.error}")
+            _print(f"failed: {outcome.error}")
         elif not self.messages.quiet:
             warnings = (outcome.report or {}).get("warnings", ()) if outcome.status == "done" else ()
-            self._print(*(f"warning: {outcome.input}: {text}" for text in warnings))
+            _print(*(f"warning: {outcome.input}: {text}" for text in warnings))
             if self.messages.verbose:
                 pieces = f", in {attempt.pieces} pieces" if attempt.pieces else ""
-                self._print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
+                _print(f"{outcome.status}: {outcome.output}, {outcome.seconds:.1f} s{pieces}")
 
-    def _print(self, *lines: str) -> None:
-        """Print lines above the progress bars."""
-        for line in map(printable, lines):
-            self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+def _print(*lines: str) -> None:
+    for line in lines:
+        click.echo(printable(line), err=True)
 
 
 def _row(outcome: Outcome) -> list[str]:

@@ -205,13 +205,13 @@ class Messages:
             log.setLevel(level)
 
     @contextmanager
-    def progress(self) -> Iterator[Work | None]:
-        """Give what draws one bar with a label and the time left; on a terminal, or as lines for programs."""
+    def progress(self, clock: Callable[[], float] = time.process_time) -> Iterator[Work | None]:
+        """Give what draws one bar with a label and the time left, on a terminal; or prints lines for programs."""
         if os.environ.get("BELTRAMI_PROGRESS") == "lines":
             from beltrami_cli.jobs.progress import Share
 
             lines = _progress_in_lines()
-            yield Share(forward=lines)
+            yield Share(clock, forward=lines)
             lines("done", 1.0)
             return
         if self.quiet or not sys.stderr.isatty():
@@ -220,7 +220,7 @@ class Messages:
         from beltrami_cli.cli.progress_bar import ProgressBar
         from beltrami_cli.jobs.progress import Work
 
-        work = Work()
+        work = Work(clock)
         with ProgressBar(work, is_shown=True):
             yield work
 

@@ -21,6 +21,7 @@ SMALL = SAMPLES / "nonmanifold-noisy.ply"
 COMMANDS = {
     "info": (["info", NOISY], {"reading", "laying out", "choosing parameters"}),
     "infos": (["info", SMALL, NOISY], {"files"}),
+    "batch": (["batch", SMALL, "--out-dir", ".", "-j", "1", "--fast"], {"files"}),
     "smooth": (["smooth", NOISY, "x.glb"], {"reading", "laying out", "choosing parameters", "smoothing", "writing"}),
     "noise": (["noise", SMALL, "x.ply", "--sigma", "5"], {"reading", "laying out", "writing"}),
     "compare": (["compare", NOISY, CLEAN], {"reading", "comparing", "measuring"}),
@@ -36,7 +37,7 @@ def shown(monkeypatch):
     states = []
 
     @contextmanager
-    def progress(messages):
+    def progress(messages, *_):
         yield Share(forward=lambda label, share: states.append((label, share)))
 
     monkeypatch.setattr(Messages, "progress", progress)
