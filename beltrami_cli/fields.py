@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import re
 from collections.abc import Callable, Iterator
 from functools import cache
 from numbers import Integral, Real
@@ -194,6 +195,30 @@ def share_in(text: str) -> float:
         return number_in(text)[0]
     except ValueError:
         raise ValueError(f"is {text!r}, but must be a share such as 0.001 or 0.1%") from None
+
+
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
+_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_LARGEST_SIZE = 1 << 60  # bytes; accepted by the system as a limit
+
+
+def size_in(text: str) -> int:
+    """Read an amount of memory such as 500M or 1.5G, in powers of 1024; return bytes; ValueError names the fault."""
+    match = _SIZE.fullmatch(text.strip())
+    if match is None or len(match[1]) > 20:
+        raise ValueError(f"is {text!r}, which is no size such as 500M or 4G")
+    size = min(int(float(match[1]) * _UNITS[match[2].upper()]), _LARGEST_SIZE)
+    if size == 0:
+        raise ValueError(f"is {text!r}, and nothing can be done in no memory")
+    return size
+
+
+def show_size(size: int) -> str:
+    """Return a number of bytes in the unit that suits it."""
+    for unit, scale in reversed(_UNITS.items()):
+        if size >= scale > 1:
+            return f"{size / scale:.3g}{unit}"
+    return str(size)
 
 
 def part(record: type[Record], make: Callable[[], Record] | None = None) -> Any:

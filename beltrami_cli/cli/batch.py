@@ -42,13 +42,12 @@ def _adding_noise(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 # The options that concern a single file: the options of `smooth` that change its result, and all of `noise`.
-_LIKE_SMOOTH = click.command("file")(options.smoothing(options.unwrapping(options.columns(lambda **_: None))))
 _OF_A_FILE = click.command("file")(
-    options.smoothing(options.unwrapping(options.columns(_adding_noise(lambda **_: None))))
+    options.smoothing(
+        options.unwrapping(options.options_of(Access, only=("columns",))(_adding_noise(lambda **_: None)))
+    )
 )
-SHARED_WITH_SMOOTH = tuple(option.name for option in _LIKE_SMOOTH.params if option.name)
-
-
+SHARED_WITH_SMOOTH = {str(each.name) for each in _OF_A_FILE.params} - {"add_noise", *_OF_NOISE}
 _CLUSTER = "Many machines"
 
 
@@ -127,7 +126,7 @@ def batch(
                 make_folder_of(path)
             record = Record(path, resume=given["resume"], overwrite=overwrite)
             batch = Batch(jobs, record, display, fail_fast=given["fail_fast"])
-            outcomes = batch.run(_at_once(given), given["max_memory"] or default_memory(), workers)
+            outcomes = batch.run(_at_once(given), _memory(given) or default_memory(), workers)
     if not messages.quiet:
         show_table(("output", "result", "time", "noise", "change"), list(map(_row, outcomes)), err=True)
     messages.say(f"{_counts(outcomes)} in {time.monotonic() - start:.1f} s; report: {path}")
@@ -138,6 +137,10 @@ def batch(
 
 def _at_once(given: Mapping[str, Any]) -> int:
     return given["at_once"] or KernelParameters().thread_count
+
+
+def _memory(given: Mapping[str, Any]) -> int | None:
+    return options.record_from(Access, given).memory
 
 
 def _show_plan(requests: Sequence[Request], *, resume: bool, overwrite: bool) -> None:
@@ -230,7 +233,7 @@ def _workers(
     from beltrami_cli.batch.run import Workers, in_pieces
     from beltrami_cli.batch.workers import Processes
 
-    at_once, memory = given["at_once"], given["max_memory"]
+    at_once, memory = given["at_once"], _memory(given)
     with contextlib.ExitStack() as stack:
         client: Any = None
         if scheduler is not None:

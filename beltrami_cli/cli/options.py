@@ -19,14 +19,12 @@ from beltrami_cli.fields import REQUIRED, Parameter, parameters, parts
 from beltrami_cli.flow.parameters import PRESETS, TUNABLE, KernelParameters, parameters_with
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.registry import OUTPUT_FORMATS
-from beltrami_cli.jobs.job import BakeSettings, Job, default_memory, limited_memory, parse_size
+from beltrami_cli.jobs.job import BakeSettings, Job, default_memory, limited_memory
 from beltrami_cli.layers.settings import IMAGE_FORMATS, SmoothSettings, TextureSettings
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 Record = TypeVar("Record")
-
-_FILES = "Files and memory"
 
 # Where the value of an option can come from that is not its default.
 _BY_DIRECTNESS = (ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP)
@@ -253,36 +251,15 @@ def unwrapping_from(values: Mapping[str, Any]) -> BakeSettings | None:
     return None
 
 
-def _size(context: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
-    if text is None:
-        return None
-    try:
-        size = parse_size(text)
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is no size such as 500M or 4G") from None
-    if size == 0:
-        raise click.BadParameter("nothing can be done in no memory")
-    return size
-
-
 overwrite = click.option(
     "--overwrite",
     is_flag=True,
     help="Replace OUTPUT, and the images and other files that it names, if they exist.",
 )
 output_format = click.option(
-    "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]), cls=GroupedOption, group=_FILES,
+    "--format", "output_format", type=click.Choice([*OUTPUT_FORMATS, *IMAGE_FORMATS]),
+    cls=GroupedOption, group=Access.group,
     help="Format of OUTPUT where its name does not say it, as with -.",
-)  # fmt: skip
-allow_outside = click.option(
-    "--allow-outside", is_flag=True, cls=GroupedOption, group=_FILES,
-    help="Also read files that INPUT names beyond its own folder (absolute paths, '..', links). What OUTPUT needs of "
-    "them again goes into its own folder; nothing is written out there.",
-)  # fmt: skip
-max_memory = click.option(
-    "--max-memory", callback=_size, metavar="SIZE", cls=GroupedOption, group=_FILES,
-    help="Take no more memory, such as 500M or 4G: smooth keeps textures and images that need more in files "
-    "meanwhile, and all else that does is refused.  [default: half of the available memory]",
 )  # fmt: skip
 quiet = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 verbose = click.option("-v", "--verbose", count=True, help="Print details; twice: also where an error arose.")
@@ -305,22 +282,17 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
     return reading(overwrite(messages(command)))
 
 
-def columns(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the option that says what the columns of points are."""
-    return options_of(Access)(command)
-
-
-def reading(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add all options that `reading_from` takes."""
-    return allow_outside(max_memory(columns(command)))
+reading = options_of(Access)
+"""Adds all options that `reading_from` takes."""
 
 
 @contextmanager
 def reading_from(values: Mapping[str, Any], source: str) -> Iterator[Access]:
     """Give what a job on a file may read, and hold it to its memory, by the options that `reading` adds."""
-    size = values["max_memory"] or default_memory()
-    with limited_memory(size, source):
-        yield record_from(Access, values, outside=values["allow_outside"], memory=size)
+    access = record_from(Access, values)
+    access = dataclasses.replace(access, memory=access.memory or default_memory())
+    with limited_memory(access.memory, source):
+        yield access
 
 
 @contextmanager

@@ -177,7 +177,7 @@ def view(source: str, no_open: bool, messages: Messages, **smoothing: Any) -> No
         words += ["--allow-outside"] if smoothing["allow_outside"] else []
         columns = smoothing["columns"]
         words += ["--columns", columns] if columns else []
-        words += ["--max-memory", str(smoothing["max_memory"])] if smoothing["max_memory"] else []
+        words += ["--max-memory", smoothing["max_memory"]] if smoothing["max_memory"] else []
         return shlex.join(["beltrami", "smooth", source, target, *words])
 
     with options.reading_from(smoothing, source) as access:

@@ -22,7 +22,8 @@ from beltrami_cli.cli.console import (
     lines_on,
 )
 from beltrami_cli.errors import OutputError, UsageError
-from beltrami_cli.jobs.job import Job, show_size
+from beltrami_cli.fields import show_size
+from beltrami_cli.jobs.job import Job
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.parameters import NO_NOISE_FOUND
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, ClassVar
 
 from beltrami_cli.errors import InputError
-from beltrami_cli.fields import Checked, names_in, parameter
+from beltrami_cli.fields import Checked, names_in, parameter, show_size, size_in
 
 # Without O_NONBLOCK, opening a FIFO without a writer would wait for ever.
 _OPENING = (
@@ -55,8 +55,19 @@ class Access(Checked):
 
     group: ClassVar[str] = "Files and memory"
 
-    outside: bool = False
-    memory: int | None = None
+    outside: bool = parameter(
+        False,
+        "Also read files that INPUT names beyond its own folder (absolute paths, '..', links). What OUTPUT needs of "
+        "them again goes into its own folder; nothing is written out there.",
+        flags=("--allow-outside",), lifts_limit=True,
+    )  # fmt: skip
+    memory: int | None = parameter(
+        None,
+        "Take no more memory: smooth keeps textures and images that need more in files meanwhile, and all else that "
+        "does is refused.",
+        kind=int, low=1, allowed="a size such as 500M or 4G", unset="half of the available memory",
+        flags=("--max-memory",), metavar="SIZE", parse=size_in, show=show_size, lifts_limit=True,
+    )  # fmt: skip
     note: Callable[[Path, bytes], None] | None = field(default=None, compare=False)
     bring: Callable[[Path], None] | None = field(default=None, compare=False)
     instead: Mapping[Path, Path] = field(default_factory=dict, compare=False)

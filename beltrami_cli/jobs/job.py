@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal, TypeVar, get_args
 
 from beltrami_cli.errors import InputError, UsageError
-from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in
+from beltrami_cli.fields import Checked, check, described, number_in, parameter, share_in, show_size
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
@@ -116,30 +115,11 @@ PLAIN_JOB = Job()
 _UNLIMITED: ContextVar[int | None] = ContextVar("unlimited", default=None)
 """The limit of the process before `limited_memory` set its own, in bytes as the system counts them."""
 
-_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE)
-_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
-_LARGEST = 1 << 60  # accepted by the system as a limit
 _LEAST = 1 << 26  # bytes that a command takes in any case
 _STATUS = Path("/proc/self/status")
 _MEMORY, _OWN_CGROUPS, _CGROUPS = Path("/proc/meminfo"), Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 # What the program itself takes: libraries, and for each processor the stacks of its threads.
 _PROGRAM, _PER_PROCESSOR = 160 << 20, 24 << 20
-
-
-def parse_size(text: str) -> int:
-    """Return the bytes that a text like 500M or 1.5G means, in powers of 1024; ValueError if it is none."""
-    match = _SIZE.fullmatch(text.strip())
-    if match is None or len(match[1]) > 20:
-        raise ValueError(text)
-    return min(int(float(match[1]) * _UNITS[match[2].upper()]), _LARGEST)
-
-
-def show_size(size: int) -> str:
-    """Return a number of bytes in the unit that suits it."""
-    for unit, scale in reversed(_UNITS.items()):
-        if size >= scale > 1:
-            return f"{size / scale:.3g}{unit}"
-    return str(size)
 
 
 def default_memory() -> int | None:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from beltrami_cli.errors import InputError
+from beltrami_cli.fields import show_size, size_in
 from beltrami_cli.jobs import job, smooth
-from beltrami_cli.jobs.job import default_memory, limited_memory, parse_size, show_size
+from beltrami_cli.jobs.job import default_memory, limited_memory
 from cli.commands import COMMAND, beltrami
 from formats.tile_files import tiled_model
 from formats.volume_files import npz
@@ -25,13 +26,13 @@ SIZES = {
 
 @pytest.mark.parametrize("text", SIZES)
 def test_sizes(text):
-    assert parse_size(text) == SIZES[text]
+    assert size_in(text) == SIZES[text]
 
 
 @pytest.mark.parametrize("text", [" ", "G", "-1G", "1X", "1 G B", "nan", "1e9", "0x10", "9" * 30])
 def test_what_is_no_size(text):
     with pytest.raises(ValueError, match=re.escape(text)):
-        parse_size(text)
+        size_in(text)
 
 
 def test_sizes_are_shown_in_the_unit_that_suits_them():
