@@ -51,7 +51,6 @@ def connected(address: str) -> Iterator[Any]:
             where = str(parse_json(read_bounded(Path(address), CONFIGURATION))["address"])
         _require_listener(where)
         security = Security()  # certificates, and whether they are required, from Dask's own configuration
-        _require_encryption(where, security)
         asyncio.run(_require_scheduler(where, security))
         client = Client(where, timeout=_PATIENCE, set_as_default=False, security=security)
     except Exception as error:  # Dask raises whatever comes of bytes that are not its own
@@ -63,16 +62,6 @@ def connected(address: str) -> Iterator[Any]:
         yield client
     finally:
         client.close()
-
-
-def _require_encryption(address: str, security: Any) -> None:
-    """Raise ValueError if encryption is asked for without certificates, or required and not asked for."""
-    is_encrypted = address.startswith("tls://")
-    if is_encrypted and security.get_connection_args("client").get("ssl_context") is None:
-        needed = "ca-file, client.cert and client.key"
-        raise ValueError(f"TLS needs distributed.comm.tls in Dask's configuration: {needed}")
-    if security.require_encryption and not is_encrypted:
-        raise ValueError("encryption is required by Dask's configuration, and the address is not tls://")
 
 
 def _require_listener(address: str) -> None:
