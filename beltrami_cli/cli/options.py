@@ -111,21 +111,22 @@ def _option_of(declared: Parameter) -> Decorator:
     )
 
 
+def _given_to(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of the parameters of a record, by their names, that options have a value for."""
+    given = ((each, values.get(_destination(each))) for each in parameters(record))
+    return {
+        each.name: tuple(parsed(each, text) for text in value) if each.repeatable else parsed(each, value)
+        for each, value in given
+        if value not in (None, ())
+    }
+
+
 def record_from(record: type[Record], values: Mapping[str, Any], **made: Any) -> Record:
     """Make a record from the values of its options; fields without a value or an option have their defaults."""
-    for declared in parameters(record):
-        value = values.get(_destination(declared))
-        if declared.name in made or value in (None, ()):
-            continue
-        if declared.repeatable:
-            value = tuple(parsed(declared, text) for text in value)
-        elif declared.parse is not None:
-            value = parsed(declared, value)
-        made[declared.name] = value
-    for name, kind in parts(record).items():
-        if name not in made:
-            made[name] = record_from(kind, values)
-    return record(**made)
+    nested: dict[str, Any] = {
+        name: record_from(kind, values) for name, kind in parts(record).items() if name not in made
+    }
+    return record(**{**_given_to(record, values), **nested, **made})
 
 
 def parsed(declared: Parameter, text: str) -> Any:
@@ -187,11 +188,9 @@ def _in_short(value: Any) -> str:
 
 
 def _kernel_from(values: Mapping[str, Any]) -> KernelParameters:
-    given: dict[str, Any] = dict(PRESETS[values["preset"]]) if values["preset"] else {}
-    for declared in parameters(KernelParameters):
-        name = declared.name
-        if name in values and (is_given(name) or name not in given):
-            given[name] = values[name] if values[name] is None else parsed(declared, values[name])
+    preset: dict[str, Any] = dict(PRESETS[values["preset"]]) if values["preset"] else {}
+    found = _given_to(KernelParameters, values)
+    given = preset | {name: found[name] for name in found if is_given(name) or name not in preset}
     if given["units"] == "world" and not is_given("t"):
         raise UsageError("--units world needs -t, in squared units of the file")
     fast = given.pop("fast", True)  # where nothing is written, trying would take longer than the rest
