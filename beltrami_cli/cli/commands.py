@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
@@ -136,6 +135,13 @@ def notes_on(command: str) -> str:
     return "\n\n".join(notes)
 
 
+def write_notes(formatter: click.HelpFormatter, text: str) -> None:
+    """Write the end of a help."""
+    formatter.write_paragraph()
+    with formatter.indentation():
+        formatter.write_text(text)
+
+
 _FEW = 12  # up to this many options are shown at once
 _EXAMPLES = 8  # lines of examples in the short help
 
@@ -190,12 +196,6 @@ class HelpfulCommand(click.Command):
             groups.setdefault(getattr(option, "group", "") or DAILY, []).append(option)
         return groups
 
-    def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        text = inspect.cleandoc(self.help or "")
-        formatter.write_paragraph()
-        with formatter.indentation():
-            formatter.write_text(text if self._is_full(ctx) else text.partition("\n\n")[0])
-
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         groups = self.option_groups(ctx)
         for title, options in groups.items():
@@ -210,9 +210,7 @@ class HelpfulCommand(click.Command):
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         text = notes_on(str(self.name))
-        formatter.write_paragraph()
-        with formatter.indentation():
-            formatter.write_text(text if self._is_full(ctx) else _first_examples(text))
+        write_notes(formatter, text if self._is_full(ctx) else _first_examples(text))
 
     def _is_full(self, context: click.Context) -> bool:
         return not self._is_long or bool(context.meta.get(HELP_ALL))

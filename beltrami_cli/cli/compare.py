@@ -49,13 +49,7 @@ _JUNIT_HEAD = _XML + f'<testsuite name="{_SUITE}"'.encode()
     "--junit", "junit_to", metavar="FILE.xml",
     help="Write a JUnit report, which CI services show, with a test case for each limit and part.",
 )  # fmt: skip
-@click.option(
-    "--overwrite", is_flag=True,
-    help="Replace the map and the JUnit report if they exist; other files only if --map or --junit is on the command "
-    "line, too.",
-)  # fmt: skip
-@options.reading
-@options.messages
+@options.writing
 def compare(
     reference: str,
     test: str,
@@ -103,12 +97,10 @@ def _open_junit(path: str, reads: tuple[str, str], *, overwrite: bool) -> Output
     """Check that a JUnit report can be written, before anything is computed."""
     from beltrami_cli.jobs.output import Output
 
-    replaced = overwrite_at("junit_to", overwrite=overwrite)
-    return Output(path, overwrite=replaced, what="JUnit report", is_own=_is_junit, is_text=True, reads=reads)
-
-
-def _is_junit(head: bytes) -> bool:
-    return head.startswith(_JUNIT_HEAD)
+    return Output(
+        path, overwrite=overwrite_at("junit_to", overwrite=overwrite), what="JUnit report",
+        is_own=lambda head: head.startswith(_JUNIT_HEAD), is_text=True, reads=reads,
+    )  # fmt: skip
 
 
 def _junit(comparison: Comparison) -> bytes:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from beltrami_cli.cli.commands import notes_on, spelled, variable_behind, with_variables
+from beltrami_cli.cli.commands import notes_on, spelled, variable_behind, with_variables, write_notes
 from beltrami_cli.cli.console import Interruption, ReaderGoneError, SignalGuard, prepare_streams, printable
 from beltrami_cli.errors import BeltramiError, InputError
 
@@ -71,9 +71,7 @@ class LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        formatter.write_paragraph()
-        with formatter.indentation():
-            formatter.write_text(notes_on("All commands"))
+        write_notes(formatter, notes_on("All commands"))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

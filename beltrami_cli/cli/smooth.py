@@ -38,14 +38,11 @@ Report = TypeVar("Report", "SmoothReport", "LevelFileReport")
 
 _dry_run = click.option("--dry-run", is_flag=True, help="Compute and report, but write no OUTPUT.")
 _report = click.option(
-    "--report", "report_path", metavar="FILE.json",
-    help="Write parameters, counts, timings and changes. --overwrite replaces a file that is no report only if this "
-    "option is on the command line, too.",
-)  # fmt: skip
+    "--report", "report_path", metavar="FILE.json", help="Write parameters, counts, timings and changes."
+)
 _preview = click.option(
     "--preview", "preview_path", metavar="FILE.png",
-    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others. It replaces files as "
-    "--report does.",
+    help="Draw INPUT and OUTPUT side by side, with a detail; `beltrami render` draws others.",
 )  # fmt: skip
 
 
