@@ -1,4 +1,4 @@
-"""What the process shares with its user and the system: messages and progress, standard streams, and signals.
+"""What the process shares with its user and the system: messages, tables and progress, standard streams, and signals.
 
 Messages go to the standard error; the standard output carries data only. The streams can be used whatever they were
 when the process was started: closed, full, or a broken pipe. What cannot be printed on the standard error is dropped,
