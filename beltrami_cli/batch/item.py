@@ -148,7 +148,8 @@ def _done(item: Item, local: Item, memory: int | None, progress: Progress | None
             overwrite=local.overwrite or to_url, again=local.again and not to_url,
         )  # fmt: skip
         try:
-            access = dataclasses.replace(stage.access(local.outside, memory), columns=local.columns)
+            # A file that the source names is downloaded as soon as it is looked for.
+            access = Access(local.outside, memory, stage.note, stage.bring, columns=local.columns)
             report = _made(copy, access, progress)
         except BeltramiError as error:
             error.args = (str(error).replace(stage.source, item.source).replace(stage.target, item.target),)
@@ -191,13 +192,8 @@ _HEAD = re.compile(rb'\{"input": ".*", "output": ".*", "status": "')
 _START = b'{"input": "'
 _LONGEST = 1 << 26  # bytes of a line
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-_UNFIT = (
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    OverflowError,
-)  # of lines that are not from a report
+# Of lines that are not from a report.
+_UNFIT = (ValueError, TypeError, LookupError, AttributeError, OverflowError)
 
 
 class Record:

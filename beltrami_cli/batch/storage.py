@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from beltrami_cli.errors import InputError, OutputError
-from beltrami_cli.formats.access import Access, is_file, is_there, open_regular
+from beltrami_cli.formats.access import is_file, is_there, open_regular
 from beltrami_cli.surface.worker_process import temporary_folder
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
@@ -159,10 +159,6 @@ class Stage:
         self.target = str(self._outside / target_name) if is_url(target) else target
         self.read: dict[str, str] = {}
 
-    def access(self, outside: bool, memory: int | None) -> Access:
-        """Return what may be read: a file that the source names is downloaded as soon as it is looked for."""
-        return Access(outside, memory, self._note, self.bring if is_url(self._original_source) else None)
-
     def bring(self, path: Path) -> None:
         """Download a file to where it is looked for, if there is one at the source's place."""
         if not path.is_relative_to(self._inside) or path.exists():
@@ -195,7 +191,8 @@ class Stage:
     def _url_of(self, path: Path) -> str:
         return f"{self._from}/{path.relative_to(self._inside).as_posix()}"
 
-    def _note(self, path: Path, data: bytes) -> None:
+    def note(self, path: Path, data: bytes) -> None:
+        """Note the hash of a file that was read."""
         is_copy = is_url(self._original_source) and path.is_relative_to(self._inside)
         name = self._url_of(path) if is_copy else str(path.absolute())
         self.read[name] = hashlib.sha256(data).hexdigest()
