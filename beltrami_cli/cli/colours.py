@@ -74,18 +74,8 @@ def noise(source: str, target: str, messages: Messages, **values: Any) -> None:
     messages.warn_of(source, report.warnings)
     for added in report.added:
         messages.say(
-            f"{target}: {added.what}, {counted(added.samples, 'sample')}, "
-            f"{_described(noise)}, "
+            f"{target}: {added.what}, {counted(added.samples, 'sample')}, {noise.kind} noise, "
             f"root mean square change {255 * added.rms:.1f}/255, seed {noise.seed}"
         )
     if not report.added:
         messages.say(f"{target}: no noise, so the colours are unchanged")
-
-
-def _described(noise: NoiseSettings) -> str:
-    if noise.kind == "jpeg":
-        return f"coded as JPEG of quality {noise.quality}"
-    if noise.kind == "camera":
-        return f"camera noise of variance {noise.shot:g} L + {noise.read:g}^2"
-    amount = f"{noise.kind} noise of {255 * noise.deviation:.4g}/255"
-    return f"{amount}, {noise.size:g} samples wide" if noise.kind == "grain" else amount
