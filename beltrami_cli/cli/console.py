@@ -221,7 +221,7 @@ class Messages:
         from beltrami_cli.jobs.progress import Work
 
         work = Work(clock)
-        with ProgressBar(work, is_shown=True):
+        with ProgressBar(work):
             yield work
 
 

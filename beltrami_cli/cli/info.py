@@ -39,51 +39,39 @@ _COLUMNS = ("file", "format", "part", "samples", "noise", "n", "t", "beta")
 @options.verbose
 def info(sources: tuple[str, ...], as_json: bool, verbose: int, **smoothing: Any) -> None:
     """Show the coloured parts of FILE, how noisy they are, and what smoothing would do."""
-    settings = options.settings_from(smoothing)
-    if len(sources) > 1 or (sources[0] != "-" and not Path(sources[0]).is_file()):
-        _show_many(sources, settings, smoothing, as_json=as_json)
-        return
-    from beltrami_cli.jobs.inspect import inspect_file
-
-    shown = Messages(quiet=False, verbose=0).progress()
-    with options.reading_from(smoothing, sources[0]) as access, shown as progress:
-        facts = inspect_file(sources[0], settings, access, progress)
-    if as_json:
-        click.echo(json.dumps(facts, indent=2))
-        return
-    _put_choices_in_words(facts, settings)
-    for line in lines_on(facts) if verbose else _summary(facts):
-        click.echo(printable(line))
-
-
-def _show_many(
-    inputs: tuple[str, ...], settings: SmoothSettings, smoothing: dict[str, Any], *, as_json: bool
-) -> None:
-    """Print a table, or lines of JSON, on many files; what cannot be read is said, and the others go on."""
     from beltrami_cli.batch.plan import find_sources
     from beltrami_cli.jobs.inspect import inspect_file
     from beltrami_cli.jobs.progress import one_of
 
+    settings = options.settings_from(smoothing)
+    is_one = len(sources) == 1 and (sources[0] == "-" or Path(sources[0]).is_file())
+    facts: dict[str, Any] = {}
     rows: list[list[str]] = []
     failures: list[BeltramiError] = []
-    sources = find_sources(inputs)
+    names = list(sources) if is_one else find_sources(sources)
     with Messages(quiet=False, verbose=0).progress() as progress:
-        for source, own in one_of(sources, "files", progress):
+        for name, own in [(names[0], progress)] if is_one else one_of(names, "files", progress):
             try:
-                with options.reading_from(smoothing, source) as access:
-                    facts = inspect_file(source, settings, access, own)
+                with options.reading_from(smoothing, name) as access:
+                    facts = inspect_file(name, settings, access, own)
             except BeltramiError as error:
+                if is_one:
+                    raise
                 failures.append(error)
                 continue
+            rows += _parts_of(name, facts)
             if as_json:
-                click.echo(json.dumps(facts))
-            rows += _parts_of(source, facts)
-    if rows and not as_json:
+                click.echo(json.dumps(facts, indent=2 if is_one else None))
+    if is_one and not as_json:
+        _put_choices_in_words(facts, settings)
+        for line in lines_on(facts) if verbose else _summary(facts):
+            click.echo(printable(line))
+    elif rows and not as_json:
         show_table(_COLUMNS, rows)
     for failure in failures:
         click.echo(printable(f"beltrami: {failure}"), err=True)
     if failures:
-        raise InputError(f"{len(failures)} of {len(sources)} files", "cannot be described", "see above")
+        raise InputError(f"{len(failures)} of {len(names)} files", "cannot be described", "see above")
 
 
 def _parts_of(source: str, facts: dict[str, Any]) -> Iterator[list[str]]:

@@ -14,14 +14,14 @@ from beltrami_cli.jobs.progress import Work
 class ProgressBar(Progress):
     """Shows the state of some work, which is asked for ten times a second."""
 
-    def __init__(self, work: Work, *, is_shown: bool) -> None:
+    def __init__(self, work: Work) -> None:
         self._work = work
         # Names of files may have brackets.
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(),
             TextColumn("{task.fields[left]}"),
         )  # fmt: skip
-        super().__init__(*columns, console=Console(stderr=True), transient=True, disable=not is_shown)
+        super().__init__(*columns, console=Console(stderr=True), transient=True)
         self._task = self.add_task("starting", total=1.0, left="")
 
     def get_renderables(self) -> Iterable[RenderableType]:
