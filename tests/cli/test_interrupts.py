@@ -43,7 +43,7 @@ STEPS = {
     "iterations on pixels": (("smooth", "in.png", "out.png", *FLOW), (*GRID, "average"), 0),
     "patches of vertices": (("smooth", "in.ply", "out.ply", *PATCHES), (*MESH, "collaborate"), 0),
     "patches of pixels": (("smooth", "in.png", "out.png", *PATCHES), (*GRID, "collaborate"), 0),
-    "unwrapping": (("bake", "in.sphere.ply", "out.glb", "--to", "texture"), ("surface.unwrap", "", "_wait"), 1),
+    "unwrapping": (("bake", "in.sphere.ply", "out.glb", "--to", "texture"), ("surface.unwrap", "", "ask"), 1),
     "pieces": (
         ("batch", "in.png", "--out-dir", ".", "--suffix", "-out", "--report", "r.jsonl", "--pieces", "2",
          "-j", "2", *FLOW),
