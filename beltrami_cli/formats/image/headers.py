@@ -55,30 +55,20 @@ def with_attributes(source: bytes, encoded: bytes, part: int) -> bytes:
     start = encoded[:4] + flags.to_bytes(4, "little")
     end_of_list = b"\0" if len(old) > 1 else b""  # an empty header
     head = start + b"".join(map(_packed, old)) + end_of_list
-    return _with_table(head, [chunk for each in chunks for chunk in each])
+    stored = [chunk for each in chunks for chunk in each]
+    places = accumulate(map(len, stored[:-1]), initial=len(head) + 8 * len(stored))
+    return b"".join([head, struct.pack(f"<{len(stored)}Q", *places), *stored])
 
 
-def _with_table(head: bytes, chunks: list[bytes]) -> bytes:
-    first = len(head) + 8 * len(chunks)
-    places = accumulate((len(chunk) for chunk in chunks[:-1]), initial=first)
-    return b"".join([head, struct.pack(f"<{len(chunks)}Q", *places), *chunks])
-
-
-def attributes(data: bytes) -> dict[str, bytes]:
-    """Return the values of the attributes of all parts, except those about pixels."""
+def attributes(data: bytes) -> dict[str, bool]:
+    """Return the attributes of all parts, except those about pixels, and whether OpenImageIO reads them."""
     parts, _ = _headers(data)
     return {
-        name if number == 0 else f"{name} of part {number + 1}": value
+        name if number == 0 else f"{name} of part {number + 1}": number > 0 or kind in _READ_BY_OPENIMAGEIO
         for number, header in enumerate(parts)
-        for name, (_, value) in header.items()
+        for name, (kind, _) in header.items()
         if name not in _STRUCTURE
     }
-
-
-def unread(data: bytes) -> set[str]:
-    """Return the names of attributes of the first part that OpenImageIO does not read, except those about pixels."""
-    (first, *_), _ = _headers(data)
-    return {name for name, (kind, _) in first.items() if kind not in _READ_BY_OPENIMAGEIO} - _STRUCTURE
 
 
 def _headers(data: bytes) -> tuple[list[Header], int]:

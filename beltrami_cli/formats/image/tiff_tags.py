@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,30 +40,19 @@ _OF_SAMPLES = {280, 281, 290, 291, 301, 340, 341}
 # Tags that stand in EXIF data, too [3]_: texts, resolution, dates, people and directories.
 _OF_EXIF = {270, 271, 272, 274, 282, 283, 296, 305, 306, 315, 33432, _EXIF, _GPS}
 # Tags that OpenImageIO reads: further texts, XMP, IPTC, the colour profile; and kinds and numbers of pages.
-READ_BY_OPENIMAGEIO = {254, 255, 269, 285, 297, 316, 700, _IPTC, 34675, *_OF_EXIF}
+_READ_BY_OPENIMAGEIO = {254, 255, 269, 285, 297, 316, 700, _IPTC, 34675, *_OF_EXIF}
 _EMPTY = b"II*\0\x08\0\0\0\0\0\0\0\0\0"  # without tags
 _NAMES = {_SUB_IFDS: "further images", _EXIF: "EXIF", _GPS: "GPS", _PHOTOSHOP_LAYERS: "layers of Photoshop"}
 
 
-@dataclass(frozen=True)
-class _Form:
-    """How a file stores numbers and addresses."""
+class _Form(NamedTuple):
+    """How a file stores numbers and addresses: formats of `struct`."""
 
-    order: str  # of bytes, as in `struct`
+    order: str  # of bytes
     is_big: bool
-
-    @property
-    def address(self) -> str:
-        return f"{self.order}{'Q' if self.is_big else 'I'}"
-
-    @property
-    def inline(self) -> int:
-        """Bytes of values that an entry holds itself."""
-        return 8 if self.is_big else 4
-
-    @property
-    def count(self) -> str:
-        return f"{self.order}{'Q' if self.is_big else 'H'}"
+    address: str
+    entries: str  # their number in a directory
+    inline: int  # bytes of values that an entry holds itself
 
 
 @dataclass(frozen=True)
@@ -109,17 +99,16 @@ def _with_directory(data: bytes, entries: dict[int, _Entry]) -> bytes:
     return bytes(written)
 
 
-def tags(data: bytes) -> dict[str, bytes | None]:
-    """Return the values of the tags of the first image by their numbers, except those about the storage of pixels.
+def tags(data: bytes) -> dict[str, bool]:
+    """Return the names of the tags of the first image, except those about the storage of pixels.
 
-    Numbers in further directories stand behind the tag of the directory; None stands for what cannot be read.
+    And whether OpenImageIO reads them; tags in further directories stand behind the tag of the directory.
     """
     read = _Directories(data)
     left_out = {*_STRUCTURE, _TEXTURE_FORMAT}
-    found: dict[str, bytes | None] = {
-        **_flat({tag: each for tag, each in read.first.items() if tag not in left_out})
-    }
-    return found | dict.fromkeys(map(_called, read.unreadable - left_out))
+    found = _flat({tag: each for tag, each in read.first.items() if tag not in left_out})
+    known = {*map(str, _READ_BY_OPENIMAGEIO)}
+    return {name: name.split()[0] in known for name in (*found, *map(_called, read.unreadable - left_out))}
 
 
 def _flat(entries: dict[int, _Entry], prefix: str = "") -> dict[str, bytes]:
@@ -136,7 +125,10 @@ def _called(tag: int) -> str:
 
 
 def _form(data: bytes) -> _Form:
-    return _Form("<" if data[:2] == b"II" else ">", is_big(data))
+    order, big = "<" if data[:2] == b"II" else ">", is_big(data)
+    return _Form(
+        order, big, f"{order}{'Q' if big else 'I'}", f"{order}{'Q' if big else 'H'}", 8 if big else 4
+    )
 
 
 class _Directories:
@@ -156,8 +148,8 @@ class _Directories:
             raise ValueError
         self._seen.add(at)
         form, entries = self._form, dict[int, _Entry]()
-        (count,) = struct.unpack_from(form.count, self._data, at)
-        at += struct.calcsize(form.count)
+        (count,) = struct.unpack_from(form.entries, self._data, at)
+        at += struct.calcsize(form.entries)
         size = 4 + 2 * form.inline
         for place in range(at, min(at + count * size, len(self._data) - size + 1), size):
             tag, kind = struct.unpack_from(f"{form.order}HH", self._data, place)
@@ -208,7 +200,7 @@ def _append(written: bytearray, entries: dict[int, _Entry], form: _Form) -> int:
         head = struct.pack(f"{form.order}HH", tag, kind) + struct.pack(form.address, entry.count)
         listed.append(head + values.ljust(form.inline, b"\0"))
     end = struct.pack(form.address, 0)
-    return _appended(written, struct.pack(form.count, len(listed)) + b"".join(listed) + end)
+    return _appended(written, struct.pack(form.entries, len(listed)) + b"".join(listed) + end)
 
 
 def _appended(written: bytearray, values: bytes) -> int:

@@ -262,7 +262,7 @@ _DEFAULTS: dict[str, Any] = {
     "screenWindowCenter": (0.0, 0.0), "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
 }  # fmt: skip
 _CARRIED = ("png", "jpeg", "webp", "tiff", "openexr", "avif")  # whose metadata are carried over as bytes
-_PNG_STRUCTURE = (b"tRNS", b"acTL", b"fcTL", b"fdAT")  # other notices tell what becomes of these
+_PNG_STRUCTURE = ("tRNS", "acTL", "fcTL", "fdAT")  # other notices tell what becomes of these
 _PNG_READ = ("tEXt", "zTXt", "iTXt", "pHYs", "eXIf", "iCCP", "gAMA", "cHRM", "sRGB", "cICP", "tIME", "oFFs")
 _TARGA_END = b"TRUEVISION-XFILE.\0"  # after the addresses of the extension and developer areas
 _APP0, _APP14, _APP15, _COMMENT = 0xE0, 0xEE, 0xEF, 0xFE
@@ -278,7 +278,8 @@ def lost_metadata(picture: Picture, data: bytes, known: str) -> tuple[str, ...]:
     """Return a notice that names the metadata of a picture that a file of a format, made from it, does not have."""
     is_own = known == picture.format
     try:
-        lost = _items(picture.source, known) - _items(data, known) if is_own else _unread(picture)
+        items = _items(picture.source, picture.format)
+        lost = {*items} - {*_items(data, known)} if is_own else {name for name in items if not items[name]}
         if not is_own or known not in _CARRIED:
             lost |= _lost_attributes(picture, data, known)
     except metadata.DAMAGED:
@@ -317,49 +318,34 @@ def _is_default(attribute: Any) -> bool:
     return np.shape(attribute.value) == np.shape(default) and np.allclose(attribute.value, default, atol=1e-6)
 
 
-def _items(data: bytes, known: str) -> set[str]:
-    """Return names for the pieces of metadata in a file."""
+def _items(data: bytes, known: str) -> dict[str, bool]:
+    """Return names for the pieces of metadata in a file, and whether OpenImageIO reads each, for another format."""
     match known:
         case "png":
-            kinds = {bytes(kind) for kind, _ in metadata.png_chunks(data) if kind[:1].islower()}
-            return {f"PNG chunk {kind.decode('latin-1')}" for kind in kinds - {*_PNG_STRUCTURE}}
+            kinds = {kind.decode("latin-1") for kind, _ in metadata.png_chunks(data) if kind[:1].islower()}
+            return {f"PNG chunk {kind}": kind in _PNG_READ for kind in kinds - {*_PNG_STRUCTURE}}
         case "jpeg":
-            return {f"JPEG segment {name}" for name in _jpeg_names(data)}
+            return {f"JPEG segment {name}": name in _JPEG_READ for name in _jpeg_names(data)}
         case "webp":
-            return {f"WebP chunk {kind.decode('latin-1')}" for kind, _ in metadata.webp_metadata(data)}
+            kinds = {kind.decode("latin-1") for kind, _ in metadata.webp_metadata(data)}
+            return {f"WebP chunk {kind}": kind in ("ICCP", "EXIF", "XMP ") for kind in kinds}
         case "tiff":
-            return {f"TIFF tag {tag}" for tag in tiff_tags.tags(data)}
+            return {f"TIFF tag {tag}": is_read for tag, is_read in tiff_tags.tags(data).items()}
         case "openexr":
-            return {f"EXR attribute {name}" for name in headers.attributes(data)}
+            return {f"EXR attribute {name}": is_read for name, is_read in headers.attributes(data).items()}
         case "jpeg2000" | "jpegxl":
-            return {f"box {kind.decode('latin-1')}" for kind in _boxes(data) if kind not in _BOXES[known]}
+            unknown = (kind for kind in _boxes(data) if kind not in _BOXES[known])
+            return {f"box {kind.decode('latin-1')}": False for kind in unknown}
         case "hdr" | "pnm":
-            return {*headers.header_lines(data, known)}
+            return dict.fromkeys(headers.header_lines(data, known), False)
         case "targa" if data.endswith(_TARGA_END) and any(data[-len(_TARGA_END) - 4 : -len(_TARGA_END)]):
-            return {"developer area"}
+            return {"developer area": False}
         case "ktx2":
-            return {f"KTX2 key {name}" for name in extra_codecs.ktx2_keys(data)}
+            return {f"KTX2 key {name}": False for name in extra_codecs.ktx2_keys(data)}
         case "avif":
-            return {name.upper() for name in extra_codecs.avif_metadata(data) if name != "icc_profile"}
-    return set()
-
-
-def _unread(picture: Picture) -> set[str]:
-    """Return the items of a picture's file that OpenImageIO does not read, and so cannot write in another format."""
-    items, known = _items(picture.source, picture.format), picture.format
-    match known:
-        case "png":
-            return items - {f"PNG chunk {kind}" for kind in _PNG_READ}
-        case "jpeg":
-            return items - {f"JPEG segment {name}" for name in _JPEG_READ}
-        case "webp":
-            return items - {f"WebP chunk {kind}" for kind in ("ICCP", "EXIF", "XMP ")}
-        case "tiff":
-            read = {str(tag) for tag in tiff_tags.READ_BY_OPENIMAGEIO}
-            return {item for item in items if item.split()[2] not in read}
-        case "openexr":
-            return {f"EXR attribute {name}" for name in headers.unread(picture.source)}
-    return items
+            names = extra_codecs.avif_metadata(data)
+            return {name.upper(): False for name in names if name != "icc_profile"}
+    return {}
 
 
 def _jpeg_names(data: bytes) -> Iterator[str]:
