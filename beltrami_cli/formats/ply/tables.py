@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import takewhile
 from typing import Any
@@ -84,78 +84,64 @@ def read_header(data: bytes, name: str) -> Header:
     """Read the header of a PLY file; InputError names the line that is damaged."""
     if data[:3] != b"ply" or data[3:4] not in (b"\n", b"\r", b" ", b"\t"):
         raise InputError(name, "not a PLY file, which would start with the line 'ply'")
-    lines, at = _Lines(name), 0
+    elements: list[Element] = []
+    encoding, comments, at, number, words = "", 0, 0, 0, list[str]()
     line_end = b"\r" if data[3:4] == b"\r" and data[4:5] != b"\n" else b"\n"
-    while not lines.finished:
+    while words != ["end_header"]:
         stop = data.find(line_end, at)
         if stop < 0:
             raise InputError(name, "the header has no line 'end_header'", "the file may be cut off")
-        lines.take(data[at:stop].decode("latin-1"))
-        at = stop + 1
-    if not lines.encoding:
+        line, at, number = data[at:stop].decode("latin-1"), stop + 1, number + 1
+        words = line.split()
+        try:
+            match words:
+                case ["ply"] if number == 1:
+                    pass
+                case ["comment" | "obj_info", *_]:
+                    comments += 1
+                case ["format", kind, "1.0"] if kind in _ENCODINGS and not encoding:
+                    encoding = kind
+                case ["element", known, count]:
+                    _add_element(elements, known, count)
+                case ["property", "list", count, kind, known]:
+                    _add_property(elements, known, kind, count)
+                case ["property", kind, known]:
+                    _add_property(elements, known, kind)
+                case other if other != ["end_header"]:
+                    raise ValueError(f"'{line.strip()[:60]}' is not understood")
+        except ValueError as error:
+            shown = str(error).encode("ascii", "backslashreplace").decode()
+            raise InputError(name, f"line {number} of the header: {shown}") from None
+    if not encoding:
         raise InputError(name, "the header has no line 'format'")
-    return Header(lines.encoding, tuple(lines.elements), lines.comments, at)
+    return Header(encoding, tuple(elements), comments, at)
 
 
-@dataclass
-class _Lines:
-    """What the lines up to now have said."""
+def _add_element(elements: list[Element], name: str, count: str) -> None:
+    if not (count.isascii() and count.isdigit() and len(count) <= _DIGITS):
+        raise ValueError(f"'{count[:30]}' is no count of elements")
+    if any(element.name == name for element in elements):
+        raise ValueError(f"element '{name}' is announced twice")
+    if len(elements) >= _MOST:
+        raise ValueError(f"there are more than {_MOST} elements")
+    elements.append(Element(name, int(count)))
 
-    name: str
-    number: int = 0
-    encoding: str = ""
-    elements: list[Element] = field(default_factory=list)
-    comments: int = 0
-    finished: bool = False
 
-    def take(self, line: str) -> None:
-        self.number += 1
-        match line.split():
-            case ["ply"] if self.number == 1:
-                pass
-            case ["comment" | "obj_info", *_]:
-                self.comments += 1
-            case ["format", encoding, "1.0"] if encoding in _ENCODINGS and not self.encoding:
-                self.encoding = encoding
-            case ["element", name, count]:
-                self._add_element(name, count)
-            case ["property", "list", count, kind, name]:
-                self._add_property(name, kind, count)
-            case ["property", kind, name]:
-                self._add_property(name, kind)
-            case ["end_header"]:
-                self.finished = True
-            case _:
-                raise self._error(f"'{line.strip()[:60]}' is not understood")
-
-    def _add_element(self, name: str, count: str) -> None:
-        if not (count.isascii() and count.isdigit() and len(count) <= _DIGITS):
-            raise self._error(f"'{count[:30]}' is no count of elements")
-        if any(element.name == name for element in self.elements):
-            raise self._error(f"element '{name}' is announced twice")
-        if len(self.elements) >= _MOST:
-            raise self._error(f"there are more than {_MOST} elements")
-        self.elements.append(Element(name, int(count)))
-
-    def _add_property(self, name: str, kind: str, count: str = "") -> None:
-        if not self.elements:
-            raise self._error(f"property '{name}' belongs to no element")
-        for word in (kind, count):
-            if word and word not in TYPES:
-                raise self._error(f"'{word[:30]}' is no PLY type")
-        if count and TYPES[count][0] == "f":
-            raise self._error(f"the count of a list cannot be a {count}")
-        element = self.elements[-1]
-        if any(known.name == name for known in element.properties):
-            raise self._error(f"element '{element.name}' has two properties '{name}'")
-        if len(element.properties) >= _MOST:
-            raise self._error(f"element '{element.name}' has more than {_MOST} properties")
-        new = Property(name, TYPES[kind], TYPES[count] if count else "")
-        self.elements[-1] = replace(element, properties=(*element.properties, new))
-
-    def _error(self, cause: str) -> InputError:
-        shown = cause.encode("ascii", "backslashreplace").decode()
-        return InputError(self.name, f"line {self.number} of the header: {shown}")
+def _add_property(elements: list[Element], name: str, kind: str, count: str = "") -> None:
+    if not elements:
+        raise ValueError(f"property '{name}' belongs to no element")
+    for word in (kind, count):
+        if word and word not in TYPES:
+            raise ValueError(f"'{word[:30]}' is no PLY type")
+    if count and TYPES[count][0] == "f":
+        raise ValueError(f"the count of a list cannot be a {count}")
+    element = elements[-1]
+    if any(known.name == name for known in element.properties):
+        raise ValueError(f"element '{element.name}' has two properties '{name}'")
+    if len(element.properties) >= _MOST:
+        raise ValueError(f"element '{element.name}' has more than {_MOST} properties")
+    new = Property(name, TYPES[kind], TYPES[count] if count else "")
+    elements[-1] = replace(element, properties=(*element.properties, new))
 
 
 def values_in_bytes(data: bytes | bytearray, kind: str) -> Array:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import posixpath
 import re
 from array import array
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
@@ -37,6 +36,12 @@ _MOST_TRIANGLES = 1 << 26
 _BYTES_OF_TRIANGLE = 400  # that one takes while it is put together
 _NUMBERS = 12  # of a transform
 _NONE = -1
+
+_OTHERS = {
+    "texture2dgroup": "textures",
+    "compositematerials": "mixtures of materials",
+    "multiproperties": "several properties at once",
+}
 
 Attributes = dict[str, str]
 Rgba = tuple[int, int, int, int]
@@ -109,39 +114,33 @@ class _Reading:
         self.model = _Model()
         self._object = _Object()
         self._group: list[Rgba] = []
-        self._actions: dict[str, Callable[[Attributes], None]] = {
-            "object": self._start_object,
-            "vertex": lambda known: self._object.vertices.extend(float(known[axis]) for axis in "xyz"),
-            "triangle": self._take_triangle,
-            "component": lambda known: self._object.parts.append(_part(known)),
-            "item": lambda known: self.model.built.append(_part(known)),
-            "colorgroup": self._start_group,
-            "basematerials": self._start_group,
-            "color": lambda known: self._group.append(_colour(known["color"])),
-            "base": lambda known: self._group.append(_colour(known["displaycolor"])),
-            "texture2dgroup": lambda _: self.model.others.add("textures"),
-            "compositematerials": lambda _: self.model.others.add("mixtures of materials"),
-            "multiproperties": lambda _: self.model.others.add("several properties at once"),
-        }
 
     def start(self, element: str, known: Attributes) -> None:
-        action = self._actions.get(element.rpartition(" ")[2])
-        if action is not None:
-            action(known)
-
-    def _start_object(self, known: Attributes) -> None:
-        self._object = _Object(known.get("pid", ""), int(known.get("pindex", 0)))
-        self.model.objects[known["id"]] = self._object
-
-    def _start_group(self, known: Attributes) -> None:
-        self._group = []
-        self.model.colours[known["id"]] = self._group
-
-    def _take_triangle(self, known: Attributes) -> None:
-        first = int(known.get("p1", _NONE))
-        self._object.triangles.extend([int(known["v1"]), int(known["v2"]), int(known["v3"])])
-        self._object.triangles.extend([first, int(known.get("p2", first)), int(known.get("p3", first))])
-        self._object.groups.append(known.get("pid", ""))
+        match element.rpartition(" ")[2]:
+            case "vertex":
+                self._object.vertices.extend(float(known[axis]) for axis in "xyz")
+            case "triangle":
+                first = int(known.get("p1", _NONE))
+                self._object.triangles.extend([int(known["v1"]), int(known["v2"]), int(known["v3"])])
+                self._object.triangles.extend(
+                    [first, int(known.get("p2", first)), int(known.get("p3", first))]
+                )
+                self._object.groups.append(known.get("pid", ""))
+            case "object":
+                self._object = _Object(known.get("pid", ""), int(known.get("pindex", 0)))
+                self.model.objects[known["id"]] = self._object
+            case "component":
+                self._object.parts.append(_part(known))
+            case "item":
+                self.model.built.append(_part(known))
+            case "colorgroup" | "basematerials":
+                self._group = self.model.colours[known["id"]] = []
+            case "color":
+                self._group.append(_colour(known["color"]))
+            case "base":
+                self._group.append(_colour(known["displaycolor"]))
+            case other if other in _OTHERS:
+                self.model.others.add(_OTHERS[other])
 
 
 def _part(known: Attributes) -> _Part:
