@@ -13,7 +13,6 @@ from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import (
     MeshContents,
-    VertexColours,
     limits_of,
     linear_to_srgb,
     require_finite,
@@ -122,7 +121,7 @@ def quantised(values: Float32s, kind: DTypeLike, scale: float | None = None) -> 
     )
 
 
-def display_colours(contents: MeshContents | VertexColours) -> tuple[Float32s, list[str]]:
+def display_colours(contents: MeshContents) -> tuple[Float32s, list[str]]:
     """Return sRGB values of full scale 1, shape (V, 3), and a notice for each thing that was changed."""
     colours, notices = contents.colours, []
     if contents.encoding == "linear":
@@ -136,9 +135,7 @@ def display_colour(linear: Sequence[float]) -> tuple[float, ...]:
     return tuple(linear_to_srgb(np.clip(np.array(linear, np.float64), 0, 1)).tolist())
 
 
-def linear_colours(
-    contents: MeshContents | VertexColours, notices: list[str], reason: str, grey: str = _GREY
-) -> Float32s:
+def linear_colours(contents: MeshContents, notices: list[str], reason: str, grey: str = _GREY) -> Float32s:
     """Return colours in linear light, shape (V, 3), which a format has for a reason; add to the notices."""
     colours = contents.colours
     if contents.encoding == "srgb":

@@ -7,7 +7,7 @@ A format is a subclass of `Document`, in a folder of its own, and a line of `for
   held against the length of the data before anything is allocated.
 - `_mesh` (or `_painted` and `contents`), `_patched` and `facts` are required; the others have defaults for a format
   without textures, sidecar files, range images, further attributes or movable vertices. With textures, `slots` and
-  `_gathered` are required, too; a `Scene` of `formats/textured_mesh.py` makes their surfaces and meshes.
+  `_scene` are required, too: a `Scene` of `formats/textured_mesh.py`, which makes their surfaces and meshes.
 - `patch` with equal colours returns equal bytes. What changes is rounded once; every other byte stays.
 - Whatever is wrong with the file is an `InputError` with its name, the cause and a remedy.
 """
@@ -19,10 +19,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, count
 from pathlib import Path
-from typing import ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn
+
+import numpy as np
 
 from beltrami_cli.arrays import Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
@@ -78,7 +80,7 @@ class Written:
 
 
 def not_converted(
-    mesh: records.MeshContents | records.TexturedMesh,
+    mesh: records.MeshContents,
     others: Iterable[str] = (),
     *,
     keeps_frame: bool = False,
@@ -117,6 +119,14 @@ class Fingerprint:
     colours: Mapping[str, Float32s] = field(default_factory=dict)  # full scale 1, shape (n, C)
     images: Mapping[str, records.Texture] = field(default_factory=dict)  # by where they are used
     faults: Sequence[str] = ()  # what some readers cannot do with; there may be fewer in the other file
+
+
+def labelled(files: Mapping[str, str], read: Callable[[str], bytes]) -> dict[str, records.Texture]:
+    """Return image files as a fingerprint has them, by where they are used."""
+    return {
+        label: records.Texture(file, file.rpartition("/")[2], partial(read, file))
+        for label, file in files.items()
+    }
 
 
 class Document(ABC):
@@ -245,7 +255,19 @@ class Document(ABC):
         return tuple(found) if found or self.has_vertex_colours() else slots
 
     def _gathered(self, slot: records.Slot) -> records.TexturedSurface:
-        raise InputError(self.name, f"it has no {slot} texture")
+        surface: records.TexturedSurface
+        surface, notices = self._scene.surface(slot, self._undefined())
+        self.notices += notices
+        return surface
+
+    @property
+    def _scene(self) -> Any:
+        """Its polygons and materials, a `Scene`; InputError if it has no textures."""
+        raise InputError(self.name, "it has no textures")
+
+    def _undefined(self) -> str:
+        """Return why a material may have no textures that can be known, or nothing."""
+        return ""
 
     def patch(
         self,
@@ -282,8 +304,20 @@ class Document(ABC):
         contents = self.contents()
         return contents if colours is None else replace(contents, colours=colours)
 
-    def textured_mesh(self, colours: Float32s | None = None) -> records.TexturedMesh:
-        """Return all triangles with materials and images, for conversion; `colours` as in `patch`."""
+    def textured_mesh(self, colours: Float32s | None = None) -> records.MeshContents:
+        """Return all polygons with materials and images, for conversion; `colours` as in `patch`."""
+        mesh = self._textured_mesh()
+        if not self.has_vertex_colours():
+            return mesh
+        shown = self.recoloured_contents(colours)
+        if not np.array_equal(shown.positions, mesh.positions):
+            lost = "vertex colours, which are not one for each vertex"
+            return replace(mesh, left_out=(*mesh.left_out, lost))
+        coding: dict[str, Any] = {"encoding": shown.encoding, "stored": shown.stored}
+        return replace(mesh, colours=shown.colours, alpha=shown.alpha, **coding)
+
+    def _textured_mesh(self) -> records.MeshContents:
+        """Return what `textured_mesh` does, without colours of vertices."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
 
     def fingerprint(self) -> Fingerprint:

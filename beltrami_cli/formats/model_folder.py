@@ -17,14 +17,15 @@ import posixpath
 import re
 import stat
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular
-from beltrami_cli.formats.document import Bytes, Naming, Written
+from beltrami_cli.formats.document import Bytes, Naming, NewImages, Written
 from beltrami_cli.formats.image.picture import format_of_suffix
+from beltrami_cli.surface.records import ImageFile, Slot
 from beltrami_cli.surface.tiling import COLUMNS, ROWS, Tile
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*:", re.IGNORECASE)  # a URL, or the letter of a drive
@@ -241,23 +242,6 @@ def token_in(name: str) -> str:
     return f".{token[0]}" if token else ""
 
 
-def tile_of(pattern: str, name: str) -> Tile | None:
-    """Return which tile of a set a file is, going by both names without folders; None if it is none of them."""
-    token = _TOKEN.search(pattern)
-    assert token is not None
-    label = r"([1-9]\d{3})" if token[1].lower() == "udim" else r"[uU](\d{1,3})_[vV](\d{1,3})"
-    found = re.fullmatch(
-        re.escape(pattern[: token.start()]) + label + re.escape(pattern[token.end() :]), name
-    )
-    if found is None:
-        return None
-    if token[1].lower() == "udim":
-        v, u = divmod(int(found[1]) - _FIRST, COLUMNS)
-    else:
-        u, v = (int(number) - (token[1] == "UVTILE") for number in found.groups())
-    return (u, v) if 0 <= u < COLUMNS and 0 <= v < ROWS else None
-
-
 def tile_name(pattern: str, tile: Tile) -> str:
     """Return the name of a tile's file."""
 
@@ -272,10 +256,23 @@ def tile_name(pattern: str, tile: Tile) -> str:
 
 def found_tiles(pattern: str, names: Iterable[str]) -> dict[Tile, str]:
     """Return the tiles of a set among the names of a folder, row by row from below."""
-    found = {tile: name for name in sorted(names) if (tile := tile_of(pattern, name)) is not None}
+    token = _TOKEN.search(pattern)
+    assert token is not None
+    is_mari, first = token[1].lower() == "udim", int(token[1] == "UVTILE")
+    label = r"([1-9]\d{3})" if is_mari else r"[uU](\d{1,3})_[vV](\d{1,3})"
+    name_of = re.compile(re.escape(pattern[: token.start()]) + label + re.escape(pattern[token.end() :]))
+    found: dict[Tile, str] = {}
+    for match in filter(None, map(name_of.fullmatch, sorted(names))):
+        u, v = int(match[1]) - first, int(match[match.re.groups]) - first
+        if is_mari:
+            v, u = divmod(u - _FIRST, COLUMNS)
+        if 0 <= u < COLUMNS and 0 <= v < ROWS:
+            found[u, v] = match[0]
     return dict(sorted(found.items(), key=lambda item: item[0][::-1]))
 
 
+TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
+SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], list[Slot]]
 _LONGEST = 255  # bytes of a name, on all usual file systems
 
 
@@ -337,6 +334,30 @@ class NewFiles:
         return path
 
 
+def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
+    """Return the slots in which a path, of an image or a set of tiles, gets the same new files; these go with it."""
+    files: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
+    for (slot, file), image in images.items():
+        for path in paths_of(slot, file):
+            files.setdefault((path, slot), []).append((file, image))
+    slots: SlotsByPath = {}
+    for (path, slot), new in files.items():
+        slots.setdefault((path, tuple(new)), []).append(slot)
+    return slots
+
+
+def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
+    """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
+    tiles = sets[path].items() if path in sets else ()
+    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
+
+
+def common_suffix(suffixes: Iterable[str]) -> str | None:
+    """Return the suffix that all tiles of a set have; None if they differ, so that their name cannot have it."""
+    distinct = set(suffixes)
+    return distinct.pop() if len(distinct) == 1 else None
+
+
 def path_inside(path: str) -> str:
     """Return a path as it is, or for one outside the folder its name alone: nothing is written out there."""
     return PurePosixPath(path).name if is_outside(path) else path
@@ -361,16 +382,12 @@ def _with_suffix(path: str, suffix: str) -> str:
     return str(PurePosixPath(path).with_suffix(suffix))
 
 
-def leads_to(name: str, path: str) -> bool:
-    """Whether a name, from some folder of the model, is the path itself, and not one that stands for it."""
-    return f"/{path}".endswith(f"/{posixpath.normpath(name.replace(chr(92), '/'))}")
-
-
 def new_reference(name: str, path: str, new: str) -> bytes:
     """Return how a file refers to another after its move from `path` to `new`, with the folder as in `name`."""
     if new == path:
         return os.fsencode(name)
     plain = name.replace("\\", "/")
-    if is_outside(path) or not leads_to(name, path):
+    # From some folder of the model, the name may be the path itself, or stand for it.
+    if is_outside(path) or not f"/{path}".endswith(f"/{posixpath.normpath(plain)}"):
         return os.fsencode(new)
     return os.fsencode(name[: plain.rfind("/") + 1] + PurePosixPath(new).name)

@@ -18,7 +18,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_source
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document, Written
-    from beltrami_cli.surface.records import MeshContents, Slot, TexturedMesh
+    from beltrami_cli.surface.records import MeshContents, Slot
 
     Recogniser = Callable[[bytes, str], bool]
 
@@ -27,35 +27,28 @@ Kind = Literal["image", "volume", "model"]
 _ZIP = b"PK"
 _VOLUMES = (b"NRRD", b" BDV", _ZIP)  # what their files start with
 
-# What archives and compressed files start with, and at which offset.
-_ARCHIVES = {
-    "ZIP": (b"PK\x03\x04", 0),
-    "empty ZIP": (b"PK\x05\x06", 0),
-    "gzip": (b"\x1f\x8b", 0),
-    "bzip2": (b"BZh", 0),
-    "xz": (b"\xfd7zXZ\0", 0),
-    "Zstandard": (b"\x28\xb5\x2f\xfd", 0),
-    "7z": (b"7z\xbc\xaf\x27\x1c", 0),
-    "RAR": (b"Rar!\x1a\x07", 0),
-    "tar": (b"ustar", 257),
+# Files that are not read: their extensions, what they start with, and what makes a model of them.
+_BLENDER, _UNPACK = "open it in Blender, and export it as glTF", "unpack it, and give the model"
+_PARAVIEW = (
+    "convert it to PLY with ParaView, or with PyVista: pyvista.read(...).save('model.ply', texture='RGB')"
+)
+_TILES = "extract the model with: npx 3d-tiles-tools b3dmToGlb -i tile.b3dm -o tile.glb"
+_UNREAD: dict[str, tuple[tuple[str, ...], bytes, str]] = {
+    "FBX file": ((".fbx",), rb"Kaydara FBX Binary|; FBX", _BLENDER),
+    "Blender file": ((".blend",), rb"BLENDER", _BLENDER),
+    "VTK file": ((".vtk", ".vtp", ".vtu"), rb"# vtk DataFile|(?:<\?xml[^>]*>\s*)?<VTKFile", _PARAVIEW),
+    "3D Tiles file": ((".b3dm", ".i3dm", ".pnts", ".cmpt"), rb"b3dm|i3dm|pnts|cmpt", _TILES),
+    "ZIP archive": ((), rb"PK\x03\x04", _UNPACK),
+    "empty ZIP archive": ((), rb"PK\x05\x06", _UNPACK),
+    "gzip archive": ((), rb"\x1f\x8b", _UNPACK),
+    "bzip2 archive": ((), rb"BZh", _UNPACK),
+    "xz archive": ((), rb"\xfd7zXZ\0", _UNPACK),
+    "Zstandard archive": ((), rb"\x28\xb5\x2f\xfd", _UNPACK),
+    "7z archive": ((), rb"7z\xbc\xaf\x27\x1c", _UNPACK),
+    "RAR archive": ((), rb"Rar!\x1a\x07", _UNPACK),
+    "tar archive": ((), rb"[\0-\xff]{257}ustar", _UNPACK),
 }
-# Models that are not read: their extensions, what their files contain near the start, and what converts them.
-_BLENDER = "open it in Blender, and export it as glTF"
-_UNREAD = {
-    "FBX": ((".fbx",), (b"Kaydara FBX Binary", b"; FBX"), _BLENDER),
-    "Blender": ((".blend",), (b"BLENDER",), _BLENDER),
-    "VTK": (
-        (".vtk", ".vtp", ".vtu"),
-        (b"# vtk DataFile", b"<VTKFile"),
-        "convert it to PLY with ParaView, or with PyVista: pyvista.read(...).save('model.ply', texture='RGB')",
-    ),
-    "3D Tiles": (
-        (".b3dm", ".i3dm", ".pnts", ".cmpt"),
-        (b"b3dm", b"i3dm", b"pnts", b"cmpt"),
-        "extract the model with: npx 3d-tiles-tools b3dmToGlb -i tile.b3dm -o tile.glb",
-    ),
-}
-_HEAD = 256  # bytes in which a file says what it is
+_HEAD = 512  # bytes in which a file says what it is
 _READABLE = (
     "beltrami reads PLY, OBJ, glTF (.gltf), GLB and USD files, points in .xyz, .asc, .txt, .csv, .pts, .npz, .las, "
     ".laz, .e57 and .pcd, and the colours of OFF, STL, 3MF and DAE files"
@@ -78,9 +71,9 @@ class Format:
     module: str
     reader: str  # a `Document`; of volumes a function that returns a `Volume`
     writer: str = ""  # (MeshContents, stem) -> Written; empty: there is none
-    textured_writer: str = ""  # (TexturedMesh, stem) -> Written
-    sidecars: str = ""  # suffixes of the sidecar files that the writers make
-    textured_sidecars: str = ""  # as well; ".*" is that of the texture
+    has_textures: bool = False  # whether the writer writes them
+    sidecars: str = ""  # suffixes of the sidecar files that the writer makes
+    textured_sidecars: str = ""  # and with textures; ".*" is that of the texture
     images: tuple[str, ...] = ()  # suffixes of the images that the format can hold; empty: any
     slots: tuple[Slot, ...] = ()  # of whose maps a new file can be written; empty: any
     aliases: tuple[str, ...] = ()  # further suffixes, without the dot
@@ -91,7 +84,7 @@ class Format:
     def suffixes(self) -> tuple[str, ...]:
         return tuple(f".{name}" for name in (self.name, *self.aliases))
 
-    def fitted(self, mesh: TexturedMesh) -> TexturedMesh:
+    def fitted(self, mesh: MeshContents) -> MeshContents:
         """Leave out the maps that a new file cannot have."""
         from beltrami_cli.formats.textured_mesh import with_slots
 
@@ -130,10 +123,10 @@ def _is_foreign(data: bytes, name: str) -> bool:
 
 
 def _textured(name: str, mark: Recogniser | None, reader: str, form: str = "", **more: Any) -> Format:
-    """Return a line of a format whose writers are called after it, or after another `form`."""
+    """Return a line of a format whose writer is called after it, or after another `form`."""
     module, _, document = reader.partition(".")
-    writers = f"writer.write_{form or name}", f"writer.write_textured_{form or name}"
-    return Format(name, mark, module, f"document.{document}", *writers, **more)
+    writer = f"writer.write_{form or name}"
+    return Format(name, mark, module, f"document.{document}", writer, has_textures=True, **more)
 
 
 _is_image = _asks("image.picture.is_image")
@@ -204,7 +197,7 @@ def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format |
     """Return the format of a file by its bytes, or else by its name; None if it is unknown."""
     lines = [line for line in FORMATS if line.kind == "model" or not models_only]
     marked = next((line for line in lines if line.mark is not None and line.mark(data, name)), None)
-    if marked is not None or not data or _marked(_ARCHIVES, data) is not None or _unread(data, name):
+    if marked is not None or not data or _unread(data, name):
         return marked
     named = (line for line in lines if line.mark is None and name.lower().endswith(line.suffixes))
     return next(named, None)
@@ -212,10 +205,7 @@ def recognised(data: bytes, name: str, *, models_only: bool = False) -> Format |
 
 def _refusal(data: bytes, name: str) -> InputError:
     if known := _unread(data, name):
-        return InputError(name, f"it is a {known} file, which is not read", _UNREAD[known][2])
-    if archive := _marked(_ARCHIVES, data):
-        cause = f"it is a {archive} archive, which is not opened"
-        return InputError(name, cause, "unpack it, and give the model")
+        return InputError(name, f"it is a {known}, which is not read", _UNREAD[known][2])
     if not data:
         return InputError(name, "the file is empty", _READABLE)
     if _is_image(data, name):
@@ -226,16 +216,9 @@ def _refusal(data: bytes, name: str) -> InputError:
     return InputError(name, "the content is of no known format", _READABLE)
 
 
-def _marked(marks: dict[str, tuple[bytes, int]], data: bytes) -> str | None:
-    return next((kind for kind, (mark, at) in marks.items() if data.startswith(mark, at)), None)
-
-
 def _unread(data: bytes, name: str) -> str | None:
-    head = data[:_HEAD]
-    for kind, (suffixes, marks, _) in _UNREAD.items():
-        if name.lower().endswith(suffixes) or re.match(
-            rb"(?:<\?xml[^>]*>\s*)?(?:%s)" % b"|".join(marks), head
-        ):
+    for kind, (suffixes, start, _) in _UNREAD.items():
+        if (suffixes and name.lower().endswith(suffixes)) or re.match(start, data[:_HEAD]):
             return kind
     return None
 
@@ -245,29 +228,22 @@ def is_only_read(suffix: str) -> bool:
     return suffix in _READ_ONLY
 
 
-def write_contents(contents: MeshContents, name: str, stem: str) -> Written:
-    """Write a mesh with vertex colours as a new file of a format."""
-    line = _WRITERS[name]
-    written: Written = line.load(line.writer)(contents, stem)
-    return written
-
-
-def write_textured(mesh: TexturedMesh, name: str, stem: str) -> Written:
-    """Write a mesh with textures as a new file of a format; UsageError if the format has none, or not such ones."""
-    line = _with_textures(name)
+def write_mesh(mesh: MeshContents, name: str, stem: str) -> Written:
+    """Write a mesh as a new file of a format; UsageError if it has textures, and the format none, or not such ones."""
+    line = _with_textures(name) if mesh.materials else _WRITERS[name]
     mesh = line.fitted(mesh)
     for image in mesh.images:
         _with_textures(name, image.file.suffix)
-    written: Written = line.load(line.textured_writer)(mesh, stem)
+    written: Written = line.load(line.writer)(mesh, stem)
     return written
 
 
-def textured_sidecars(mesh: TexturedMesh, name: str, stem: str) -> list[str]:
-    """Return the sidecar files of `write_textured`, with images as `with_suffixes` has them."""
+def sidecars_of(mesh: MeshContents, name: str, stem: str) -> list[str]:
+    """Return the sidecar files of `write_mesh`, with images as `with_suffixes` has them."""
     from beltrami_cli.formats.textured_mesh import image_names
 
-    line = _with_textures(name)
-    suffixes = line.textured_sidecars.split()
+    line = _WRITERS[name]
+    suffixes = (line.textured_sidecars if mesh.materials else line.sidecars).split()
     images = image_names(line.fitted(mesh), stem, line.images) if ".*" in suffixes else []
     return [*(stem + suffix for suffix in suffixes if suffix != ".*"), *images]
 
@@ -275,11 +251,11 @@ def textured_sidecars(mesh: TexturedMesh, name: str, stem: str) -> list[str]:
 def held_images(name: str) -> tuple[str, ...] | None:
     """Return the suffixes of the textures that a format can hold, empty for any; None: it has no textures."""
     line = _WRITERS[name]
-    return line.images if line.textured_writer else None
+    return line.images if line.has_textures else None
 
 
 def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
-    """Return the sidecar files of `write_textured`, or without an image of `write_contents`."""
+    """Return the sidecar files of `write_mesh` for a mesh with one image, or without images."""
     line = _WRITERS[name] if image_suffix is None else _with_textures(name, image_suffix)
     suffixes = line.sidecars if image_suffix is None else line.textured_sidecars
     return [stem + (suffix.replace(".*", image_suffix or ".*")) for suffix in suffixes.split()]
@@ -287,7 +263,7 @@ def sidecar_names(name: str, stem: str, image_suffix: str | None) -> list[str]:
 
 def _with_textures(name: str, image_suffix: str | None = None) -> Format:
     line = _WRITERS[name]
-    if not line.textured_writer:
+    if not line.has_textures:
         raise UsageError(f"a .{name} file has no textures; end the name of the output in .glb, .obj or .ply")
     if line.images and image_suffix is not None and image_suffix not in line.images:
         cause = f"a .{name} file takes PNG and JPEG textures, not {image_suffix}"

@@ -8,151 +8,80 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
-from pathlib import PurePosixPath
-from typing import get_args
+from functools import partial
+from pathlib import PurePath, PurePosixPath
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Array, Bools, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.access import LARGE
 from beltrami_cli.formats.document import Naming, NewImages
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.model_folder import NewFiles, remedy_for, tile_name
+from beltrami_cli.formats.model_folder import NewFiles, TileSets, remedy_for, tile_name
 from beltrami_cli.surface import tiling
-from beltrami_cli.surface.geometry import triangulate_corners
+from beltrami_cli.surface.geometry import polygons_of, polygons_with, triangulate_corners
 from beltrami_cli.surface.records import (
     AlphaMode,
     ImageFile,
     Material,
     MaterialMap,
+    MeshContents,
     MeshImage,
     Slot,
     Texture,
-    TexturedMesh,
     TexturedSurface,
     Wrap,
 )
 from beltrami_cli.surface.tiling import Tile
 
 SLOTS: tuple[Slot, ...] = get_args(Slot)
-TileSets = Mapping[str, Mapping[Tile, str]]  # the files of sets of tiles, by the path of the set
-SlotsByPath = dict[tuple[str, tuple[tuple[str, ImageFile], ...]], "list[Slot]"]
+MaterialMaps = Mapping[Slot, MaterialMap]
 _LARGEST = 1e30  # texture coordinate that single precision holds with room for computing
-_POLYGONS_CUT = "quads and polygons, which are cut into triangles"
 _FIT = ".png"  # the suffix of images that a format cannot hold as they are
+
+
+def no_texture(slot: Slot, name: str, missing: Iterable[str], *, is_bare: bool, why: str = "") -> InputError:
+    """Return the error that nothing shows an image: as one is missing, for lack of coordinates, or for a reason."""
+    for reason in missing:
+        return UnpaintedError(name, f"its {slot} texture cannot be read: {reason}", remedy_for(reason))
+    if is_bare:
+        cause = f"it has a {slot} texture, but no texture coordinates for it"
+        return InputError(name, cause, "export it with them")
+    reason = f", because {why}" if why else ""
+    return UnpaintedError(name, f"it has no {slot} texture{reason}", remedy_for(reason))
 
 
 @dataclass
 class _Shown:
-    """An image that is shown in a slot: the number of its texture, and which materials show it how."""
+    """The images that materials show in a slot."""
 
-    number: int
-    name: str
-    content: bytes | Callable[[], bytes]  # as in `Texture`
-    materials: dict[str, None] = field(default_factory=dict)
-    wraps: list[tuple[Wrap, Wrap]] = field(default_factory=list)
-    alpha_hides: bool = False
+    texture_of: Int32s  # of each material: -1 where it has none, -2 minus the index in `sets` for tiles
+    textures: dict[str, Texture] = field(default_factory=dict)  # by their keys
+    sets: list[dict[Tile, int]] = field(default_factory=list)  # numbers of the textures of tiles
+    missing: dict[str, list[str]] = field(
+        default_factory=dict
+    )  # materials by the reason why they show no image
+    mixed: dict[str, None] = field(default_factory=dict)  # names of images that are repeated in several ways
 
+    def add(self, texture: Texture) -> int:
+        """Let a material show an image, and return its number."""
+        old = self.textures.get(texture.key, texture)
+        self.mixed |= {old.name: None} if old.wrap != texture.wrap else {}
+        materials = tuple(dict.fromkeys([*old.materials, *texture.materials]))
+        hides = old.alpha_hides or texture.alpha_hides
+        self.textures[old.key] = dataclasses.replace(old, materials=materials, alpha_hides=hides)
+        return [*self.textures].index(old.key)
 
-class SlotImages:
-    """The images that are shown in one slot while its materials are read; by keys, as in `Texture`."""
-
-    # A set of tiles has the number -2 minus its index in `sets`, which have the images of its tiles.
-
-    def __init__(self, slot: Slot) -> None:
-        self._slot = slot
-        self._shown: dict[str, _Shown] = {}
-        self._missing: dict[str, dict[str, None]] = {}  # materials by the reason why they show no image
-        self.sets: list[dict[Tile, int]] = []
-
-    def __len__(self) -> int:
-        return len(self._shown)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._shown
-
-    def take(self, key: str, name: str, content: bytes | Callable[[], bytes]) -> None:
-        """Take an image that is not known yet."""
-        self._shown[key] = _Shown(len(self._shown), name, content)
-
-    def set_of(self, tiles: dict[Tile, int]) -> int:
-        """Return the number that stands for the textures of a set of tiles."""
-        if tiles not in self.sets:
-            self.sets.append(tiles)
-        return -2 - self.sets.index(tiles)
-
-    def show(self, key: str, material: str, wrap: tuple[Wrap, Wrap], *, alpha_hides: bool = True) -> int:
-        """Note that a material shows an image; return the number of its texture."""
-        shown = self._shown[key]
-        shown.wraps.append(wrap)
-        shown.alpha_hides |= alpha_hides
-        shown.materials[material] = None
-        return shown.number
-
-    def miss(self, reason: str, material: str) -> None:
-        """Note why a material shows no image; the reason names that."""
-        self._missing.setdefault(reason, {})[material] = None
-
-    def textures(self) -> tuple[Texture, ...]:
-        return tuple(
-            Texture(key, each.name, each.content, tuple(each.materials), each.wraps[0], each.alpha_hides)
-            for key, each in self._shown.items()
-        )
-
-    def notices(self) -> list[str]:
-        """Return a sentence for each image that cannot be shown, and each that is repeated in several ways."""
+    def notices(self, slot: Slot) -> list[str]:
         left = [
-            f"The {self._slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
-            for reason, materials in self._missing.items()
+            f"The {slot} texture of {', '.join(map(repr, materials))} is left as it is: {reason}."
+            for reason, materials in self.missing.items()
         ]
-        mixed = [each.name for each in self._shown.values() if len(set(each.wraps)) > 1]
         several = "is used with several wrap modes; the first is followed."
-        return left + [f"The {self._slot} image {name!r} {several}" for name in mixed]
-
-    def refusal(self, name: str, *, is_bare: bool, why: str = "") -> InputError:
-        """Return the error that nothing shows an image: `is_bare` for lack of texture coordinates, or `why` else."""
-        if self._missing:
-            reason = next(iter(self._missing))
-            cause = f"its {self._slot} texture cannot be read: {reason}"
-            return UnpaintedError(name, cause, remedy_for(reason))
-        if is_bare:
-            cause = f"it has a {self._slot} texture, but no texture coordinates for it"
-            return InputError(name, cause, "export it with them")
-        reason = f", because {why}" if why else ""
-        return UnpaintedError(name, f"it has no {self._slot} texture{reason}", remedy_for(reason))
-
-
-class MeshImages:
-    """The images of a mesh while its materials are read; one that stands for a set of tiles is in `sets`."""
-
-    def __init__(self, names: Mapping[str, str]) -> None:
-        self._names = names  # of images by key, where they are not files with names
-        self.images: list[MeshImage] = []
-        self.sets: dict[int, dict[Tile, int]] = {}
-        self._index_of: dict[str, int] = {}
-
-    def take_file(self, path: str, sets: TileSets, read: Callable[[str], bytes]) -> int:
-        """Take the file of a path, or the files of one of some sets of tiles; return the number of either."""
-        if path in self._index_of:
-            return self._index_of[path]
-        if path not in sets:
-            data, name = read(path), self._names.get(path, path.rpartition("/")[2])
-            self._index_of[path] = len(self.images)
-            self.images.append(MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path))
-            return self._index_of[path]
-        tiles = {tile: self.take_file(file, sets, read) for tile, file in sets[path].items()}
-        self._index_of[path] = len(self.images)
-        self.sets[len(self.images)] = tiles
-        self.images.append(self.images[next(iter(tiles.values()))])
-        return self._index_of[path]
-
-
-def usable_coordinates(uv: Float64s) -> Float64s:
-    """Return texture coordinates, NaN where single precision does not hold them."""
-    return np.where(np.abs(uv) < _LARGEST, uv, np.nan)
+        return left + [f"The {slot} image {name!r} {several}" for name in self.mixed]
 
 
 @dataclass(frozen=True)
@@ -178,88 +107,87 @@ class Scene:
     corners: Int32s  # (K,): vertices of the corners of all polygons
     offsets: Int64s  # (P + 1,): where each polygon starts
     material_of: Int64s  # (P,): index into `materials`
-    materials: Sequence[str]  # their names
+    materials: Sequence[Material]  # without their maps
     maps: Sequence[Maps]  # of each material
     # Texture coordinates of all corners, (K, 2), for a slot (None: of polygons without an image); NaN: none.
     uv: Callable[[Slot | None], Float64s]
     tiles: TileSets
     read: Callable[[str], bytes]
     measured: Bools | None = None  # (V,): which vertices have a position; None: all
+    alpha_from_images: bool = False  # whether images say how they are seen through, where materials do not
+    has_factors: bool = False  # whether colours of materials are factors of their maps
     names: Mapping[str, str] = field(default_factory=dict)  # of images, where they are not files with names
     is_v_up: bool = True
 
-    @cached_property
-    def triangles(self) -> tuple[Int32s, Int64s]:
-        """Corners (F, 3) of the triangles whose vertices all have a position, and the polygon of each."""
-        cut, polygon = triangulate_corners(self.positions, self.corners, self.offsets)
-        if self.measured is None or self.measured.all():
-            return cut, polygon
-        kept = self.measured[self.corners[cut]].all(axis=1)
-        return cut[kept], polygon[kept]
-
-    def _coordinates(self, slot: Slot | None) -> Float64s:
-        uv = self.uv(slot)[self.triangles[0]]
-        if self.is_v_up:
-            uv[..., 1] = 1 - uv[..., 1]
-        return uv
-
     def surface(self, slot: Slot, undefined: str = "") -> tuple[TexturedSurface, list[str]]:
         """Return all triangles, the images of one slot, and notices; `undefined`: why a material is not known."""
-        (cut, polygon), shown = self.triangles, SlotImages(slot)
-        texture_of_material = np.full(len(self.maps), -1, np.int32)
-        for number in np.unique(self.material_of).tolist():
-            texture_of_material[number] = self._shown(number, slot, shown)
-        texture_of, uv = texture_of_material[self.material_of[polygon]], self._coordinates(slot)
+        cut, polygon = triangulate_corners(self.positions, self.corners, self.offsets)
+        if not self._is_whole.all():
+            kept = self._is_whole[polygon]
+            cut, polygon = cut[kept], polygon[kept]
+        shown = self._shown(slot)
+        texture_of, uv = shown.texture_of[self.material_of[polygon]], self._uv(slot)[cut]
         bare = ~np.isfinite(uv).all(axis=(1, 2))
         lost = int(np.count_nonzero(bare & (texture_of != -1)))
         texture_of[bare] = -1
         if (texture_of == -1).all():
-            raise shown.refusal(self.name, is_bare=len(shown) > 0, why=undefined)
+            is_bare = len(shown.textures) > 0
+            raise no_texture(slot, self.name, shown.missing, is_bare=is_bare, why=undefined)
         uv[texture_of == -1] = 0
-        surface = TexturedSurface(self.positions, self.corners[cut], uv, texture_of, shown.textures())
+        textures = tuple(shown.textures.values())
+        surface = TexturedSurface(self.positions, self.corners[cut], uv, texture_of, textures)
         if shown.sets:
             surface = tiling.on_tiles(surface, shown.sets, self.name)
         bare_notice = f"{lost} triangles of textured materials have no texture coordinates."
-        return surface, shown.notices() + ([bare_notice] if lost else [])
+        return surface, shown.notices(slot) + ([bare_notice] if lost else [])
 
-    def _shown(self, number: int, slot: Slot, shown: SlotImages) -> int:
-        """Return the texture that a material shows in a slot; -1 if there is none."""
-        found, material = self.maps[number].get(slot), self.materials[number]
-        if found is None:
-            return -1
-        tiles, number_of, cause = self.tiles.get(found.path or "", {}), {}, found.reason
-        for file in [*tiles.values()] or ([] if found.path is None else [found.path]):
-            try:
-                if file not in shown:
-                    data = self.read(file)
-                    content = partial(self.read, file) if tiles or len(data) >= LARGE else data
-                    shown.take(file, self.names.get(file, file.rpartition("/")[2]), content)
-                wrap: tuple[Wrap, Wrap] = ("clamp", "clamp") if tiles else found.wrap
-                number_of[file] = shown.show(file, material, wrap, alpha_hides=found.alpha_hides)
-            except InputError as error:
-                cause = error.cause
-        if not number_of:
-            shown.miss(f"'{found.name}' {cause}", material)
-            return -1
-        own = {tile: number_of[file] for tile, file in tiles.items() if file in number_of}
-        return shown.set_of(own) if tiles else number_of[file]
+    def _shown(self, slot: Slot) -> _Shown:
+        """Read the images of one slot."""
+        shown = _Shown(np.full(len(self.maps), -1, np.int32))
+        for number in np.unique(self.material_of).tolist():
+            found, material = self.maps[number].get(slot), self.materials[number].name
+            if found is None:
+                continue
+            tiles, numbers, cause = self.tiles.get(found.path or "", {}), dict[str, int](), found.reason
+            wrap: tuple[Wrap, Wrap] = ("clamp", "clamp") if tiles else found.wrap
+            for file in [*tiles.values()] or ([] if found.path is None else [found.path]):
+                try:
+                    content = self._content(file, shown.textures.get(file), is_tile=len(tiles) > 0)
+                except InputError as error:
+                    cause = error.cause
+                    continue
+                name = self._name_of(file)
+                numbers[file] = shown.add(Texture(file, name, content, (material,), wrap, found.alpha_hides))
+            if not numbers:
+                materials = shown.missing.setdefault(f"'{found.name}' {cause}", [])
+                materials += [material] if material not in materials else []
+            elif not tiles:
+                (shown.texture_of[number],) = numbers.values()
+            else:
+                own = {tile: numbers[file] for tile, file in tiles.items() if file in numbers}
+                shown.sets += [own] if own not in shown.sets else []
+                shown.texture_of[number] = -2 - shown.sets.index(own)
+        return shown
+
+    def _content(self, file: str, known: Texture | None, *, is_tile: bool) -> bytes | Callable[[], bytes]:
+        if known is not None:
+            return known.content
+        data = self.read(file)
+        return partial(self.read, file) if is_tile or len(data) >= LARGE else data
 
     def mesh(
         self,
-        material: Callable[[int, Mapping[Slot, MaterialMap], MeshImages], Material],
         left_out: Sequence[str],
         groups: tuple[tuple[str, ...], Int64s] = (("",), np.zeros(1, np.int64)),
         normals: Array | None = None,
-        source: str = "",
-    ) -> TexturedMesh:
-        """Return all triangles with materials, which `material` makes of their maps, groups and normals of corners."""
-        cut, polygon = self.triangles
-        if not len(cut):
-            raise InputError(self.name, "it has no faces, so there is nothing to show a texture")
-        used, material_of = np.unique(self.material_of[polygon], return_inverse=True)
+    ) -> MeshContents:
+        """Return the polygons with all materials; `groups` are names and the number of each polygon's."""
         uv, elsewhere = self._common_coordinates()
-        images, materials, lost = MeshImages(self.names), [], [*left_out]
-        for number in used.tolist():
+        images, materials, lost = dict[str, MeshImage](), [*self.materials], [*left_out]
+        kept = np.flatnonzero(self._is_whole)
+        if not len(kept):
+            raise InputError(self.name, "it has no faces, so there is nothing to show a texture")
+        for number in np.unique(self.material_of[kept]).tolist():
             maps: dict[Slot, MaterialMap] = {}
             for slot, found in self.maps[number].items():
                 if found.path is None:
@@ -267,95 +195,139 @@ class Scene:
                 elif (number, slot) in elsewhere:
                     lost.append(f"{slot} maps that are placed otherwise than the base colour")
                 else:
-                    image = images.take_file(found.path, self.tiles, self.read)
-                    maps[slot] = MaterialMap(image, found.wrap)
-            materials.append(material(number, maps, images))
-        lost += [_POLYGONS_CUT] if (np.diff(self.offsets) > 3).any() else []
-        corner_normals = None if normals is None else normals[cut].astype(np.float32)
-        mesh = TexturedMesh(
+                    maps[slot] = MaterialMap(self._image(found.path, images), found.wrap)
+            materials[number] = self._with_maps(materials[number], maps)
+        corner_normals = None if normals is None or np.isnan(normals).all() else normals.astype(np.float32)
+        mesh = MeshContents(
             positions=self.positions,
-            faces=self.corners[cut],
+            corners=self.corners,
+            offsets=self.offsets,
+            colours=np.empty((len(self.positions), 0), np.float32),
+            left_out=tuple(lost),
             uv=uv,
             materials=tuple(materials),
-            images=tuple(images.images),
-            source=source,
-            material_of=material_of.astype(np.int32),
+            material_of=self.material_of.astype(np.int32),
             groups=groups[0],
-            group_of=np.broadcast_to(groups[1], len(self.offsets) - 1)[polygon].astype(np.int32),
-            normals=None if corner_normals is None or np.isnan(corner_normals).all() else corner_normals,
-            left_out=tuple(lost),
+            group_of=np.broadcast_to(groups[1], len(self.offsets) - 1).astype(np.int32),
+            corner_normals=corner_normals,
+            source=PurePath(self.name).stem,
         )
-        return on_tiles(mesh, images.sets)
+        return _on_tiles(mesh.polygons(kept))
+
+    def _image(self, path: str, known: dict[str, MeshImage]) -> MeshImage:
+        """Return the image of a file, or the image that stands for a set of tiles."""
+        if path in self.tiles:
+            tiles = tuple((tile, self._image(file, known)) for tile, file in self.tiles[path].items())
+            return dataclasses.replace(tiles[0][1], tiles=tiles)
+        if path not in known:
+            data, name = self.read(path), self._name_of(path)
+            known[path] = MeshImage(ImageFile(data, suffix_for(data, name) or ".png"), name, path)
+        return known[path]
+
+    def _name_of(self, path: str) -> str:
+        return self.names.get(path, path.rpartition("/")[2])
+
+    def _uv(self, slot: Slot | None) -> Float64s:
+        """Return texture coordinates of all corners, v down."""
+        return self.uv(slot) * [1, -1] + [0, 1] if self.is_v_up else self.uv(slot)
+
+    def _with_maps(self, material: Material, maps: MaterialMaps) -> Material:
+        """Return a material with maps, with which its colours and metalness count as white and 1."""
+        white, base = (1.0, 1.0, 1.0), maps.get("baseColor")
+        new: dict[str, Any] = {"maps": maps}
+        if not self.has_factors:
+            new |= {"colour": white} if base is not None else {}
+            new |= {"emission": white} if "emissive" in maps else {}
+            new |= {"metalness": 1.0, "roughness": 1.0} if "metallicRoughness" in maps else {}
+        if self.alpha_from_images and material.alpha == "opaque" and base is not None:
+            new["alpha"] = _alpha_mode(base.image.file.data, base.image.name)
+        return dataclasses.replace(material, **new)
+
+    @property
+    def _is_whole(self) -> Bools:
+        """Which polygons have three corners or more, all of them with a position."""
+        is_whole = np.diff(self.offsets) >= 3
+        if self.measured is not None:
+            is_whole &= ~polygons_with(~self.measured[self.corners], self.offsets)
+        return np.asarray(is_whole)
 
     def _common_coordinates(self) -> tuple[Float64s, set[tuple[int, Slot]]]:
-        """Return one set of texture coordinates, (F, 3, 2), and materials and slots that need another one."""
-        material_of = self.material_of[self.triangles[1]]
-        uv, elsewhere = np.full((len(material_of), 3, 2), np.nan), set[tuple[int, Slot]]()
+        """Return one set of texture coordinates, (K, 2), v down, and materials and slots that need another one."""
+        uv, elsewhere = np.full((len(self.corners), 2), np.nan), set[tuple[int, Slot]]()
+        material_of = self.material_of[polygons_of(self.offsets)]
         for slot in (*(slot for slot in SLOTS if any(slot in maps for maps in self.maps)), None):
-            fresh = np.isnan(uv).any(axis=(1, 2))
+            fresh = np.isnan(uv).any(axis=1)
             if slot is None and not fresh.any():
                 break
-            own = usable_coordinates(self._coordinates(slot))
+            own = self._uv(slot)
+            own = np.where(np.abs(own) < _LARGEST, own, np.nan)
             has_map = np.array([slot is None or slot in maps for maps in self.maps])[material_of]
-            given = has_map & ~np.isnan(own).any(axis=(1, 2))
+            given = has_map & ~np.isnan(own).any(axis=1)
             if slot is not None:
-                differs = given & ~fresh & (own != uv).any(axis=(1, 2))
+                differs = given & ~fresh & (own != uv).any(axis=1)
                 elsewhere |= {(number, slot) for number in np.unique(material_of[differs]).tolist()}
-            np.copyto(uv, own, where=(given & fresh)[:, None, None])
+            np.copyto(uv, own, where=(given & fresh)[:, None])
         return uv, elsewhere
 
 
-def on_tiles(mesh: TexturedMesh, sets: Mapping[int, Mapping[Tile, int]]) -> TexturedMesh:
-    """Return a mesh with a material for each tile; `sets` are the images of tiles, by one image that stands for all."""
-    if not sets:
-        return mesh
-    tiled = [any(shown.image in sets for shown in each.maps.values()) for each in mesh.materials]
-    material_of = mesh.material_numbers.copy()
-    faces = np.flatnonzero(np.array(tiled)[material_of] & np.isfinite(mesh.uv).all(axis=(1, 2)))
-    tiles = tiling.tiles_under(mesh.uv[faces])
-    uv, materials = mesh.uv.copy(), list(mesh.materials)
-    uv[faces] += np.column_stack([-tiles[:, 0], tiles[:, 1]])[:, None]
-    pairs = np.column_stack([material_of[faces], tiles]).astype(np.int64)
+def _on_tiles(mesh: MeshContents) -> MeshContents:
+    """Return a mesh with a material for each tile, and with the materials that its polygons have."""
+    assert mesh.uv is not None
+    is_tiled = np.array([any(shown.image.tiles for shown in each.maps.values()) for each in mesh.materials])
+    material_of, uv, materials = mesh.material_numbers.copy(), mesh.uv.copy(), list(mesh.materials)
+    chosen = np.flatnonzero(is_tiled[material_of] & ~bare_polygons(mesh))
+    polygon_of = polygons_of(mesh.offsets)
+    sums = [np.bincount(polygon_of, column, len(mesh.sizes)) for column in uv.T]
+    centres = (np.column_stack(sums) / mesh.sizes[:, None])[chosen]
+    tiles = tiling.tiles_under(centres[:, None])
+    moved = np.zeros((len(mesh.sizes), 2))
+    moved[chosen] = np.column_stack([-tiles[:, 0], tiles[:, 1]])
+    pairs = np.column_stack([material_of[chosen], tiles]).astype(np.int64)
     rows, number_of = np.unique(pairs, axis=0, return_inverse=True)
     for old, *place in rows.tolist():
         tile, material = (place[0], place[1]), mesh.materials[old]
         maps = {
             slot: dataclasses.replace(shown, image=image)
             for slot, shown in material.maps.items()
-            if (image := sets.get(shown.image, {tile: shown.image}).get(tile)) is not None
+            if (image := dict(shown.image.tiles).get(tile) if shown.image.tiles else shown.image) is not None
         }
         name = tile_name(f"{material.name or 'tile'}_<UDIM>", tile)
         materials.append(dataclasses.replace(material, name=name, maps=maps))
-    material_of[faces] = len(mesh.materials) + number_of.reshape(-1)
+    material_of[chosen] = len(mesh.materials) + number_of.reshape(-1)
     shown, material_of = shown_materials(materials, material_of)
-    return dataclasses.replace(mesh, uv=uv, materials=shown, material_of=material_of)
+    return dataclasses.replace(mesh, uv=uv + moved[polygon_of], materials=shown, material_of=material_of)
 
 
-def slots_by_path(images: NewImages, paths_of: Callable[[Slot, str], Iterable[str]]) -> SlotsByPath:
-    """Return the slots in which a path, of an image or a set of tiles, gets the same new files; these go with it."""
-    files: dict[tuple[str, Slot], list[tuple[str, ImageFile]]] = {}
-    for (slot, file), image in images.items():
-        for path in paths_of(slot, file):
-            files.setdefault((path, slot), []).append((file, image))
-    slots: SlotsByPath = {}
-    for (path, slot), new in files.items():
-        slots.setdefault((path, tuple(new)), []).append(slot)
-    return slots
+def bare_polygons(mesh: MeshContents) -> Bools:
+    """Return which polygons of a mesh with textures have no texture coordinates at a corner, shape (P,)."""
+    assert mesh.uv is not None
+    return polygons_with(np.asarray(np.isnan(mesh.uv).any(axis=1)), mesh.offsets)
 
 
-def new_files(path: str, new: str, sets: TileSets) -> dict[str, str]:
-    """Return the new file of each file of a path, which is an image or one of some sets of tiles."""
-    tiles = sets[path].items() if path in sets else ()
-    return {file: file if path == new else tile_name(new, tile) for tile, file in tiles} or {path: new}
+def normals_of_corners(mesh: MeshContents) -> Float32s | None:
+    """Return the normals of corners, (K, 3), if there are any."""
+    return mesh.corner_normals if mesh.normals is None else mesh.normals[mesh.corners]
 
 
-def common_suffix(suffixes: Iterable[str]) -> str | None:
-    """Return the suffix that all tiles of a set have; None if they differ, so that their name cannot have it."""
-    distinct = set(suffixes)
-    return distinct.pop() if len(distinct) == 1 else None
+def triangulated(mesh: MeshContents) -> MeshContents:
+    """Return a mesh whose polygons are cut into triangles, which `left_out` then says."""
+    if (mesh.sizes == 3).all():
+        return mesh
+    lost = ["quads and polygons, which are cut into triangles"] if (mesh.sizes > 3).any() else []
+    cut, polygon = triangulate_corners(mesh.positions, mesh.corners, mesh.offsets)
+    return dataclasses.replace(
+        mesh,
+        corners=mesh.corners[cut].ravel(),
+        offsets=3 * np.arange(len(cut) + 1),
+        uv=None if mesh.uv is None else mesh.uv[cut].reshape(-1, 2),
+        material_of=mesh.material_numbers[polygon],
+        group_of=mesh.group_numbers[polygon],
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals[cut].reshape(-1, 3),
+        left_out=(*mesh.left_out, *lost),
+    )
 
 
-def image_names(mesh: TexturedMesh, stem: str, held: Collection[str] = ()) -> list[str]:
+def image_names(mesh: MeshContents, stem: str, held: Collection[str] = ()) -> list[str]:
     """Return names for the files of the images, after the model, all different, as `with_suffixes` has them."""
     names, found = NewFiles(Naming(stem), mesh.source, (), ()), []
     for image in mesh.images:
@@ -387,65 +359,56 @@ def plain_name(name: str) -> str:
     return line
 
 
-def with_images(mesh: TexturedMesh, images: NewImages) -> TexturedMesh:
+def with_images(mesh: MeshContents, images: NewImages) -> MeshContents:
     """Return a mesh with other images, by slot and key; each replaces that image in that slot alone."""
-    known = list(mesh.images)
-    index_of: dict[tuple[Slot, str], int] = {}
-    materials = []
-    for material in mesh.materials:
-        maps = dict(material.maps)
-        for slot, shown in material.maps.items():
-            old = mesh.images[shown.image]
-            place = slot, old.key
-            if place in images and place not in index_of:
-                index_of[place] = len(known)
-                known.append(dataclasses.replace(old, file=images[place]))
-            if place in index_of:
-                maps[slot] = dataclasses.replace(shown, image=index_of[place])
-        materials.append(dataclasses.replace(material, maps=maps))
-    return _without_unused(dataclasses.replace(mesh, materials=tuple(materials), images=tuple(known)))
+
+    def shown(slot: Slot, old: MaterialMap) -> MaterialMap:
+        new = images.get((slot, old.image.key))
+        return (
+            old if new is None else dataclasses.replace(old, image=dataclasses.replace(old.image, file=new))
+        )
+
+    return _with_maps(mesh, lambda maps: {slot: shown(slot, old) for slot, old in maps.items()})
 
 
-def with_slots(mesh: TexturedMesh, slots: Collection[Slot]) -> TexturedMesh:
+def with_slots(mesh: MeshContents, slots: Collection[Slot]) -> MeshContents:
     """Return a mesh with the maps of some slots only, and notices of the others."""
     lost = {slot for material in mesh.materials for slot in material.maps if slot not in slots}
-    materials = tuple(
-        dataclasses.replace(each, maps={slot: shown for slot, shown in each.maps.items() if slot in slots})
-        for each in mesh.materials
-    )
     left_out = (*mesh.left_out, *(f"{slot} maps" for slot in sorted(lost)))
-    return _without_unused(dataclasses.replace(mesh, materials=materials, left_out=left_out))
+    mesh = _with_maps(mesh, lambda maps: {slot: each for slot, each in maps.items() if slot in slots})
+    return dataclasses.replace(mesh, left_out=left_out)
 
 
-def with_suffixes(mesh: TexturedMesh, suffixes: Collection[str]) -> tuple[TexturedMesh, list[str]]:
+def _with_maps(mesh: MeshContents, change: Callable[[MaterialMaps], MaterialMaps]) -> MeshContents:
+    materials = tuple(dataclasses.replace(each, maps=change(each.maps)) for each in mesh.materials)
+    return dataclasses.replace(mesh, materials=materials)
+
+
+def with_suffixes(mesh: MeshContents, suffixes: Collection[str]) -> tuple[MeshContents, list[str]]:
     """Return a mesh whose images have one of some suffixes, and notices; the others are written as PNG."""
     from beltrami_cli.formats.image import losses, read_image, write_image
 
-    images, notices, changed = list(mesh.images), list[str](), 0
-    for number, image in enumerate(images):
+    new_of, notices = dict[MeshImage, MeshImage](), list[str]()
+    for image in mesh.images:
         if suffixes and image.file.suffix not in suffixes:
             picture = read_image(image.file.data, image.name)
             file = write_image(picture, picture.pixels, suffix=_FIT)
-            images[number] = dataclasses.replace(image, file=file)
+            new_of[image] = dataclasses.replace(image, file=file)
             notices += losses(picture, _FIT)
-            changed += 1
-    if changed:
+    if new_of:
         held = ", ".join(suffix[1:] for suffix in suffixes)
-        notices.append(f"Textures written as PNG, since the format holds {held} only: {changed}.")
-    return dataclasses.replace(mesh, images=tuple(images)), notices
+        notices.append(f"Textures written as PNG, since the format holds {held} only: {len(new_of)}.")
+
+    def change(maps: MaterialMaps) -> MaterialMaps:
+        return {
+            slot: dataclasses.replace(each, image=new_of.get(each.image, each.image))
+            for slot, each in maps.items()
+        }
+
+    return _with_maps(mesh, change), notices
 
 
-def _without_unused(mesh: TexturedMesh) -> TexturedMesh:
-    used = sorted({shown.image for material in mesh.materials for shown in material.maps.values()})
-    materials = []
-    for each in mesh.materials:
-        maps = {slot: MaterialMap(used.index(shown.image), shown.wrap) for slot, shown in each.maps.items()}
-        materials.append(dataclasses.replace(each, maps=maps))
-    images = tuple(mesh.images[old] for old in used)
-    return dataclasses.replace(mesh, materials=tuple(materials), images=images)
-
-
-def alpha_mode(data: bytes, name: str) -> AlphaMode:
+def _alpha_mode(data: bytes, name: str) -> AlphaMode:
     """Return how an image is seen through, in formats whose materials do not say it."""
     from beltrami_cli.formats.image.reading import measure_image, read_image
 

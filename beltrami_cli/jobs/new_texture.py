@@ -14,7 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture, to_float, without_alpha, write_image
 from beltrami_cli.formats.image.picture import new_picture
-from beltrami_cli.formats.registry import write_contents, write_textured
+from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job, Progress
 from beltrami_cli.layers.memory_check import require_memory_for_textures
@@ -38,7 +38,6 @@ from beltrami_cli.surface.records import (
     MeshContents,
     MeshImage,
     Texture,
-    TexturedMesh,
     TexturedSurface,
     linear_to_srgb,
 )
@@ -56,7 +55,7 @@ class NewTexture:
 
     positions: Float64s
     faces: Int32s
-    uv: Float64s  # as in `TexturedMesh`
+    uv: Float64s  # (F, 3, 2), as in `TexturedSurface`
     space_of: Int32s | None  # as in `PaintedVertices`
     pixels: Array  # uint8 or uint16, (H, W, 3) or (H, W, 4): the texture, sRGB
     charts: int | None  # how many, if it was unwrapped
@@ -79,14 +78,21 @@ class NewTexture:
         texture_of = np.zeros(len(self.faces), np.int32)
         return TexturedSurface(self.positions, self.faces, self.uv, texture_of, (texture,), self.space_of)
 
-    def mesh(self, image: ImageFile) -> TexturedMesh:
+    def mesh(self, image: ImageFile) -> MeshContents:
         """Return the mesh with the texture as a file, for the writers."""
         alpha = self.pixels[..., 3:]
         transparent = bool(alpha.size and (alpha < alpha.max()).any())
-        shown = MaterialMap(0, ("clamp", "clamp"))
+        shown = MaterialMap(MeshImage(image), ("clamp", "clamp"))
         material = Material(maps={"baseColor": shown}, alpha="blend" if transparent else "opaque")
-        images = (MeshImage(image),)
-        return TexturedMesh(self.positions, self.faces, self.uv, (material,), images, frame=self.frame)
+        return MeshContents(
+            positions=self.positions,
+            corners=self.faces.ravel(),
+            offsets=3 * np.arange(len(self.faces) + 1),
+            colours=np.empty((len(self.positions), 0), np.float32),
+            frame=self.frame,
+            uv=self.uv.reshape(-1, 2),
+            materials=(material,),
+        )
 
 
 def texture_from_vertices(
@@ -286,7 +292,7 @@ def bake_file(
             made = texture_from_vertices(document, settings, job.progress)
             counts = {"triangle": len(made.faces), **({} if made.charts is None else {"chart": made.charts})}
             written, notices, texture = (
-                write_textured(made.mesh(made.encoded()), kind, stem),
+                write_mesh(made.mesh(made.encoded()), kind, stem),
                 made.notices,
                 made.in_words,
             )
@@ -294,7 +300,7 @@ def bake_file(
             require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, file.job.access)
             contents, notices = _colours_from_textures(document)
             counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
-            written, texture = write_contents(contents, kind, stem), ""
+            written, texture = write_mesh(contents, kind, stem), ""
     return BakeReport(**vars(file.write(written, notices)), counts=counts, texture=texture)
 
 

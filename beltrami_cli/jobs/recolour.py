@@ -170,18 +170,17 @@ def _files(
                 f"give the output the extension .{document.format}"
             )
         mesh = with_images(document.textured_mesh(colours), images)
-        mesh, notices = with_suffixes(mesh, registry.held_images(kind.name) or ())
-        stem = naming.free_stem(partial(registry.textured_sidecars, mesh, kind.name))
-        written = registry.write_textured(mesh, kind.name, stem)
-        return replace(written, notices=(*notices, *written.notices))
-    contents = document.recoloured_contents(colours)
+    else:
+        mesh = document.recoloured_contents(colours)
     if moved is not None:
-        normals = contents.normals
+        normals = mesh.normals
         if normals is not None and moved.normals is not None:
             normals = np.where(np.isnan(moved.normals), normals, moved.normals)
-        contents = replace(contents, positions=moved.positions, normals=normals)
-    stem = naming.free_stem(partial(registry.sidecar_names, kind.name, image_suffix=None))
-    return registry.write_contents(contents, kind.name, stem)
+        mesh = replace(mesh, positions=moved.positions, normals=normals)
+    mesh, notices = with_suffixes(mesh, registry.held_images(kind.name) or ())
+    stem = naming.free_stem(partial(registry.sidecars_of, mesh, kind.name))
+    written = registry.write_mesh(mesh, kind.name, stem)
+    return replace(written, notices=(*notices, *written.notices))
 
 
 def _is_new(document: Document, slot: Slot, key: str, image: ImageFile) -> bool:
@@ -230,7 +229,7 @@ def _sidecar_names(
         return document.sidecar_names(images, naming, form=kind.name, **changes)
     if _has_textures(document, kind):
         mesh = with_images(document.textured_mesh(), images)
-        names = partial(registry.textured_sidecars, mesh, kind.name)
+        names = partial(registry.sidecars_of, mesh, kind.name)
     elif images or (document.slots() and not document.has_vertex_colours()):
         remedy = "end the name of the output in .glb, .gltf, .obj or .ply"
         raise UsageError(f"a .{kind.name} file has no textures; {remedy}")

@@ -19,7 +19,7 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.formats.registry import write_textured
+from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
 from beltrami_cli.jobs.recolour import Painter, paint, recolour
@@ -295,7 +295,7 @@ def _smooth_unwrapped(
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
     notices += [notice for each in smoothed for notice in each.repainted.notices]
     with file.watch.stage("write"):
-        written = write_textured(made.mesh(image), file.format.name, stem)
+        written = write_mesh(made.mesh(image), file.format.name, stem)
     report = file.write(written, notices, [warning for each in smoothed for warning in each.warnings])
     return dataclasses.replace(smooth_report(report, smoothed, settings), new_texture=made.in_words)
 

@@ -270,10 +270,19 @@ def triangulate_corners(positions: Float64s, corners: Int32s, offsets: Int64s) -
     return cut, np.searchsorted(offsets, cut[:, 0], side="right") - 1
 
 
+def polygons_of(offsets: Int64s) -> Int64s:
+    """Return the polygon of every corner."""
+    return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+
+
+def polygons_with(marked: Bools, offsets: Int64s) -> Bools:
+    """Return which polygons have any of the corners that are marked."""
+    return np.bincount(polygons_of(offsets)[marked], minlength=len(offsets) - 1) > 0
+
+
 def dual(positions: Float64s, corners: Int32s, offsets: Int64s) -> tuple[Float64s, Int32s]:
     """Return the centroids of P polygons, shape (P, 3), and triangles that join those around each vertex."""
-    sizes = np.diff(offsets)
-    polygon = np.repeat(np.arange(len(sizes)), sizes)
+    sizes, polygon = np.diff(offsets), polygons_of(offsets)
     sums = [np.bincount(polygon, column, len(sizes)) for column in positions[corners].T]
     centroids = np.column_stack(sums) / np.maximum(sizes, 1)[:, None]
     place = group_equal_rows(*positions.T)[0][corners].astype(np.int64)

@@ -7,7 +7,7 @@ the limits of colours, and values drawn as colours.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -67,24 +67,6 @@ class Frame:
 
     up: str = "Y"  # or "Z"
     unit: float = 1.0  # metres
-
-
-@dataclass(frozen=True)
-class MeshContents:
-    """A whole coloured mesh, as far as it can be written in another format."""
-
-    positions: Float64s  # (V, 3): vertex positions
-    corners: Int32s  # (K,): the corners of all polygons one after the other, as vertex indices in [0, V)
-    offsets: Int64s  # (P + 1,): polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``
-    colours: Float32s  # (V, C): colour channels, full scale 1; C is 1 or 3
-    encoding: Encoding  # what the numbers in `colours` mean
-    stored: str  # type of the colours in the source, as in `PaintedVertices`
-    alpha: Float32s | None = None  # (V,): opacity in [0, 1]
-    normals: Float32s | None = None  # (V, 3): vertex normals, where the source has them per vertex
-    # What the source holds and this record does not ("materials", "animations", ...), for the
-    # notice of what the conversion drops.
-    left_out: tuple[str, ...] = ()
-    frame: Frame = Frame()
 
 
 Wrap = Literal["repeat", "mirror", "clamp"]
@@ -156,10 +138,20 @@ AlphaMode = Literal["opaque", "mask", "blend"]
 
 
 @dataclass(frozen=True)
+class MeshImage:
+    """An image of a mesh with textures."""
+
+    file: ImageFile
+    name: str = ""  # of the file in the source; empty: named after the model
+    key: str = ""  # as in `Texture`
+    tiles: tuple[tuple[tuple[int, int], MeshImage], ...] = ()  # if it stands for a set of tiles, their images
+
+
+@dataclass(frozen=True)
 class MaterialMap:
     """The image that a material has in a slot."""
 
-    image: int  # index into `TexturedMesh.images`
+    image: MeshImage
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
 
@@ -178,53 +170,62 @@ class Material:
 
 
 @dataclass(frozen=True)
-class MeshImage:
-    """An image of a mesh with textures."""
-
-    file: ImageFile
-    name: str = ""  # of the file in the source; empty: named after the model
-    key: str = ""  # as in `Texture`
-
-
-@dataclass(frozen=True)
-class VertexColours:
-    """Colours of all vertices of a mesh that has textures as well; the fields are as in `MeshContents`."""
-
-    colours: Float32s
-    encoding: Encoding
-    stored: str
-    alpha: Float32s | None = None
-
-
-@dataclass(frozen=True)
-class TexturedMesh:
-    """A whole mesh with materials and their images, for writing it as a new file."""
+class MeshContents:
+    """A whole mesh or cloud of points, as far as it can be written in another format."""
 
     positions: Float64s  # (V, 3): vertex positions
-    faces: Int32s  # (F, 3): triangles, at least one
-    # Shape (F, 3, 2): texture coordinates of every corner: u to the right, v down, as in
-    # `TexturedSurface`. NaN where a triangle has none.
-    uv: Float64s
-    materials: tuple[Material, ...]
-    images: tuple[MeshImage, ...]
-    source: str = ""  # stem of the file that it comes from; in names that of the output stands in its place
-    material_of: Int32s | None = None  # (F,): index into `materials`; None: all have the first
-    groups: tuple[str, ...] = ("",)  # names of the objects that it consists of; empty: the model's name
-    group_of: Int32s | None = None  # (F,): index into `groups`; None: all are in the first
-    normals: Float32s | None = None  # (F, 3, 3): of every corner; NaN where there is none
-    colours: VertexColours | None = None
-    left_out: tuple[str, ...] = ()  # as in `MeshContents`
+    corners: Int32s  # (K,): the corners of all polygons one after the other, as vertex indices in [0, V)
+    offsets: Int64s  # (P + 1,): polygon p has the corners ``corners[offsets[p]:offsets[p + 1]]``
+    colours: Float32s  # (V, C): colour channels, full scale 1; C is 1 or 3, or 0 without colours
+    encoding: Encoding = "srgb"  # what the numbers in `colours` mean
+    stored: str = "float32"  # type of the colours in the source, as in `PaintedVertices`
+    alpha: Float32s | None = None  # (V,): opacity in [0, 1]
+    normals: Float32s | None = None  # (V, 3): vertex normals, where the source has them per vertex
+    # What the source holds and this record does not ("materials", "animations", ...), for the
+    # notice of what the conversion drops.
+    left_out: tuple[str, ...] = ()
     frame: Frame = Frame()
+    # Of a mesh with textures, shape (K, 2): texture coordinates of every corner: u to the right, v down, as in
+    # `TexturedSurface`. NaN where a polygon has none.
+    uv: Float64s | None = None
+    materials: tuple[Material, ...] = ()
+    material_of: Int32s | None = None  # (P,): index into `materials`; None: all have the first
+    groups: tuple[str, ...] = ("",)  # names of the objects that it consists of; empty: the model's name
+    group_of: Int32s | None = None  # (P,): index into `groups`; None: all are in the first
+    corner_normals: Float32s | None = None  # (K, 3): of every corner, in place of `normals`; NaN: none
+    source: str = ""  # stem of the file that it comes from; in names that of the output stands in its place
+
+    @property
+    def sizes(self) -> Int64s:
+        """How many corners each polygon has, shape (P,)."""
+        return np.diff(self.offsets)
 
     @property
     def material_numbers(self) -> Int32s:
-        """Index into `materials` of every triangle, shape (F,)."""
-        return np.zeros(len(self.faces), np.int32) if self.material_of is None else self.material_of
+        """Index into `materials` of every polygon, shape (P,)."""
+        return np.zeros(len(self.sizes), np.int32) if self.material_of is None else self.material_of
 
     @property
     def group_numbers(self) -> Int32s:
-        """Index into `groups` of every triangle, shape (F,)."""
-        return np.zeros(len(self.faces), np.int32) if self.group_of is None else self.group_of
+        """Index into `groups` of every polygon, shape (P,)."""
+        return np.zeros(len(self.sizes), np.int32) if self.group_of is None else self.group_of
+
+    @property
+    def images(self) -> tuple[MeshImage, ...]:
+        """The images that its materials show, each once."""
+        return tuple(dict.fromkeys(shown.image for each in self.materials for shown in each.maps.values()))
+
+    def polygons(self, chosen: Int64s) -> MeshContents:
+        """Return some of the polygons, with all vertices."""
+        sizes = self.sizes[chosen]
+        offsets = np.concatenate([[0], np.cumsum(sizes)])
+        kept = np.repeat(self.offsets[:-1][chosen] - offsets[:-1], sizes) + np.arange(offsets[-1])
+        of_corners = ("corners", "uv", "corner_normals")
+        rows = dict.fromkeys(of_corners, kept) | {"material_of": chosen, "group_of": chosen}
+        picked = {
+            name: getattr(self, name)[row] for name, row in rows.items() if getattr(self, name) is not None
+        }
+        return replace(self, offsets=offsets, **picked)
 
 
 @dataclass(frozen=True)

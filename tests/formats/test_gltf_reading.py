@@ -359,8 +359,8 @@ def test_primitives_over_the_same_positions_bring_their_vertices_alone(tmp_path)
     halves = [primitive | {"indices": model.indices(half.astype("<u2"))} for half in CORNERS]
     model.tree["meshes"][mesh]["primitives"] = halves
     converted = open_document(str(model.written_to(tmp_path))).textured_mesh()
-    np.testing.assert_array_equal(converted.positions[converted.faces], SQUARE[CORNERS])
-    np.testing.assert_array_equal(converted.uv, UV[CORNERS])
+    np.testing.assert_array_equal(converted.positions[converted.corners], SQUARE[CORNERS.ravel()])
+    np.testing.assert_array_equal(converted.uv, UV[CORNERS.ravel()])
     assert len(converted.positions) == CORNERS.size
 
 

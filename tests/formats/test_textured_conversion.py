@@ -6,6 +6,7 @@ import trimesh
 
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.formats.textured_mesh import triangulated
 from beltrami_cli.jobs.smooth import smooth_file
 from cli.commands import SAMPLES
 from formats.gltf_comparison import issues, needs_validator
@@ -69,18 +70,19 @@ def converted(source, target):
 
 def corners(mesh, *, materials=True, groups=True, normals=True):
     """All triangles as rows of what they are like, in an order that does not depend on the file's."""
-    rows = [mesh.positions[mesh.faces].reshape(-1, 9), np.nan_to_num(mesh.uv.reshape(-1, 6), nan=9)]
+    mesh = triangulated(mesh)
+    rows = [mesh.positions[mesh.corners].reshape(-1, 9), np.nan_to_num(mesh.uv.reshape(-1, 6), nan=9)]
     if normals:
-        rows.append(np.nan_to_num(mesh.normals.reshape(-1, 9), nan=9))
-    if mesh.colours is not None and normals:
-        rows.append(mesh.colours.colours[mesh.faces].reshape(-1, 9).round(4))
+        rows.append(np.nan_to_num(mesh.corner_normals.reshape(-1, 9), nan=9))
+    if mesh.colours.size and normals:
+        rows.append(mesh.colours[mesh.corners].reshape(-1, 9).round(4))
     columns = np.column_stack(rows).astype(np.float32).round(5) + 0.0
     names = [
         (
             mesh.groups[mesh.group_of[face]] if groups else "",
             mesh.materials[mesh.material_of[face]].name.removesuffix("-3") if materials else "",
         )
-        for face in range(len(mesh.faces))
+        for face in range(len(mesh.sizes))
     ]
     return sorted(zip(names, map(tuple, columns.tolist()), strict=True))
 
@@ -88,7 +90,7 @@ def corners(mesh, *, materials=True, groups=True, normals=True):
 def shown(mesh):
     """The images that each material has in each slot, with how they are repeated."""
     return {
-        (material.name, slot): (mesh.images[each.image].file.data, each.wrap)
+        (material.name, slot): (each.image.file.data, each.wrap)
         for material in mesh.materials
         for slot, each in material.maps.items()
     }
@@ -111,11 +113,12 @@ def test_coordinates_normals_names_groups_maps_and_colours_come_through(way, mod
     assert set(skin.maps) == {"baseColor", "emissive", "normal", "metallicRoughness"}
     np.testing.assert_allclose(glass.colour, (0.25, 0.5, 1), atol=1e-5)
     assert glass.opacity == 0.5
-    old, new = (mesh.normals[~np.isnan(mesh.normals).any(axis=(1, 2))] for mesh in (before, after))
+    faces = (triangulated(mesh).corner_normals.reshape(-1, 3, 3) for mesh in (before, after))
+    old, new = (normals[~np.isnan(normals).any(axis=(1, 2))] for normals in faces)
     assert {*map(tuple, new.reshape(-1, 9).tolist())} <= {*map(tuple, old.reshape(-1, 9).tolist())}
     assert len(new) == len(old) == 4
-    if after.colours.encoding == "srgb":
-        tips = after.colours.colours[(after.positions == [0.5, 0.5, 1]).all(axis=1)]
+    if after.encoding == "srgb":
+        tips = after.colours[(after.positions == [0.5, 0.5, 1]).all(axis=1)]
         np.testing.assert_allclose(tips.max(axis=0), (0.2, 0.4, 0.6), atol=2e-3)
         return
     tree = opened(source)[0]
@@ -146,7 +149,7 @@ def test_what_is_lost_is_said_in_one_line(model, tmp_path):
     lines = [line for line in said if line.startswith("Not converted")]
     assert len(lines) == 1
     maps = (f"{slot} maps" for slot in ("emissive", "normal", "metallicRoughness"))
-    assert all(what in lines[0] for what in ("quads", *maps, "names of materials", "groups"))
+    assert all(what in lines[0] for what in (*maps, "names of materials", "groups"))
     (_, said) = converted(model, tmp_path / "out.glb")
     assert any("quads" in line for line in said)
     assert any("_COLOR_0" in line for line in said)
@@ -154,6 +157,23 @@ def test_what_is_lost_is_said_in_one_line(model, tmp_path):
     (model.parent / "skin.png").unlink()
     (_, said) = converted(model, tmp_path / "other.glb")
     assert any("baseColor map 'skin.png', which cannot be read" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    "way", [("out.ply",), ("out.ply", "out.obj"), ("out.usda",), ("out.usda", "out.obj")]
+)
+def test_quads_stay_quads_with_all_of_their_corners(way, model, tmp_path):
+    if any(name.endswith("usda") for name in way):
+        pytest.importorskip("pxr")
+    before, source = open_document(str(model)).textured_mesh(), model
+    for number, name in enumerate(way):
+        after, said = converted(source, tmp_path / f"step {number}" / name)
+        source = tmp_path / f"step {number}" / name
+        assert not any("quads" in line for line in said)
+    assert sorted(after.sizes.tolist()) == sorted(before.sizes.tolist()) == [3, 3, 3, 4]
+    alone = {"materials": False, "groups": False, "normals": False}
+    known = [row for row in corners(before, **alone) if 9 not in row[1][9:]]
+    assert [row for row in corners(after, **alone) if row in known] == known
 
 
 @needs_validator
@@ -187,7 +207,7 @@ def test_images_that_gltf_cannot_hold_become_png_with_the_same_pixels(tmp_path):
     mtl = MTL.replace("skin.png", "skin.tga")
     folder = write(tmp_path / "in", {**FILES, "m.mtl": mtl, "skin.tga": encode(pixels, "targa")})
     mesh, said = converted(folder / "model.obj", tmp_path / "out.glb")
-    image = mesh.images[next(m for m in mesh.materials if m.maps).maps["baseColor"].image]
+    image = next(m for m in mesh.materials if m.maps).maps["baseColor"].image
     assert image.file.suffix == ".png"
     assert np.array_equal(read_image(image.file.data, "x.png").pixels, pixels)
     assert any("written as PNG" in line for line in said)
@@ -227,7 +247,7 @@ def test_ply_with_several_images_keeps_which_face_shows_which(tmp_path):
         after, said = converted(folder / "x.ply", tmp_path / name)
         assert corners(after, **alone) == corners(before, **alone)
         used = (after.materials[index].maps for index in after.material_of)
-        images = {after.images[maps["baseColor"].image].file.data for maps in used if maps}
+        images = {maps["baseColor"].image.file.data for maps in used if maps}
         assert images == {IMAGES["skin"], IMAGES["glow"]}
         assert not any("comments" in line for line in said)
 
@@ -245,7 +265,7 @@ def test_every_place_where_a_gltf_mesh_is_shown_is_in_the_obj(tmp_path):
     mesh, _ = converted(source, tmp_path / "out.obj")
     assert mesh.groups[-2:] == ("first", "second")
     assert sorted({z for _, _, z in mesh.positions.tolist()}) == [0, 5]
-    assert len(mesh.faces) == 2
+    assert mesh.sizes.tolist() == [3, 3]
 
 
 def test_names_that_are_no_utf_8_and_coordinates_beyond_single_precision_are_no_obstacle(tmp_path):

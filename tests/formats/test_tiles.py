@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from beltrami_cli.errors import InputError
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.formats.image import read_image
-from beltrami_cli.formats.model_folder import found_tiles, tile_name, tile_of
+from beltrami_cli.formats.model_folder import found_tiles, tile_name
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files, inspect_file
 from beltrami_cli.jobs.job import Job
@@ -39,7 +39,8 @@ def assembled(folder, pattern):
 # The last tile of row 899 would be number 10000, and numbers have four digits.
 @given(st.sampled_from(PATTERNS), st.integers(0, 9), st.integers(0, 898))
 def test_a_name_made_for_a_tile_is_read_as_that_tile(pattern, u, v):
-    assert tile_of(pattern, tile_name(pattern, (u, v))) == (u, v)
+    name = tile_name(pattern, (u, v))
+    assert found_tiles(pattern, [name]) == {(u, v): name}
 
 
 def test_numbers_are_those_of_mari_mudbox_and_zbrush():

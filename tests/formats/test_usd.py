@@ -324,6 +324,21 @@ def test_a_map_that_lies_otherwise_than_the_base_colour_is_not_converted(tmp_pat
     assert "emissive maps that are placed otherwise than the base colour" in mesh.left_out
 
 
+@pytest.mark.parametrize("on", ["vertex", "faceVarying"])
+def test_colours_and_opacity_beside_textures_are_converted_or_said_to_be_lost(on, tmp_path):
+    rows_of = np.arange(64) if on == "vertex" else QUADS.ravel()
+    opacity = (rows_of / 64).round(3)
+    lines = f'float[] primvars:displayOpacity = {rows(opacity)} ( interpolation = "{on}" )\n'
+    text = scene(mesh_text(BOUND + coloured(COLOURS[rows_of], on=on) + lines), material_text("a.png"))
+    write(tmp_path, {"a.usda": text, "a.png": PICTURE})
+    mesh = open_document(str(tmp_path / "a.usda")).textured_mesh()
+    if on == "vertex":
+        np.testing.assert_array_equal(mesh.colours, COLOURS)
+        np.testing.assert_allclose(mesh.alpha, opacity, atol=1e-6)
+    else:
+        assert "vertex colours, which are not one for each vertex" in mesh.left_out
+
+
 def test_an_image_that_is_shown_twice_is_named_once_in_the_root(tmp_path):
     base = scene(mesh_text(BOUND), glowing("diffuse"))
     root = "#usda 1.0\n( subLayers = [@./base.usda@] )\n"

@@ -22,7 +22,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.model_folder import ModelFolder
-from beltrami_cli.formats.registry import held_images, open_bytes, textured_sidecars, write_textured
+from beltrami_cli.formats.registry import held_images, open_bytes, sidecars_of, write_mesh
 from beltrami_cli.formats.usd.layers import Package
 from beltrami_cli.formats.volume import is_volume, read_volume
 from beltrami_cli.layers.settings import DEFAULTS
@@ -85,11 +85,11 @@ def _convert(document):
     if document.slots():
         mesh = document.textured_mesh()
         for form in ("glb", "obj", "ply"):
-            held, names = held_images(form), textured_sidecars(mesh, form, "out")
+            held, names = held_images(form), sidecars_of(mesh, form, "out")
             assert held is not None
             assert len({*names}) == len(names)
             if not held or all(image.file.suffix in held for image in mesh.images):
-                assert {*write_textured(mesh, form, "out").sidecars} == {*names}
+                assert {*write_mesh(mesh, form, "out").sidecars} == {*names}
 
 
 def _compare(before, written, folder):

@@ -226,6 +226,6 @@ def test_the_command_lists_and_exits_as_it_says(tmp_path):
     assert data["differences"][0]["of_colour"]
     after.write_bytes(after.read_bytes() + b"more")
     run = check(after, code=1)
-    assert "OTHER  what follows the last element" in run.stdout
+    assert "OTHER  elements vertex, face: differs from its byte" in run.stdout
     assert run.stdout.endswith("\n1 thing besides colours differs\n")
     assert check(after, "-q", code=1).stdout == ""

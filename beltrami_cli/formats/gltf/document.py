@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,6 @@ from beltrami_cli.surface.records import (
     PaintedVertices,
     Slot,
     Texture,
-    TexturedMesh,
     TexturedSurface,
 )
 
@@ -135,7 +134,7 @@ class GltfDocument(Document):
             left_out=tuple(_left_out(self.container.tree)),
         )
 
-    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
+    def textured_mesh(self, colours: Float32s | None = None) -> MeshContents:
         stored = "float32"
         by_primitive: dict[tuple[int, int], Float32s] = {}
         if self.has_vertex_colours():
@@ -145,8 +144,8 @@ class GltfDocument(Document):
             rows = values if alpha is None else np.column_stack([values, alpha])
             for block in self.surface.blocks:
                 by_primitive |= dict.fromkeys(block.users, rows[block.rows])
-        known, source = (self.root, self.accessors, self.images), PurePath(self.name).stem
-        mesh = read_textured_mesh(*known, by_primitive, stored, source)
+        known = self.root, self.accessors, self.images
+        mesh = read_textured_mesh(*known, by_primitive, stored)
         others = [what for what in _left_out(self.container.tree) if what in _NOT_TEXTURED]
         if any(node.get("children") for node in objects(self.container.tree.get("nodes"))):
             others.append("node hierarchy")

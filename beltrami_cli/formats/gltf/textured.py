@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from beltrami_cli.formats.gltf.painted import Placement, instances
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, Images, image_key
 from beltrami_cli.formats.gltf.writer import OWN_COLOURS
 from beltrami_cli.formats.model_folder import UnfitReferenceError
-from beltrami_cli.formats.textured_mesh import MeshImages, Scene, ShownMap, SlotImages
+from beltrami_cli.formats.textured_mesh import Scene, ShownMap, no_texture
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Slot
 
@@ -179,6 +180,10 @@ class _Parts:
         faces = placement.facing(primitive.triangles(position.count))
         return (position, faces) if len(faces) else None
 
+    def made_material(self, key: Hashable, name: str) -> records.Material:
+        del key
+        return records.Material(name)
+
     def rows_of(self, parts: Sequence[_Part]) -> Bools:
         """Return which positions the parts of one group use."""
         used = np.zeros(parts[0].position.count, bool)
@@ -209,13 +214,14 @@ class _Parts:
             corners=np.concatenate(corners).astype(np.int32),
             offsets=3 * np.arange(len(material_of) + 1),
             material_of=material_of,
-            materials=[each.name for each in self._materials.values()],
+            materials=[self.made_material(key, each.name) for key, each in self._materials.items()],
             maps=[each.maps for each in self._materials.values()],
             uv=self._uv,
             tiles={},
             read=lambda key: self._images.data(keys[key]),
             names={key: self._images.name(index) for key, index in keys.items()},
             is_v_up=False,
+            has_factors=True,
         )
 
     def _uv(self, slot: Slot | None) -> Float64s:
@@ -245,7 +251,7 @@ def gather_textured(
         for primitive in mesh:
             parts.take(primitive, placement)
     if not any(part.material.maps for part in parts):
-        raise SlotImages(slot).refusal(root.name, is_bare=parts.counts["bare"] > 0)
+        raise no_texture(slot, root.name, (), is_bare=parts.counts["bare"] > 0)
     surface, notices = parts.scene().surface(slot)
     # Triangles of different looks or spaces do not meet.
     spaces = [(members[0].placement.space, members[0].look) for members in parts.groups.values()]
@@ -301,8 +307,8 @@ class _SurfaceParts(_Parts):
 
 
 def read_textured_mesh(
-    root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str, source: str
-) -> records.TexturedMesh:
+    root: Entry, accessors: Accessors, images: Images, colours: PrimitiveColours, stored: str
+) -> records.MeshContents:
     """Return the triangles of the default scene, at every place where a node shows them, with their materials."""
     parts = _MeshParts(root, images)
     for index, placement, name in instances(root):
@@ -313,11 +319,8 @@ def read_textured_mesh(
     groups = {name: number for number, name in enumerate(dict.fromkeys(part.group for part in parts))}
     group_of = parts.of_triangles([groups[part.group] for part in parts])
     normals = np.concatenate([parts.normals(part) for part in parts])
-    scene = parts.scene()
-    mesh = scene.mesh(
-        parts.made_material, parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3), source
-    )
-    return dataclasses.replace(mesh, colours=parts.vertex_colours(stored))
+    mesh = parts.scene().mesh(parts.left_out, (tuple(groups), group_of), normals.reshape(-1, 3))
+    return dataclasses.replace(mesh, **parts.vertex_colours(stored))
 
 
 class _MeshParts(_Parts):
@@ -369,19 +372,14 @@ class _MeshParts(_Parts):
         normals = part.primitive.fitting("NORMAL", "VEC3", part.position.count)
         return part.placement.normals(normals)[part.faces]
 
-    def made_material(
-        self, number: int, maps: Mapping[Slot, records.MaterialMap], images: MeshImages
-    ) -> records.Material:
-        del images
-        index = [*self._materials][number]
-        if not isinstance(index, int):
+    def made_material(self, key: Hashable, name: str) -> records.Material:
+        if not isinstance(key, int):
             return records.Material(metalness=1.0)
-        entry = self._entries[index]
+        entry = self._entries[key]
         base = entry.entry("pbrMetallicRoughness")
         factor = base.numbers("baseColorFactor", 4) or [1.0] * 4
         return records.Material(
             name=entry.text("name") or "",
-            maps=maps,
             colour=display_colour(factor[:3]),
             emission=display_colour(entry.numbers("emissiveFactor", 3) or [0.0] * 3),
             opacity=min(max(factor[3], 0.0), 1.0),
@@ -390,10 +388,10 @@ class _MeshParts(_Parts):
             alpha=_ALPHA.get(entry.text("alphaMode") or "", "opaque"),
         )
 
-    def vertex_colours(self, stored: str) -> records.VertexColours | None:
+    def vertex_colours(self, stored: str) -> dict[str, Any]:
         """Return the colours of all vertices; white for parts without colours, as glTF has it."""
         if all(colours is None for colours in self._colours):
-            return None
+            return {}
         found = []
         for parts, colours in zip(self.groups.values(), self._colours, strict=True):
             rows = np.ones((np.count_nonzero(self.rows_of(parts)), 4), np.float32)
@@ -402,4 +400,4 @@ class _MeshParts(_Parts):
             found.append(rows)
         joined = np.concatenate(found)
         alpha = joined[:, 3] if (joined[:, 3] < 1).any() else None
-        return records.VertexColours(joined[:, :3], "linear", stored, alpha)
+        return {"colours": joined[:, :3], "encoding": "linear", "stored": stored, "alpha": alpha}

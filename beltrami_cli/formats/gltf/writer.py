@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 from urllib.parse import quote
@@ -21,16 +21,22 @@ from beltrami_cli.formats.gltf.container import BIN_CHUNK, JSON_CHUNK, Chunk, Tr
 from beltrami_cli.formats.gltf.edit import INDEX_DATA, VERTEX_DATA
 from beltrami_cli.formats.gltf.saving import MEDIA
 from beltrami_cli.formats.gltf.textures import SLOT_PATHS, WRAPS
-from beltrami_cli.formats.textured_mesh import image_names, plain_name, shown_materials
-from beltrami_cli.surface.geometry import triangulate, unit_vectors
+from beltrami_cli.formats.textured_mesh import (
+    bare_polygons,
+    image_names,
+    normals_of_corners,
+    plain_name,
+    shown_materials,
+    triangulated,
+)
+from beltrami_cli.surface.geometry import unit_vectors
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import (
     Frame,
     ImageFile,
     Material,
     MeshContents,
-    TexturedMesh,
-    VertexColours,
+    MeshImage,
     srgb_to_linear,
 )
 
@@ -49,11 +55,10 @@ Model = tuple[list[Tree], Tree, Mapping[str, ImageFile]]
 """Meshes, the members of the JSON that paint these, and images by the names of their files."""
 
 
-def _written(mesh: MeshContents | TexturedMesh, stem: str, *, is_binary: bool) -> Written:
+def _written(mesh: MeshContents, stem: str, *, is_binary: bool) -> Written:
     """Write a mesh as one binary file, or as JSON text with sidecar files for its numbers and its images."""
-    arrays, sidecars, shown = Arrays(), dict[str, bytes](), list[Tree]()
-    make: Callable[[Any, str, Arrays], Model] = _textured if isinstance(mesh, TexturedMesh) else _coloured
-    meshes, painting, images = make(mesh, stem, arrays)
+    arrays, sidecars, shown, mesh = Arrays(), dict[str, bytes](), list[Tree](), triangulated(mesh)
+    meshes, painting, images = (_coloured if mesh.uv is None else _textured)(mesh, stem, arrays)
     arrays.notices += not_converted(mesh, keeps_frame=True)
     for name, image in images.items():
         if is_binary:
@@ -140,13 +145,11 @@ def _coloured(contents: MeshContents, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with colours of vertices, which become linear, as glTF demands; `stem` is its name."""
     positions = _single_precision(contents.positions, stem, arrays.notices)
     colours = _stored_colours(contents, arrays.notices)
-    faces = triangulate(contents.positions, contents.corners, contents.offsets)
-    if np.any(np.diff(contents.offsets) > 3):
-        arrays.notices.append("Quads and polygons are cut into triangles.")
     attributes = {"POSITION": arrays.add(positions, bounds=True), "COLOR_0": arrays.add(colours)}
     if contents.normals is not None:
         attributes["NORMAL"] = arrays.add(_unit_normals(contents.normals))
-    drawing = {"indices": arrays.add_faces(faces, len(positions))} if len(faces) else {"mode": 0}
+    has_faces = len(contents.corners) > 0
+    drawing = {"indices": arrays.add_faces(contents.corners, len(positions))} if has_faces else {"mode": 0}
     # glTF's default material is bare metal, which shows colours black without a sky.
     bare = {"metallicFactor": 0, "roughnessFactor": 1}
     material: Tree = {"pbrMetallicRoughness": bare, "doubleSided": True}
@@ -169,7 +172,7 @@ def _single_precision(exact: Float64s, stem: str, notices: list[str]) -> Stored:
     return positions
 
 
-def _stored_colours(contents: MeshContents | VertexColours, notices: list[str]) -> Stored:
+def _stored_colours(contents: MeshContents, notices: list[str]) -> Stored:
     """Return COLOR_0 as stored, shape (V, 3), or (V, 4) with alpha."""
     colours = linear_colours(contents, notices, "glTF demands", "Grey values become three equal channels.")
     if np.any((colours < 0) | (colours > 1)):
@@ -195,11 +198,11 @@ _MODES = {"mask": "MASK", "blend": "BLEND"}
 _KEPT = f"Vertex colours of textured parts are kept as {OWN_COLOURS}: as COLOR_0 they would tint the texture."
 
 
-def _textured(mesh: TexturedMesh, stem: str, arrays: Arrays) -> Model:
+def _textured(mesh: MeshContents, stem: str, arrays: Arrays) -> Model:
     """Make a mesh with its textures; vertices are split where their corners differ."""
     mesh = _with_bare_materials(mesh)
     positions = _single_precision(mesh.positions, stem, arrays.notices)
-    colours = None if mesh.colours is None else _stored_colours(mesh.colours, arrays.notices)
+    colours = _stored_colours(mesh, arrays.notices) if mesh.colours.shape[1] else None
     meshes: list[Tree] = []
     for number in np.unique(mesh.group_numbers).tolist():
         faces = np.flatnonzero(mesh.group_numbers == number)
@@ -212,15 +215,15 @@ def _textured(mesh: TexturedMesh, stem: str, arrays: Arrays) -> Model:
         meshes.append({"primitives": primitives, "name": plain_name(mesh.groups[number]) or stem})
     painting: Tree = {"materials": [], "textures": [], "samplers": []}
     for each in mesh.materials:
-        painting["materials"].append(_material(each, painting, stem))
+        painting["materials"].append(_material(each, painting, mesh.images, stem))
     images = {name: image.file for name, image in zip(image_names(mesh, stem), mesh.images, strict=True)}
     arrays.notices[:] = dict.fromkeys(arrays.notices)
     return meshes, painting, images
 
 
-def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
+def _with_bare_materials(mesh: MeshContents) -> MeshContents:
     """Give triangles without texture coordinates copies of their materials that have no maps, as glTF demands."""
-    bare = np.isnan(mesh.uv).any(axis=(1, 2))
+    bare = bare_polygons(mesh)
     material_of = mesh.material_numbers
     materials, numbers = list(mesh.materials), material_of.copy()
     for index in np.unique(material_of[bare]).tolist():
@@ -232,13 +235,15 @@ def _with_bare_materials(mesh: TexturedMesh) -> TexturedMesh:
 
 
 def _primitive(
-    mesh: TexturedMesh, faces: Int64s, positions: Stored, colours: Stored | None, arrays: Arrays
+    mesh: MeshContents, faces: Int64s, positions: Stored, colours: Stored | None, arrays: Arrays
 ) -> Tree:
     """Return a primitive for triangles of one material; its numbers go into the arrays."""
-    corners = mesh.faces[faces].ravel()
-    tables: dict[str, Array] = {"TEXCOORD_0": mesh.uv[faces].reshape(-1, 2).astype("<f4")}
-    if mesh.normals is not None:
-        tables["NORMAL"] = mesh.normals[faces].reshape(-1, 3)
+    mesh = mesh.polygons(faces)
+    assert mesh.uv is not None
+    corners = mesh.corners
+    tables: dict[str, Array] = {"TEXCOORD_0": mesh.uv.astype("<f4")}
+    if (normals := normals_of_corners(mesh)) is not None:
+        tables["NORMAL"] = normals
         if 0 < np.count_nonzero(np.isfinite(tables["NORMAL"])) < tables["NORMAL"].size:
             arrays.notices.append("Not converted: normals of parts that have them at some corners only.")
     tables = {name: table for name, table in tables.items() if np.isfinite(table).all()}
@@ -247,7 +252,7 @@ def _primitive(
     for name, table in tables.items():
         attributes[name] = arrays.add(_unit_normals(table[first]) if name == "NORMAL" else table[first])
     if colours is not None:
-        is_textured = "baseColor" in mesh.materials[mesh.material_numbers[faces[0]]].maps
+        is_textured = "baseColor" in mesh.materials[mesh.material_numbers[0]].maps
         attributes[OWN_COLOURS if is_textured else "COLOR_0"] = arrays.add(colours[corners[first]])
         arrays.notices += [_KEPT] if is_textured else []
     return {"attributes": attributes, "indices": arrays.add_faces(vertex_of.reshape(-1, 3), len(first))}
@@ -259,7 +264,7 @@ def _index(entry: Tree, entries: list[Tree]) -> int:
     return entries.index(entry)
 
 
-def _material(material: Material, painting: Tree, stem: str) -> Tree:
+def _material(material: Material, painting: Tree, images: Sequence[MeshImage], stem: str) -> Tree:
     """Return a material, whose textures and samplers are added to the tree."""
     has_metal = "metallicRoughness" in material.maps
     base: Tree = {}
@@ -269,7 +274,7 @@ def _material(material: Material, painting: Tree, stem: str) -> Tree:
         *parents, last = SLOT_PATHS[slot][0]
         wraps = {"wrapS": WRAPS[shown.wrap[0]], "wrapT": WRAPS[shown.wrap[1]]}
         sampler = _index({"magFilter": _LINEAR, "minFilter": _MIPMAPS, **wraps}, painting["samplers"])
-        texture = _index({"sampler": sampler, "source": shown.image}, painting["textures"])
+        texture = _index({"sampler": sampler, "source": images.index(shown.image)}, painting["textures"])
         holder = tree
         for key in parents:
             holder = holder.setdefault(key, {})
@@ -296,5 +301,5 @@ def _plain(value: float) -> float | int:
     return int(clipped) if clipped in (0, 1) else clipped
 
 
-write_glb = write_textured_glb = partial(_written, is_binary=True)
-write_gltf = write_textured_gltf = partial(_written, is_binary=False)
+write_glb = partial(_written, is_binary=True)
+write_gltf = partial(_written, is_binary=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import codecs
 import dataclasses
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -21,6 +21,7 @@ from beltrami_cli.formats.document import (
     Naming,
     PlannedImages,
     Written,
+    labelled,
 )
 from beltrami_cli.formats.model_folder import ModelFolder
 from beltrami_cli.formats.obj.materials import Materials, repainted
@@ -33,12 +34,8 @@ from beltrami_cli.formats.obj.statements import (
     repainted_entries,
     scan_file,
 )
-from beltrami_cli.formats.obj.texturing import (
-    Coordinates,
-    gather_textured,
-    read_coordinates,
-    read_textured_mesh,
-)
+from beltrami_cli.formats.obj.texturing import Coordinates, convert, read_coordinates, read_scene
+from beltrami_cli.formats.textured_mesh import Scene
 from beltrami_cli.formats.tokens import (
     PLACEHOLDER,
     Spans,
@@ -49,14 +46,7 @@ from beltrami_cli.formats.tokens import (
     without_tokens,
     zeroed,
 )
-from beltrami_cli.surface.records import (
-    MeshContents,
-    Slot,
-    Texture,
-    TexturedMesh,
-    TexturedSurface,
-    VertexColours,
-)
+from beltrami_cli.surface.records import MeshContents, Slot
 
 _STALE = "The vertices moved, but the normals ('vn') are as they were; make them again, or leave them out."
 _BYTES_OF_POLYPAINT = 6  # behind two digits of the mask
@@ -88,11 +78,14 @@ class ObjDocument(Document):
     def slots(self) -> tuple[Slot, ...]:
         return self._materials.slots()
 
-    def _gathered(self, slot: Slot) -> TexturedSurface:
-        known = self._scan, self._coordinates, self._materials
-        surface, notices = gather_textured(*known, slot, self.name)
-        self.notices += notices
-        return surface
+    @cached_property
+    def _scene(self) -> Scene:
+        return read_scene(self._scan, self._coordinates, self._materials, self.name)
+
+    def _undefined(self) -> str:
+        defined = set[str]().union(*(library.materials for library in self._materials.libraries))
+        unknown = next((name for name in self._coordinates.names if name not in defined), None)
+        return "" if unknown is None else f"no library has its material '{unknown}'"
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
         colours, places = new.colours, new.places
@@ -143,26 +136,35 @@ class ObjDocument(Document):
     def contents(self) -> MeshContents:
         return dataclasses.replace(self._mesh, alpha=self._alpha(), left_out=self._scan.dropped)
 
-    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
-        statements, vertices = Statements(self.data, self.name), self._scan.vertices
-        source = Path(self.name).stem
-        mesh = read_textured_mesh(statements, self._scan, self._coordinates, self._materials, source)
-        if not vertices.coloured.size:
-            return mesh
-        if len(vertices.coloured) < len(vertices.positions):
-            lost = "vertex colours, which some vertices do not have"
-            return dataclasses.replace(mesh, left_out=(*mesh.left_out, lost))
-        values = self._colours if colours is None else colours
-        shown = VertexColours(values, "srgb", self._stored, self._alpha())
-        return dataclasses.replace(mesh, colours=shown)
+    def _textured_mesh(self) -> MeshContents:
+        return convert(self._scene, Statements(self.data, self.name), self._scan, self._materials)
 
     def _alpha(self) -> Float32s | None:
         alpha = self._scan.vertices.alpha
         return None if alpha is None else opacity(alpha, self._scale)
 
     def fingerprint(self) -> Fingerprint:
-        colours = self._colours if self.has_vertex_colours() else None
-        return _take_apart(self.data, self._scan, colours, self._materials)
+        data, libraries, vertices = self.data, self._materials.libraries, self._scan.vertices
+        mentions: Spans = {(a, b): PLACEHOLDER for library in libraries for _, a, b in library.mentions}
+        colours = {"vertex colours": self._colours} if self.has_vertex_colours() else {}
+        if self._scan.polypaint is not None:
+            data = zeroed(data, self._scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)
+        text = exchange_spans(data, mentions)
+        if colours and self._scan.polypaint is None:
+            tokens = vertices.token_starts, vertices.token_ends
+            starts, ends = (np.sort(shifted(places[:, 3:].ravel(), mentions)) for places in tokens)
+            text = without_tokens(text, starts, ends)
+        parts, paintings, folder = {"statements": text}, dict[str, str](), self._folder
+        for number, library in enumerate(libraries, 1):
+            there = [found for found, path in library.maps if path is not None]
+            names: Spans = {(found.start, found.end): PLACEHOLDER for found in there}
+            parts[f"material library {number}"] = exchange_spans(library.data, names)
+            for index, (found, path) in enumerate(library.maps, 1):
+                label = f"material {found.material!r}, {found.keyword} ({number}.{index})"
+                tiles = folder.tiles.get(path or "", {})
+                paintings |= {f"{label}, tile {tile}": file for tile, file in tiles.items()}
+                paintings |= {label: path} if path is not None and not tiles else {}
+        return Fingerprint(parts, colours, labelled(paintings, folder.content))
 
     def facts(self) -> dict[str, object]:
         return {
@@ -213,29 +215,3 @@ class ObjDocument(Document):
     @cached_property
     def _coordinates(self) -> Coordinates:
         return read_coordinates(Statements(self.data, self.name), self._materials)
-
-
-def _take_apart(data: bytes, scan: Scan, colours: Float32s | None, materials: Materials) -> Fingerprint:
-    if scan.polypaint is not None:
-        data = zeroed(data, scan.polypaint.starts + 2, _BYTES_OF_POLYPAINT)
-    mentions: Spans = {(a, b): PLACEHOLDER for library in materials.libraries for _, a, b in library.mentions}
-    text = exchange_spans(data, mentions)
-    if colours is not None and scan.polypaint is None:
-        tokens = scan.vertices.token_starts, scan.vertices.token_ends
-        starts, ends = (np.sort(shifted(places[:, 3:].ravel(), mentions)) for places in tokens)
-        text = without_tokens(text, starts, ends)
-    parts, paintings = {"statements": text}, {}
-    for number, library in enumerate(materials.libraries):
-        there = [found for found, path in library.maps if path is not None]
-        names: Spans = {(found.start, found.end): PLACEHOLDER for found in there}
-        parts[f"material library {number + 1}"] = exchange_spans(library.data, names)
-        for index, (found, path) in enumerate(library.maps):
-            label = f"material {found.material!r}, {found.keyword} ({number + 1}.{index + 1})"
-            tiles = materials.folder.tiles.get(path or "", {})
-            for tile, file in tiles.items():
-                name = file.rpartition("/")[2]
-                content = partial(materials.folder.content, file)
-                paintings[f"{label}, tile {tile}"] = Texture(file, name, content)
-            if path is not None and not tiles:
-                paintings[label] = Texture(path, found.name, partial(materials.folder.content, path))
-    return Fingerprint(parts, {} if colours is None else {"vertex colours": colours}, paintings)

@@ -20,11 +20,13 @@ from beltrami_cli.formats.model_folder import (
     ModelFolder,
     NewFiles,
     UnfitReferenceError,
+    common_suffix,
     is_outside,
+    new_files,
     new_reference,
     path_inside,
+    slots_by_path,
 )
-from beltrami_cli.formats.textured_mesh import common_suffix, new_files, slots_by_path
 from beltrami_cli.formats.tokens import Spans, exchange_spans
 from beltrami_cli.surface.records import Slot
 

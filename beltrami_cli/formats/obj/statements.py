@@ -23,7 +23,7 @@ from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.tokens import Lines, NewNumbers, most_decimals, without_comments
-from beltrami_cli.surface.geometry import unit_vectors
+from beltrami_cli.surface.geometry import polygons_of, polygons_with, unit_vectors
 from beltrami_cli.surface.large_arrays import blocks
 
 _INDICES = {
@@ -56,11 +56,6 @@ class Statements(Lines):
         sizes = self.stops[chosen] - firsts
         offsets = np.append(0, np.cumsum(sizes))
         return np.repeat(firsts - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
-
-    def finite_numbers(self, tokens: Int64s) -> Float64s:
-        values = self.numbers(tokens)
-        self.require_finite(tokens, values, np.arange(len(tokens)))
-        return values
 
     def require_finite(self, tokens: Int64s, values: Float64s, rows: Int64s) -> None:
         finite = np.isfinite(values[rows])
@@ -329,12 +324,9 @@ def among(corners: Int32s, offsets: Int64s, vertices: Int64s, count: int) -> tup
     """Keep the polygons that have all corners among some vertices, and number these from 0."""
     row = np.full(count, -1, np.int32)
     row[vertices] = np.arange(len(vertices))
-    sizes = np.diff(offsets)
     moved = row[corners]
-    polygon = np.repeat(np.arange(len(sizes)), sizes)
-    kept = np.bincount(polygon[moved < 0], minlength=len(sizes)) == 0
-    ends = np.concatenate([[0], np.cumsum(sizes[kept])])
-    return moved[kept[polygon]], ends
+    kept = ~polygons_with(moved < 0, offsets)
+    return moved[kept[polygons_of(offsets)]], np.concatenate([[0], np.cumsum(np.diff(offsets)[kept])])
 
 
 def read_normals(statements: Statements, corners: Int32s, count: int) -> Float64s:
@@ -360,4 +352,6 @@ def unit_normals(statements: Statements) -> Float64s:
     if wrong.any():
         head = statements.heads[chosen[int(np.argmax(wrong))]]
         raise statements.error(head, "has not three numbers behind it")
-    return unit_vectors(statements.finite_numbers(tokens).reshape(-1, 3))
+    values = statements.numbers(tokens)
+    statements.require_finite(tokens, values, np.arange(len(tokens)))
+    return unit_vectors(values.reshape(-1, 3))

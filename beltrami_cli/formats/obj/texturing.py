@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from beltrami_cli.arrays import Float64s, Int64s
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.obj.materials import ALONG, SLOTS, Map, Materials
 from beltrami_cli.formats.obj.statements import Scan, Statements, unit_normals
-from beltrami_cli.formats.textured_mesh import MeshImages, Scene, ShownMap, alpha_mode
+from beltrami_cli.formats.textured_mesh import Maps, Scene, ShownMap
 from beltrami_cli.surface import records
 from beltrami_cli.surface.records import Material
 
@@ -65,21 +65,10 @@ _AS_THEY_ARE: _Placed = ((1.0, 1.0), (0.0, 0.0))
 _Found = dict[records.Slot, tuple[Map, str | None]]
 
 
-def gather_textured(
-    scan: Scan, coordinates: Coordinates, materials: Materials, slot: records.Slot, name: str
-) -> tuple[records.TexturedSurface, list[str]]:
-    """Return all triangles, the images of one slot of their materials, and notices."""
-    found = [materials.paintings(material) for material in (*coordinates.names, "")]
-    defined = set[str]().union(*(library.materials for library in materials.libraries))
-    unknown = next((material for material in coordinates.names if material not in defined), None)
-    undefined = "" if unknown is None else f"no library has its material '{unknown}'"
-    return _scene(scan, coordinates, materials, found, name).surface(slot, undefined)
-
-
-def _scene(
-    scan: Scan, coordinates: Coordinates, materials: Materials, found: Sequence[_Found], name: str
-) -> Scene:
-    """Return the polygons of a file with the maps that were found for its materials, polygons without one last."""
+def read_scene(scan: Scan, coordinates: Coordinates, materials: Materials, name: str) -> Scene:
+    """Return the polygons of a file with their materials; polygons without one have the last."""
+    names, values = (*coordinates.names, ""), _read_values(materials)
+    found = [materials.paintings(material) for material in names]
     unnamed, known = len(coordinates.names), coordinates.material_of
     material_of = np.where(known < 0, unnamed, known)
 
@@ -100,19 +89,23 @@ def _scene(
         corners=scan.corners,
         offsets=scan.offsets,
         material_of=material_of,
-        materials=(*coordinates.names, ""),
-        maps=[
-            {
-                slot: ShownMap(shown.name, path, materials.reason(shown.name), _wrap(shown))
-                for slot, (shown, path) in maps.items()
-            }
-            for maps in found
-        ],
+        materials=[_material(name, values.get(name, {})) for name in names],
+        maps=[_shown(maps, materials) for maps in found],
         uv=uv,
         tiles=materials.folder.tiles,
         read=materials.folder.content,
         measured=scan.vertices.finite,
+        alpha_from_images=True,
     )
+
+
+def _shown(maps: _Found, materials: Materials) -> Maps:
+    wraps: dict[bool, tuple[records.Wrap, records.Wrap]]
+    wraps = {True: ("clamp", "clamp"), False: ("repeat", "repeat")}
+    return {
+        slot: ShownMap(each.name, path, materials.reason(each.name), wraps[each.clamped])
+        for slot, (each, path) in maps.items()
+    }
 
 
 _VALUE = re.compile(
@@ -120,25 +113,16 @@ _VALUE = re.compile(
 )
 
 
-def read_textured_mesh(
-    statements: Statements, scan: Scan, coordinates: Coordinates, materials: Materials, source: str
-) -> records.TexturedMesh:
-    """Return all triangles of a file, with their materials, groups, normals and texture coordinates."""
-    names, values = (*coordinates.names, ""), _read_values(materials)
+def convert(scene: Scene, statements: Statements, scan: Scan, materials: Materials) -> records.MeshContents:
+    """Return a scene with groups, normals and the maps that other formats can have."""
     groups, group_of, lost = _groups(statements)
     lost += ["lines and points"] if "lines and points" in scan.dropped else []
-    found = [_converted_maps(materials, name, lost) for name in names]
-
-    def material(
-        number: int, maps: Mapping[records.Slot, records.MaterialMap], images: MeshImages
-    ) -> Material:
-        image = images.images[maps["baseColor"].image] if "baseColor" in maps else None
-        alpha = "opaque" if image is None else alpha_mode(image.file.data, image.name)
-        return _material(names[number], values.get(names[number], {}), maps, alpha)
-
-    normals = _normals(statements) if "normals" in scan.dropped else None
-    scene = _scene(scan, coordinates, materials, found, statements.name)
-    return scene.mesh(material, lost, (groups, group_of), normals, source)
+    maps = [_shown(_converted_maps(materials, each.name, lost), materials) for each in scene.materials]
+    normals = None
+    if "normals" in scan.dropped:
+        rows, _, _ = statements.corners(b"vn")
+        normals = np.append(unit_normals(statements), [[np.nan] * 3], axis=0)[rows]
+    return dataclasses.replace(scene, maps=maps).mesh(lost, (groups, group_of), normals)
 
 
 def _converted_maps(materials: Materials, name: str, left_out: list[str]) -> _Found:
@@ -174,30 +158,19 @@ def _is_grey(materials: Materials, path: str) -> bool:
     return bool((colours == colours[..., :1]).all())
 
 
-def _wrap(shown: Map) -> tuple[records.Wrap, records.Wrap]:
-    return ("clamp", "clamp") if shown.clamped else ("repeat", "repeat")
-
-
-def _material(
-    name: str,
-    values: dict[str, list[float]],
-    maps: Mapping[records.Slot, records.MaterialMap],
-    alpha: records.AlphaMode,
-) -> records.Material:
-    """Return a material; with a map its colour counts as white, as in other programs."""
+def _material(name: str, values: dict[str, list[float]]) -> Material:
     dark = [0.0, 0.0, 0.0]
     transparency = values.get("tr", [0.0])[0]
     # Some exporters write "Tr 1" for opaque materials; fully transparent ones are not exported.
     opacity = min(max(values.get("d", [1 - transparency])[0], 0.0), 1.0) or 1.0
-    return records.Material(
+    return Material(
         name=name,
-        maps=maps,
-        colour=(1.0, 1.0, 1.0) if "baseColor" in maps else _colour(values.get("kd", [1.0, 1.0, 1.0])),
-        emission=(1.0, 1.0, 1.0) if "emissive" in maps else _colour(values.get("ke", dark)),
+        colour=_colour(values.get("kd", [1.0, 1.0, 1.0])),
+        emission=_colour(values.get("ke", dark)),
         opacity=opacity,
         metalness=values.get("pm", [0.0])[0],
         roughness=values.get("pr", [1.0])[0],
-        alpha="blend" if opacity < 1 else alpha,
+        alpha="blend" if opacity < 1 else "opaque",
     )
 
 
@@ -225,11 +198,6 @@ def _numbers(text: bytes) -> list[float]:
     except ValueError:  # a spectrum in a file, or another space of colours
         return []
     return values if np.isfinite(values).all() else []
-
-
-def _normals(statements: Statements) -> Float64s:
-    rows, _, _ = statements.corners(b"vn")
-    return np.append(unit_normals(statements), [[np.nan] * 3], axis=0)[rows]
 
 
 def _groups(statements: Statements) -> tuple[tuple[str, ...], Int64s, list[str]]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Sequence
-from functools import cached_property, partial
-from itertools import pairwise
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,6 +22,7 @@ from beltrami_cli.formats.document import (
     Naming,
     PlannedImages,
     Written,
+    labelled,
 )
 from beltrami_cli.formats.model_folder import LEFT_ALONE, ModelFolder, is_outside
 from beltrami_cli.formats.ply import elements, texturing
@@ -37,16 +37,8 @@ from beltrami_cli.formats.ply.tables import (
     with_channels,
 )
 from beltrami_cli.formats.textured_mesh import Scene
-from beltrami_cli.surface.geometry import dual
-from beltrami_cli.surface.records import (
-    MeshContents,
-    MovedVertices,
-    Slot,
-    Texture,
-    TexturedMesh,
-    TexturedSurface,
-    VertexColours,
-)
+from beltrami_cli.surface.geometry import dual, unit_vectors
+from beltrami_cli.surface.records import MeshContents, MovedVertices, Slot
 
 _MEANS = "Vertices get the mean of the colours of their faces."
 
@@ -105,17 +97,12 @@ class PlyDocument(Document):
         there = self._images and self._header.element("vertex") and texturing.find_coordinates(self._tables)
         return ("baseColor",) if there else ()
 
-    def _gathered(self, slot: Slot) -> TexturedSurface:
-        if slot != "baseColor":
-            return super()._gathered(slot)
+    def _undefined(self) -> str:
         lost = [f"'{each.name}' {each.reason}" for each in self._images if each.path is None]
-        undefined = [*lost, "no face shows one"][0].removesuffix(LEFT_ALONE)
-        surface, notices = self._textured_scene.surface(slot, undefined)
-        self.notices += notices
-        return surface
+        return [*lost, "no face shows one"][0].removesuffix(LEFT_ALONE)
 
     @cached_property
-    def _textured_scene(self) -> Scene:
+    def _scene(self) -> Scene:
         mesh = self._positions, *self._polygons
         scene, notices = texturing.read_scene(mesh, self._tables, self._images, self._folder, self.name)
         self.notices += notices
@@ -161,7 +148,9 @@ class PlyDocument(Document):
         return elements.attribute_names(self._kinds, self._paint.names if self.has_vertex_colours() else ())
 
     def _attribute(self, name: str) -> Float64s:
-        return elements.read_attribute(self._vertices, name)
+        names = elements.NORMAL if name == "normal" else (name,)
+        values = elements.finite_columns(self._vertices, names, name)
+        return unit_vectors(values) if name == "normal" else values
 
     def require_movable(self) -> None:
         if self._paints_faces:
@@ -202,18 +191,12 @@ class PlyDocument(Document):
             left_out=left_out,
         )
 
-    def textured_mesh(self, colours: Float32s | None = None) -> TexturedMesh:
-        shown = None
-        if self.has_vertex_colours() and not self._paints_faces:
-            values = self._colours.values if colours is None else colours
-            shown = VertexColours(values, "srgb", self._stored, self._alpha())
+    def _textured_mesh(self) -> MeshContents:
         used = self._converted | {*texturing.find_coordinates(self._tables)}
         dropped = _left_out(self._header, used, {texturing.NUMBER, *used})
         others = self._header.comments > len(self._images)
         left_out = [what for what in dropped if what != "comments" or others]
-        source = Path(self.name).stem
-        mesh = texturing.read_mesh(self._textured_scene, self._normals(), source, left_out)
-        return dataclasses.replace(mesh, colours=shown)
+        return dataclasses.replace(self._scene.mesh(left_out), normals=self._normals())
 
     @property
     def _converted(self) -> set[str]:
@@ -239,28 +222,15 @@ class PlyDocument(Document):
             places = [indices(self._coloured.places(name)) for name in self._paint.names]
             hidden, size = np.concatenate(places), np.dtype(self._paint.type).itemsize
             colours = {f"{self._paint.element} colours": self._colours.values}
-        starts = [table.start for table in self._tables.values()]
-        stop = [*self._tables.values()][-1].stop if self._tables else 0
+        body = f"elements {', '.join(self._tables)}"
         if self._header.order:
-            body = tokens.zeroed(self.data, hidden, size)
-            bounds, end = [*starts, stop], len(self.data)
+            parts[body] = tokens.zeroed(self.data, hidden, size)[start:]
         else:
             text, order = self.data[start:], np.sort(hidden)
-            starts_of, ends_of = tokens.find_tokens(text)
-            body = tokens.without_tokens(text, starts_of[order], ends_of[order])
-            shorter = np.zeros(len(starts_of) + 1, np.int64)
-            shorter[order + 1] = ends_of[order] - starts_of[order] - len(tokens.PLACEHOLDER)
-            edges = np.append(starts_of - np.cumsum(shorter)[:-1], len(body))
-            bounds, end = edges[np.minimum([*starts, stop], len(edges) - 1)].tolist(), len(body)
-        for name, (first, last) in zip(self._tables, pairwise(bounds), strict=True):
-            parts[f"element {name}"] = body[first:last]
-        parts["what follows the last element"] = body[bounds[-1] : end] if self._tables else self.data[start:]
-        paintings = {
-            f"texture {number}": Texture(image.path, image.name, partial(self._folder.content, image.path))
-            for number, image in enumerate(self._images)
-            if image.path is not None
-        }
-        return Fingerprint(parts, colours, paintings)
+            starts, ends = tokens.find_tokens(text)
+            parts[body] = tokens.without_tokens(text, starts[order], ends[order])
+        shown = {f"texture {n}": image.path for n, image in enumerate(self._images) if image.path is not None}
+        return Fingerprint(parts, colours, labelled(shown, self._folder.content))
 
     @cached_property
     def _tables(self) -> dict[str, Table]:

@@ -20,7 +20,7 @@ from beltrami_cli.arrays import Float32s, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.colours import full_scale, integer_scale, intensity_scale
 from beltrami_cli.formats.ply.tables import COLOUR_PROPERTIES, Header, Table, plain
-from beltrami_cli.surface.geometry import unit_vectors, unrolled
+from beltrami_cli.surface.geometry import unrolled
 from beltrami_cli.surface.records import require_finite
 
 POSITION = ("x", "y", "z")
@@ -157,13 +157,6 @@ def attribute_names(kinds: Mapping[str, str], colours: tuple[str, ...]) -> tuple
     others = tuple(name for name in kinds if name not in (*POSITION, *colours))
     real = all(kinds.get(name, "")[:1] == "f" for name in NORMAL)
     return (*(("normal",) if real else ()), *others)
-
-
-def read_attribute(vertices: Table, name: str) -> Float64s:
-    """Read an attribute of all vertices, shape (V, G); normals become unit vectors."""
-    if name != "normal":
-        return finite_columns(vertices, (name,), name)
-    return unit_vectors(finite_columns(vertices, NORMAL, name))
 
 
 _ELEMENT = "range_grid"

@@ -15,13 +15,13 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.arrays import Array, Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError
 from beltrami_cli.formats import model_folder
 from beltrami_cli.formats.document import Naming, NewImages, Written
 from beltrami_cli.formats.ply.elements import finite_columns
 from beltrami_cli.formats.ply.tables import Table
-from beltrami_cli.formats.textured_mesh import Maps, MeshImages, Scene, ShownMap, alpha_mode
+from beltrami_cli.formats.textured_mesh import Maps, Scene, ShownMap
 from beltrami_cli.formats.tokens import Spans
 from beltrami_cli.surface import records
 
@@ -106,17 +106,19 @@ def read_scene(
     images: list[Maps] = [
         {"baseColor": ShownMap(each.name, each.path)} if each.path else {} for each in comments
     ]
+    names = [*(PurePosixPath(each.path or "").stem for each in comments), "untextured"]
     scene = Scene(
         name=name,
         positions=positions,
         corners=corners,
         offsets=offsets,
         material_of=np.where(numbers < 0, len(comments), numbers),
-        materials=[*(PurePosixPath(each.path or "").stem for each in comments), "untextured"],
+        materials=[records.Material(name) for name in names],
         maps=[*images, {}],
         uv=lambda _: uv,
         tiles={},
         read=folder.content,
+        alpha_from_images=True,
     )
     return scene, notices
 
@@ -219,19 +221,3 @@ def renamed_images(
             new = model_folder.new_reference(comment.name, comment.path, new_of[comment.path])
             spans[comment.start, comment.end] = new
     return names.written(), spans
-
-
-def read_mesh(
-    scene: Scene, normals: Float32s | None, source: str, left_out: Sequence[str]
-) -> records.TexturedMesh:
-    """Return all polygons as triangles with materials; normals by vertex."""
-
-    def material(
-        number: int, maps: Mapping[records.Slot, records.MaterialMap], images: MeshImages
-    ) -> records.Material:
-        shown = [images.images[each.image] for each in maps.values()]
-        alpha = alpha_mode(shown[0].file.data, shown[0].name) if shown else "opaque"
-        return records.Material(scene.materials[number], maps, alpha=alpha)
-
-    of_corners = None if normals is None else normals[scene.corners]
-    return scene.mesh(material, left_out, normals=of_corners, source=source)

@@ -45,9 +45,11 @@ def read(order: dict[str, Any], _: Arrays) -> tuple[dict[str, Any], Arrays]:
         images |= files_of(prim)
         if prim.IsA(UsdGeom.Gprim):
             others.add(str(prim.GetTypeName()))
+    shown = enumerate(scene.uses)
+    uses = [{**use, "material": n, "slot": slot} for n, each in shown for slot, use in each.items()]
     words = {
-        "uses": scene.uses,
-        "images": images,
+        "uses": uses,
+        "images": {use["attribute"]: use["file"] for use in uses} | images,
         "materials": scene.materials,
         "blocks": scene.blocks,
         "meshes": scene.meshes,
@@ -162,14 +164,10 @@ def _without_colours(stage: Any, words: dict[str, Any]) -> str:
                 if own.owner.specifier == Sdf.SpecifierOver:
                     own.owner.RemoveProperty(own)
     bare.RemoveInertSceneDescription()  # overrides that hold nothing else
-    return _text_of(bare)
-
-
-def _text_of(layer: Any) -> str:
-    """Return a layer as text; damaged ones may hold strings that are not UTF-8, which `ExportToString` refuses."""
+    # Damaged layers may hold strings that are not UTF-8, which `ExportToString` refuses.
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "layer.usda")
-        layer.Export(str(file))
+        bare.Export(str(file))
         return file.read_text("utf-8", errors="backslashreplace")
 
 

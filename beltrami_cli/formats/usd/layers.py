@@ -153,7 +153,12 @@ class Layers:
     def _fetch(self, layer: str, path: str) -> None:
         """Read a layer that another names, or note that it is refused."""
         try:
-            file = self._located(layer, path)
+            wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
+            if not wanted.lower().endswith(LAYERS):
+                raise UnfitReferenceError("is no USD layer; only .usd, .usda and .usdc are read")
+            if wanted in self.contents:
+                raise UnfitReferenceError("names a layer in a way that is not understood")
+            file = self.locate(wanted)
             if self.package is None and file not in self.contents:
                 self.contents[file] = self.folder.read(file)
         except (UnfitReferenceError, OSError) as error:
@@ -164,14 +169,6 @@ class Layers:
         most, size = self.access.memory, sum(map(len, self.contents.values()))
         if len(self.contents) > _MOST_LAYERS or (most is not None and size > most):
             raise InputError(self.name, "it has more layers than fit into memory", "raise --max-memory")
-
-    def _located(self, layer: str, path: str) -> str:
-        wanted = posixpath.normpath(posixpath.join(posixpath.dirname(layer), path))
-        if not wanted.lower().endswith(LAYERS):
-            raise UnfitReferenceError("is no USD layer; only .usd, .usda and .usdc are read")
-        if wanted in self.contents:
-            raise UnfitReferenceError("names a layer in a way that is not understood")
-        return self.locate(wanted)
 
     def locate(self, path: str) -> str:
         """Return the path of a file, or of a set of tiles, that the scene names; UnfitReferenceError if it is none."""

@@ -75,7 +75,7 @@ class Scene:
     """The visible geometry, collected mesh by mesh; lists of arrays are joined in the end."""
 
     arrays: dict[str, list[Array]] = field(default_factory=dict)
-    uses: list[dict[str, Any]] = field(default_factory=list)  # textures of materials in slots
+    uses: list[dict[str, dict[str, Any]]] = field(default_factory=list)  # images of each material, by slot
     materials: list[dict[str, Any]] = field(default_factory=list)
     blocks: list[dict[str, Any]] = field(default_factory=list)  # of coloured rows
     meshes: list[str] = field(default_factory=list)
@@ -115,44 +115,51 @@ class Scene:
             raise ValueError(f"{name}: a polygon names a vertex that is none of the {len(points)}")
         matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time))
         turned = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(matrix[:3, :3]) < 0)
-        polygons = _Polygons.of(sizes, corners, mesh.GetHoleIndicesAttr().Get(time), turned)
+        polygons = _Polygons.of(sizes, corners, len(points), turned=bool(turned))
         with np.errstate(over="ignore", invalid="ignore"):
             self.add(positions=points @ matrix[:3, :3] + matrix[3, :3])
-        self.add(sizes=polygons.sizes, corners=polygons.vertex + self._vertices)
-        self.add(mesh_of=np.full(len(polygons.sizes), len(self.meshes)))
-        self._take_materials(prim, polygons, len(points))
-        self._take_colours(prim, polygons, len(points))
-        self.add(normals=_normals(mesh, polygons, len(points), matrix))
+        materials = self._materials_of(prim, len(sizes))
+        of_corners = self._coordinates(prim, polygons, materials) | {
+            "corners": polygons.vertex + self._vertices,
+            "rows": self._colour_rows(prim, polygons),
+            "normals": _normals(mesh, polygons, matrix),
+        }
+        holes = np.array(mesh.GetHoleIndicesAttr().Get(time) or [], np.int64)
+        is_kept = sizes >= 3
+        is_kept[holes[(holes >= 0) & (holes < len(sizes))]] = False
+        mesh_of = np.full(len(sizes), len(self.meshes))
+        self.add(sizes=sizes[is_kept], mesh_of=mesh_of[is_kept], material_of=materials[is_kept])
+        self.add(**{name: values[np.repeat(is_kept, sizes)] for name, values in of_corners.items()})
         self.meshes.append(prim.GetName())
         self._vertices += len(points)
 
-    def _take_materials(self, prim: Any, polygons: _Polygons, points: int) -> None:
-        """Take the materials bound to a mesh or its subsets, with the texture coordinates of every slot."""
+    def _materials_of(self, prim: Any, count: int) -> Int64s:
+        """Return the numbers of the materials that are bound to the polygons of a mesh, or to subsets of these."""
         binding = UsdShade.MaterialBindingAPI(prim)
-        parts = [(self._material(binding.ComputeBoundMaterial()[0]), np.arange(polygons.total))]
+        found = np.full(count, self._material(binding.ComputeBoundMaterial()[0]))
         for subset in binding.GetMaterialBindSubsets():
             bound = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()[0]
             chosen = np.array(subset.GetIndicesAttr().Get() or [], np.int64)
-            parts.append((self._material(bound), chosen[(chosen >= 0) & (chosen < polygons.total)]))
-        of_polygon = np.full(polygons.total, -1)
-        for number, chosen in parts:
-            of_polygon[chosen] = number
-        of_polygon = of_polygon[polygons.kept]
-        self.add(material_of=of_polygon)
+            found[chosen[(chosen >= 0) & (chosen < count)]] = self._material(bound)
+        return found
+
+    def _coordinates(self, prim: Any, polygons: _Polygons, materials: Int64s) -> dict[str, Array]:
+        """Return the texture coordinates of corners in every slot."""
+        found: dict[str, Array] = {}
         for slot in INPUTS:
-            uv = np.full((len(polygons.vertex), 2), np.nan)
-            for number in np.unique(of_polygon[of_polygon >= 0]).tolist():
-                use = self.materials[number]["uses"].get(slot)
+            uv = found[f"uv {slot}"] = np.full((len(polygons.vertex), 2), np.nan)
+            for number in np.unique(materials[materials >= 0]).tolist():
+                use = self.uses[number].get(slot)
                 if use is None:
                     continue
                 self.slots.add(slot)
-                own = _coordinates(prim, self.uses[use], polygons, points)
+                own = _coordinates(prim, use, polygons)
                 if own is None:
                     self.counts["bare"] += 1
                     continue
-                in_chosen = np.repeat(of_polygon == number, polygons.sizes)
+                in_chosen = np.repeat(materials == number, polygons.sizes)
                 uv[in_chosen] = own[in_chosen]
-            self.add(**{f"uv {slot}": uv})
+        return found
 
     def _material(self, material: Any) -> int:
         if not material:
@@ -162,27 +169,24 @@ class Scene:
             self._number_of[path] = len(self.materials)
             known, uses = read_material(material)
             self.counts["unread"] += int(known.pop("unread", False))
-            known["uses"] = {slot: len(self.uses) + number for number, slot in enumerate(uses)}
-            self.uses += [{**use, "material": known["name"]} for use in uses.values()]
+            self.uses.append(uses)
             self.materials.append(known)
         return self._number_of[path]
 
-    def _take_colours(self, prim: Any, polygons: _Polygons, points: int) -> None:
-        rows = np.full(len(polygons.vertex), -1)
+    def _colour_rows(self, prim: Any, polygons: _Polygons) -> Int64s:
+        """Take the colours of a mesh; return which row of all colours each corner has, -1 where it has none."""
         primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
         values = _flat(primvar)
         kind = str(primvar.GetInterpolation()) if primvar else ""
-        fits = {"faceVarying": polygons.all_corners, **dict.fromkeys(_SMOOTH, points)}
+        rows = None if values is None else polygons.spread(np.arange(len(values)), kind)
         if values is None:
             self.counts["uncoloured"] += 1
         elif primvar.GetAttr().GetNumTimeSamples():
             self.counts["animated"] += 1
-        elif len(values) != fits.get(kind, -1) or values.shape[1:] != (3,):
+        elif rows is None or values.shape[1:] != (3,):
             self.counts["flat" if kind in ("constant", "uniform") else "unfit"] += 1
         else:
-            by_corner = kind == "faceVarying"
-            rows = (polygons.corner if by_corner else polygons.vertex) + self._rows
-            vertex = polygons.all_vertices if by_corner else np.arange(points)
+            vertex = polygons.stored if kind == "faceVarying" else np.arange(polygons.points)
             opacity = _flat(UsdGeom.Gprim(prim).GetDisplayOpacityPrimvar())
             fit = opacity is not None and len(opacity) == len(values)
             self.add(colours=values, colour_vertex=vertex + self._vertices)
@@ -192,45 +196,36 @@ class Scene:
             place = {"attribute": str(primvar.GetAttr().GetPath()), "first": self._rows, "count": len(values)}
             self.blocks.append({**place, "type": stored})
             self._rows += len(values)
-        self.add(rows=rows)
+            return rows + self._rows - len(values)
+        return np.full(len(polygons.vertex), -1)
 
 
 @dataclass(frozen=True)
 class _Polygons:
-    """Polygons without holes, all with the same winding."""
+    """All polygons of a mesh, with the same winding."""
 
     sizes: Int64s
-    kept: Int64s  # which of all polygons of the mesh they are
-    corner: Int64s  # which of all corners of the mesh each of theirs is
-    vertex: Int64s  # and its vertex
-    all_vertices: Int64s  # of all corners
+    corner: Int64s  # which of the stored corners each is
+    stored: Int64s  # the vertices of the stored corners
+    points: int  # how many vertices there are
 
     @classmethod
-    def of(cls, sizes: Int64s, corners: Int64s, holes: Any, turned: bool) -> _Polygons:
-        starts = np.cumsum(sizes) - sizes
-        is_kept = sizes >= 3
-        holes = np.array(holes if holes is not None else [], np.int64)
-        is_kept[holes[(holes >= 0) & (holes < len(sizes))]] = False
-        kept = np.flatnonzero(is_kept)
-        own = sizes[kept]
-        within = np.arange(own.sum()) - np.repeat(np.cumsum(own) - own, own)
-        corner = np.repeat(starts[kept], own) + (np.repeat(own, own) - 1 - within if turned else within)
-        return cls(own, kept, corner, corners[corner], corners)
+    def of(cls, sizes: Int64s, corners: Int64s, points: int, *, turned: bool) -> _Polygons:
+        ends = np.repeat(np.cumsum(sizes), sizes)
+        corner = np.arange(len(corners))
+        return cls(
+            sizes, 2 * ends - np.repeat(sizes, sizes) - 1 - corner if turned else corner, corners, points
+        )
 
     @property
-    def total(self) -> int:
-        """All polygons of the mesh, the end of each being that of its last corner."""
-        return int(self.kept[-1]) + 1 if len(self.kept) else 0
+    def vertex(self) -> Int64s:
+        return self.stored[self.corner]
 
-    @property
-    def all_corners(self) -> int:
-        return len(self.all_vertices)
-
-    def spread(self, values: Float64s, kind: str, points: int) -> Float64s | None:
+    def spread(self, values: Array, kind: str) -> Array | None:
         """Return values at the corners, by the kind of interpolation; None if they do not fit."""
-        if kind == "faceVarying" and len(values) == self.all_corners:
+        if kind == "faceVarying" and len(values) == len(self.stored):
             return values[self.corner]
-        return values[self.vertex] if kind in _SMOOTH and len(values) == points else None
+        return values[self.vertex] if kind in _SMOOTH and len(values) == self.points else None
 
 
 def _values(attribute: Any) -> Float64s:
@@ -244,16 +239,16 @@ def _flat(primvar: Any) -> Float64s | None:
     return None if values is None else np.array(values, np.float64)
 
 
-def _on_corners(primvar: Any, polygons: _Polygons, points: int) -> Float64s | None:
+def _on_corners(primvar: Any, polygons: _Polygons) -> Float64s | None:
     """Return the values of a primvar at the corners of polygons; None if it has none that fit."""
     values = _flat(primvar)
-    return None if values is None else polygons.spread(values, str(primvar.GetInterpolation()), points)
+    return None if values is None else polygons.spread(values, str(primvar.GetInterpolation()))
 
 
-def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons, points: int) -> Float64s | None:
+def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons) -> Float64s | None:
     """Return the texture coordinates of the corners of polygons, v up, transforms applied."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(use["coordinates"])
-    uv = _on_corners(primvar, polygons, points)
+    uv = _on_corners(primvar, polygons)
     if uv is None or uv.shape[1:] != (2,):
         return None
     with np.errstate(over="ignore", invalid="ignore"):
@@ -261,14 +256,14 @@ def _coordinates(prim: Any, use: dict[str, Any], polygons: _Polygons, points: in
     return moved
 
 
-def _normals(mesh: Any, polygons: _Polygons, points: int, matrix: Float64s) -> Float64s:
+def _normals(mesh: Any, polygons: _Polygons, matrix: Float64s) -> Float64s:
     """Return the unit normals of the corners of polygons in the world, NaN where there are none."""
     primvar = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("normals")
-    normals = _on_corners(primvar, polygons, points)
+    normals = _on_corners(primvar, polygons)
     if normals is None:
         values = mesh.GetNormalsAttr().Get()
         plain = np.array(values if values is not None else [], np.float64).reshape(-1, 3)
-        normals = polygons.spread(plain, str(mesh.GetNormalsInterpolation()), points)
+        normals = polygons.spread(plain, str(mesh.GetNormalsInterpolation()))
     if normals is None or normals.shape[1:] != (3,) or np.linalg.det(matrix[:3, :3]) == 0:
         return np.full((len(polygons.vertex), 3), np.nan)
     turned = normals @ np.linalg.inv(matrix[:3, :3]).T

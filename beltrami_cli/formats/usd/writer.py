@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Int32s, Int64s
+from beltrami_cli.arrays import Array, Int32s
 from beltrami_cli.formats.colours import linear_colours
 from beltrami_cli.formats.document import Written, not_converted
 from beltrami_cli.formats.textured_mesh import image_names, material_names, plain_name
@@ -23,15 +23,7 @@ from beltrami_cli.formats.usd.layers import layer_from, packed
 from beltrami_cli.surface.geometry import shortest_type
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.large_arrays import blocks
-from beltrami_cli.surface.records import (
-    Frame,
-    Material,
-    MeshContents,
-    Slot,
-    TexturedMesh,
-    VertexColours,
-    srgb_to_linear,
-)
+from beltrami_cli.surface.records import Frame, Material, MeshContents, MeshImage, Slot, srgb_to_linear
 
 _BLOCK = 1 << 16  # rows written at a time
 _UNFIT = re.compile(r"\W", re.ASCII)
@@ -46,48 +38,35 @@ _INPUTS: dict[Slot, tuple[tuple[str, str, str], ...]] = {
 _TYPES = {"rgb": "float3", "r": "float", "g": "float", "b": "float", "a": "float"}
 
 
-def _coloured(suffix: str, contents: MeshContents, stem: str) -> Written:
-    notices = not_converted(contents, keeps_frame=True)
-    shown = _colours(contents, notices)
-    own = [
-        *_array("point3f[] points", shortest_type(contents.positions), 3),
-        *_array("int[] faceVertexCounts", np.diff(contents.offsets)[:, None]),
-        *_array("int[] faceVertexIndices", contents.corners[:, None]),
-        *shown,
-    ]
-    if contents.normals is not None:
-        own += [*_array("normal3f[] normals", contents.normals, 3, 'interpolation = "vertex"')]
-    head = f'    def Mesh "mesh"\n    {{\n{_PLAIN}'.encode()
-    text = [_header(_identifier(stem), contents.frame), head, *own, b"    }\n}\n"]
-    return _finished(suffix, b"".join(text), stem, {}, notices)
-
-
-def _textured(suffix: str, mesh: TexturedMesh, stem: str) -> Written:
+def _written(suffix: str, mesh: MeshContents, stem: str) -> Written:
     names = [_identifier(name) for name in material_names(mesh.materials, "painted")]
     names = [f"{name}_{number}" if name in names[:number] else name for number, name in enumerate(names)]
-    files, root, notices = image_names(mesh, stem), _identifier(stem), list[str]()
-    text = [_header(root, mesh.frame)]
-    shown = [] if mesh.colours is None else _colours(mesh.colours, notices)
-    group_of, material_of = mesh.group_numbers, mesh.material_numbers
+    file_of = dict(zip(mesh.images, image_names(mesh, stem), strict=True))
+    root, notices = _identifier(stem), list[str]()
+    shown = _colours(mesh, notices) if mesh.colours.shape[1] else []
+    text, group_of, is_divided = [_header(root, mesh.frame)], mesh.group_numbers, False
     for number, group in enumerate(mesh.groups):
-        faces = np.flatnonzero(group_of == number)
-        if not len(faces):
+        polygons = np.flatnonzero(group_of == number)
+        if len(mesh.groups) > 1 and not len(polygons):
             continue
-        whole = len(faces) == len(mesh.faces)
-        text += [f'    def Mesh "mesh_{number}" (\n{_BOUND}    )\n    {{\n{_PLAIN}'.encode()]
+        is_divided |= len(polygons) < len(group_of)
+        bound = f" (\n{_BOUND}    )" if names else ""
+        text += [f'    def Mesh "mesh_{number}"{bound}\n    {{\n{_PLAIN}'.encode()]
         if shown_name := plain_name(group).replace("\\", "\\\\").replace('"', '\\"'):
             text += [f'        string ui:displayName = "{shown_name}"\n'.encode()]
-        text += _mesh(mesh, faces, shown if whole else [])
-        text += _subsets(material_of[faces], names, root)
+        part = mesh.polygons(polygons)
+        text += _mesh(part, [] if is_divided else shown)
+        text += _subsets(part.material_numbers, names, root) if names else []
         text += [b"    }\n"]
-    if shown and len(set(group_of.tolist())) > 1:
+    if shown and is_divided:
         parts = "since the mesh is in several parts"
         notices.append(f"Vertex colours are left out where there are textures, {parts}.")
     for name, material in zip(names, mesh.materials, strict=True):
-        text += [_material(name, material, files, f"/{root}/{name}").encode()]
+        text += [_material(name, material, file_of, f"/{root}/{name}").encode()]
     text += [b"}\n"]
-    images = {name: image.file.data for name, image in zip(files, mesh.images, strict=True)}
-    return _finished(suffix, b"".join(text), stem, images, [*notices, *not_converted(mesh, keeps_frame=True)])
+    images = {name: image.file.data for image, name in file_of.items()}
+    notices += not_converted(mesh, keeps_frame=True)
+    return _finished(suffix, b"".join(text), stem, images, notices)
 
 
 _PLAIN = '        uniform token subdivisionScheme = "none"\n'
@@ -112,25 +91,27 @@ def _header(name: str, frame: Frame) -> bytes:
     return "\n".join(lines).encode()
 
 
-def _mesh(mesh: TexturedMesh, faces: Int64s, shown: list[bytes]) -> Iterator[bytes]:
-    """Give points, triangles, texture coordinates, normals and colours of some triangles."""
-    used: Array
-    corners: Array
-    used, corners = np.unique(mesh.faces[faces], return_inverse=True)
-    if shown or len(used) == len(mesh.positions):
-        used, corners = np.arange(len(mesh.positions)), mesh.faces[faces]
+def _mesh(mesh: MeshContents, shown: list[bytes]) -> Iterator[bytes]:
+    """Give the points that polygons use, the polygons, and their colours, texture coordinates and normals."""
+    used: Array = np.arange(len(mesh.positions))
+    corners: Array = mesh.corners
+    if not shown:
+        used, corners = np.unique(corners, return_inverse=True)
     yield from _array("point3f[] points", shortest_type(mesh.positions[used]), 3)
-    yield from _array("int[] faceVertexCounts", np.full((len(faces), 1), 3))
+    yield from _array("int[] faceVertexCounts", mesh.sizes[:, None])
     yield from _array("int[] faceVertexIndices", corners.reshape(-1, 1))
     yield from shown
-    # A corner without coordinates has no texture, whatever coordinates stand there.
-    uv = np.nan_to_num(mesh.uv[faces].reshape(-1, 2)) * [1, -1] + [0, 1]
-    index_of, chosen = group_equal_rows(*uv.T)
     on = 'interpolation = "faceVarying"'
-    yield from _array("texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, on)
-    yield from _array("int[] primvars:st:indices", index_of[:, None])
-    if mesh.normals is not None and not np.isnan(mesh.normals[faces]).any():
-        yield from _array("normal3f[] normals", mesh.normals[faces].reshape(-1, 3), 3, on)
+    if mesh.uv is not None:
+        # A corner without coordinates has no texture, whatever coordinates stand there.
+        uv = np.nan_to_num(mesh.uv) * [1, -1] + [0, 1]
+        index_of, chosen = group_equal_rows(*uv.T)
+        yield from _array("texCoord2f[] primvars:st", uv[chosen].astype(np.float32), 2, on)
+        yield from _array("int[] primvars:st:indices", index_of[:, None])
+    if mesh.corner_normals is not None and not np.isnan(mesh.corner_normals).any():
+        yield from _array("normal3f[] normals", mesh.corner_normals, 3, on)
+    elif mesh.normals is not None:
+        yield from _array("normal3f[] normals", mesh.normals[used], 3, 'interpolation = "vertex"')
 
 
 def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes]:
@@ -148,7 +129,7 @@ def _subsets(material_of: Int32s, names: list[str], root: str) -> Iterator[bytes
         yield f"            rel material:binding = </{root}/{names[number]}>\n        }}\n".encode()
 
 
-def _material(name: str, material: Material, files: list[str], path: str) -> str:
+def _material(name: str, material: Material, file_of: dict[MeshImage, str], path: str) -> str:
     """Return a material with a UsdPreviewSurface; colours are linear light there."""
     inputs = {
         "diffuseColor": f"color3f inputs:diffuseColor = {_linear(material.colour)}",
@@ -167,7 +148,7 @@ def _material(name: str, material: Material, files: list[str], path: str) -> str
         if slot == "baseColor" and material.alpha != "opaque":
             outputs.add("a")
             inputs["opacity"] = f"float inputs:opacity.connect = <{path}/baseColor.outputs:a>"
-        shaders.append(_texture(slot, files[shown.image], shown.wrap, sorted(outputs), path))
+        shaders.append(_texture(slot, file_of[shown.image], shown.wrap, sorted(outputs), path))
     lines = ['uniform token info:id = "UsdPreviewSurface"', *inputs.values(), "token outputs:surface"]
     reader = ['uniform token info:id = "UsdPrimvarReader_float2"', 'string inputs:varname = "st"']
     shaders = [_shader("surface", lines), _shader("st", [*reader, "float2 outputs:result"]), *shaders]
@@ -196,7 +177,7 @@ def _shader(name: str, lines: Sequence[str]) -> str:
     return f'        def Shader "{name}"\n        {{\n{body}        }}\n'
 
 
-def _colours(contents: MeshContents | VertexColours, notices: list[str]) -> list[bytes]:
+def _colours(contents: MeshContents, notices: list[str]) -> list[bytes]:
     """Return colours of vertices, which are linear light, and their opacity."""
     colours = linear_colours(contents, notices, "USD has them")
     on = 'interpolation = "vertex"'
@@ -227,7 +208,4 @@ def _identifier(name: str) -> str:
     return plain if plain[:1].isalpha() or plain[:1] == "_" else f"_{plain}"
 
 
-write_usda, write_usdc, write_usdz = (partial(_coloured, suffix) for suffix in (".usda", ".usdc", ".usdz"))
-write_textured_usda, write_textured_usdc, write_textured_usdz = (
-    partial(_textured, suffix) for suffix in (".usda", ".usdc", ".usdz")
-)
+write_usda, write_usdc, write_usdz = (partial(_written, suffix) for suffix in (".usda", ".usdc", ".usdz"))
