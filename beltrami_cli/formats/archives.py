@@ -15,30 +15,28 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 
 from beltrami_cli.arrays import Array
 from beltrami_cli.errors import InputError
-from beltrami_cli.formats.access import Access, require_ratio
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, require_ratio
 
-_MOST_MEMBERS = 10_000
 _LARGEST = 1 << 30  # bytes of a member, where no memory limit is given
+_READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError, ValueError)
 _DAMAGED = "repack it, or export it again"
 
 
 class Archive:
-    """A ZIP archive in memory; members are read one by one, within limits."""
+    """A ZIP archive in memory; members are read one by one, within limits. InputError if it is damaged."""
 
-    def __init__(self, data: bytes, name: str, access: Access, share: int = 1) -> None:
+    def __init__(self, data: bytes, name: str, access: Access = EVERYTHING_INSIDE, share: int = 1) -> None:
         """`share` is how many times its size in memory a member takes while it is used."""
-        self._name = name
+        self.name = name
         self._most = _LARGEST if access.memory is None else min(_LARGEST, access.memory // share)
-        with _refusing_damage(name, "the archive", _DAMAGED):
+        with _refusing_damage(name, "the archive"):
             self._file = zipfile.ZipFile(io.BytesIO(data))
-        if len(self._file.infolist()) > _MOST_MEMBERS:
-            raise InputError(name, f"the archive has more than {_MOST_MEMBERS} members", _DAMAGED)
         self.entries = [entry for entry in self._file.infolist() if not entry.filename.endswith("/")]
         self._known = {entry.filename: entry for entry in self.entries}
         self.members = list(self._known)
@@ -46,20 +44,24 @@ class Archive:
     def read(self, member: str) -> bytes:
         known = self._known.get(member)
         if known is None:
-            raise InputError(self._name, f"the archive has no {member}", _DAMAGED)
+            raise InputError(self.name, f"the archive has no {member}", _DAMAGED)
         if known.file_size > self._most:
             cause = f"{member} in the archive has {known.file_size} bytes, more than the {self._most} that are read"
-            raise InputError(self._name, cause, "raise --max-memory, or give a smaller model")
-        require_ratio(self._name, member, known.compress_size, known.file_size)
-        with _refusing_damage(self._name, f"{member} in the archive", _DAMAGED):
-            return _content(self._file, known)
+            raise InputError(self.name, cause, "raise --max-memory, or give a smaller model")
+        require_ratio(self.name, member, known.compress_size, known.file_size)
+        return self._content(known)
+
+    def _content(self, member: zipfile.ZipInfo) -> bytes:
+        """Unpack a member; without a size, a read unpacks all there is, however little the archive announces."""
+        what = f"{member.filename} in the archive"
+        with _refusing_damage(self.name, what), self._file.open(member) as file:
+            return file.read(member.file_size)
 
 
 _MAGIC = b"PK\x03\x04"
 NPY_MAGIC = b"\x93NUMPY"
 _LONGEST_HEADER = 10_000  # as NumPy has it: a longer one could burden the parser of Python literals
 _DEFLATE_RATIO = 1032  # a byte cannot stand for more: zlib's technical notes
-_READ_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, OSError, ValueError)
 _SAVE = "write it with numpy.savez_compressed"
 
 # The first name that is there is taken. A level set has one of these, and a cloud of points has not.
@@ -96,17 +98,11 @@ class Header:
 
 
 @contextlib.contextmanager
-def _refusing_damage(name: str, what: str, remedy: str) -> Iterator[None]:
+def _refusing_damage(name: str, what: str, remedy: str = _DAMAGED) -> Iterator[None]:
     try:
         yield
     except _READ_ERRORS as error:
         raise InputError(name, f"{what} is damaged ({error})", remedy) from error
-
-
-def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Unpack a member; without a size, a read unpacks all there is, however little the archive announces."""
-    with archive.open(member) as file:
-        return file.read(member.file_size)
 
 
 def is_npz(data: bytes, _: str = "") -> bool:
@@ -117,15 +113,12 @@ def is_npz(data: bytes, _: str = "") -> bool:
     return data[30 : 30 + int.from_bytes(data[26:28], "little")].endswith(b".npy")
 
 
-class NpzArchive:
-    """An opened archive; InputError if it is damaged. `names` are the arrays in it."""
+class NpzArchive(Archive):
+    """An archive of arrays, whose `names` are these."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        self.name = name
-        with self._refusing_damage():
-            self._archive = zipfile.ZipFile(io.BytesIO(data))
-        members = (member.filename for member in self._archive.infolist())
-        self.names = tuple(member[:-4] for member in members if member.endswith(".npy"))
+        super().__init__(data, name)
+        self.names = tuple(member[:-4] for member in self.members if member.endswith(".npy"))
 
     def kind(self) -> Literal["level set", "points"] | None:
         if self.first(LEVEL_SET_KEYS):
@@ -137,10 +130,10 @@ class NpzArchive:
 
     def header(self, key: str) -> Header:
         """Return what an array is; InputError if it is damaged, or holds anything but numbers or booleans."""
-        member = self._archive.getinfo(f"{key}.npy")
+        member = self._known[f"{key}.npy"]
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise self._error(key, "is compressed in a way that NumPy does not write")
-        with self._refusing_damage(f"the array {key}", _SAVE), self._archive.open(member) as file:
+        with self._opened(key) as file:
             header = _parse(file.read(_LONGEST_HEADER + 12))
         if not _holds_numbers(header):
             raise self._error(key, f"is of type {header.dtype}, and not of real numbers")
@@ -150,14 +143,14 @@ class NpzArchive:
             raise self._error(key, "says that it is longer than its bytes can be")
         return header
 
-    def read(self, key: str, most: int | None = None) -> Array:
+    def array(self, key: str, most: int | None = None) -> Array:
         """Read an array; InputError as `header`, or if it has more than `most` numbers."""
         header = self.header(key)
         if most is not None and header.count > most:
             has = f"has {header.count} numbers, and {most} are allowed"
             cause = f"the array {key} of shape {header.shape} {has}"
             raise InputError(self.name, cause, "raise --max-voxels or --max-memory")
-        with self._refusing_damage(f"the array {key}", _SAVE), self._archive.open(f"{key}.npy") as file:
+        with self._opened(key) as file:
             file.read(header.offset)
             data = file.read(header.size)
             file.read(1)  # reaching the end checks the archive's checksum
@@ -166,21 +159,20 @@ class NpzArchive:
         return header.array(data)
 
     def require_ratio(self, key: str) -> None:
-        member = self._archive.getinfo(f"{key}.npy")
+        member = self._known[f"{key}.npy"]
         require_ratio(self.name, f"the array {key}", member.compress_size, member.file_size)
 
-    def members(self) -> dict[str, bytes]:
+    def contents(self) -> dict[str, bytes]:
         """Return the contents of all members by their file names; InputError if one cannot be unpacked."""
-        with self._refusing_damage():
-            return {member.filename: _content(self._archive, member) for member in self._archive.infolist()}
+        return {member.filename: self._content(member) for member in self._file.infolist()}
 
     def with_array(self, key: str, array: Array) -> bytes:
         """Return the archive with other numbers in an array; members keep their order, dates and compression."""
         buffer, header = io.BytesIO(), self.header(key)
-        with self._refusing_damage(), zipfile.ZipFile(buffer, "w") as new:
-            new.comment = self._archive.comment
-            for member in self._archive.infolist():
-                content = _content(self._archive, member)
+        with zipfile.ZipFile(buffer, "w") as new:
+            new.comment = self._file.comment
+            for member in self._file.infolist():
+                content = self._content(member)
                 if member.filename == f"{key}.npy":
                     content = header.exchanged(content, array)
                 info = zipfile.ZipInfo(member.filename, member.date_time)
@@ -189,10 +181,10 @@ class NpzArchive:
                 new.writestr(info, content)
         return buffer.getvalue()
 
-    def _refusing_damage(
-        self, what: str = "the archive", remedy: str = "write it again"
-    ) -> contextlib.AbstractContextManager[None]:
-        return _refusing_damage(self.name, what, remedy)
+    @contextlib.contextmanager
+    def _opened(self, key: str) -> Iterator[IO[bytes]]:
+        with _refusing_damage(self.name, f"the array {key}", _SAVE), self._file.open(f"{key}.npy") as file:
+            yield file
 
     def _error(self, key: str, cause: str) -> InputError:
         return InputError(self.name, f"the array {key} {cause}", _SAVE)

@@ -86,11 +86,11 @@ def _read_npz(archive: NpzArchive, most: int) -> Volume:
     if "mask" in archive.names:
         fits = archive.header("mask").shape == shape
         _require(fits, archive, f"the array mask is not of the shape {shape}")
-        mask = archive.read("mask", most) != 0
+        mask = archive.array("mask", most) != 0
     level = _numbers(archive, "level", (1,))
     return Volume(
         _lattice(archive),
-        archive.read(key, most),
+        archive.array(key, most),
         mask,
         None if level is None else float(level[0]),
         _npz_colours(archive, most, shape),
@@ -109,7 +109,7 @@ def _npz_colours(
     fits = len(found) == 4 and 1 <= found[3] <= _CHANNELS and (shape is None or found[:3] == shape)
     wanted = "(X, Y, Z" if shape is None else str(shape)[:-1]
     _require(fits, archive, f"the array {key} is of shape {found}, not {wanted}, 1 to {_CHANNELS})")
-    return GridColours(_lattice(archive), archive.read(key, _CHANNELS * most))
+    return GridColours(_lattice(archive), archive.array(key, _CHANNELS * most))
 
 
 def _near(archive: NpzArchive, most: int) -> NearColours:
@@ -122,9 +122,9 @@ def _near(archive: NpzArchive, most: int) -> NearColours:
     shapes = f"{points} and {colours}, not (P, 3) and (P, 1 to {_CHANNELS})"
     cause = f"the arrays points and {key} are of the shapes {shapes}"
     _require(fits and points[0] == colours[0], archive, cause)
-    places = archive.read("points", 3 * most).astype(np.float64)
+    places = archive.array("points", 3 * most).astype(np.float64)
     _require(bool(np.isfinite(places).all()), archive, "a point is not finite")
-    return NearColours(places, archive.read(key, _CHANNELS * most))
+    return NearColours(places, archive.array(key, _CHANNELS * most))
 
 
 def _lattice(archive: NpzArchive) -> Lattice:
@@ -143,7 +143,7 @@ def _numbers(archive: NpzArchive, key: str, counts: tuple[int, ...]) -> Float64s
     shape = archive.header(key).shape
     cause = f"the array {key} is of shape {shape}, not of {wanted} numbers"
     _require(math.prod(shape) in counts, archive, cause)
-    numbers: Float64s = archive.read(key, max(counts)).astype(np.float64).ravel()
+    numbers: Float64s = archive.array(key, max(counts)).astype(np.float64).ravel()
     _require(bool(np.isfinite(numbers).all()), archive, f"the array {key} is not finite")
     return numbers
 

@@ -63,7 +63,7 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
         if len(archive.names) != 1:
             which = ", ".join(archive.names)
             raise InputError(path, f"which of its arrays {which} is meant is not clear", "save it alone")
-        table = archive.read(archive.names[0], _MOST_NUMBERS)
+        table = archive.array(archive.names[0], _MOST_NUMBERS)
     else:
         # The given columns belong to the smoothed points, not to a guide.
         table = document_of(data, path, dataclasses.replace(access, columns=())).painted().colours

@@ -208,7 +208,7 @@ def test_of_a_member_no_more_is_unpacked_than_it_announces(checksum):
     archive = NpzArchive(archive_with_a_longer_member(checksum), "points.npz")
     tracemalloc.start()
     with contextlib.suppress(InputError):  # for its checksum
-        assert len(archive.members()["zeros.bin"]) == ANNOUNCED
+        assert len(archive.contents()["zeros.bin"]) == ANNOUNCED
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < HELD / 8

@@ -1,6 +1,6 @@
-"""NumPy archives of points whose colours can be replaced, the other arrays staying as they are.
+"""Common parts of all point clouds, and NumPy archives of points: only the colours can be replaced.
 
-The arrays, by their names; the first name that is there is taken:
+The arrays of an archive, by their names; the first name that is there is taken:
 
 ======================================  ==============================================================================
 ``positions``, ``points``, ``xyz``      (..., 3) numbers, the other axes as the cloud is organised; points that are not
@@ -19,10 +19,10 @@ they are.
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import math
-from dataclasses import dataclass
+from abc import abstractmethod
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -56,163 +56,122 @@ _NAMES = "save them as positions and colours"
 
 
 @dataclass(frozen=True)
-class _Arrays:
-    """What an archive has of a cloud, without the numbers: names of arrays, and how the points are organised."""
+class Tables:
+    """Which tables of a cloud are what, by their names, and how its points are organised."""
 
     positions: str
     colours: str
     normals: str | None
-    faces: str | None
-    shape: tuple[int, ...]
+    others: tuple[str, ...]  # that have something for each point
+    shape: tuple[int, ...]  # of the cloud, with or without a position
     channels: int  # of the colours, without opacity
-    has_alpha: bool
-    rest: tuple[str, ...]  # the other arrays that have something for each point
-
-    @property
-    def is_intensity(self) -> bool:
-        return self.colours in _INTENSITY_KEYS
+    has_alpha: bool = False
+    is_intensity: bool = False
+    faces: str | None = None  # then it is a mesh
 
     @property
     def count(self) -> int:
-        return math.prod(self.shape)  # with or without a position
+        return math.prod(self.shape)
 
 
-class NpzPointsDocument(Document):
-    """An archive of positions and colours; InputError if it is no archive of arrays."""
+class PointsDocument(Document):
+    """Points with colours or intensities; a format says which tables there are, and reads them."""
 
-    format: ClassVar[str] = "npz"
+    @property
+    @abstractmethod
+    def _tables(self) -> Tables: ...
 
-    def _open(self, folder: Path | None) -> None:
-        self._archive = NpzArchive(self.data, self.name)
+    @abstractmethod
+    def _rows(self, table: str) -> Array:
+        """Return a table of all points, shape (points, columns)."""
+
+    @abstractmethod
+    def _dropped(self) -> list[str]:
+        """Return the names of tables that no other format has."""
 
     @cached_property
     def _mesh(self) -> MeshContents:
         positions, faces = self._positions[self._measured], self._faces
         corners, offsets = faces.ravel(), 3 * np.arange(len(faces) + 1)
-        return MeshContents(positions, corners, offsets, self._colours, "srgb", str(self._stored.dtype))
+        return MeshContents(positions, corners, offsets, self._colours, "srgb", self._type)
+
+    @property
+    def _type(self) -> str:
+        return str(self._stored.dtype)
 
     @property
     def _channels(self) -> tuple[str, ...]:
-        if self._arrays.channels == 3:
+        if self._tables.channels == 3:
             return super()._channels
-        return ("intensity",) if self._arrays.is_intensity else ("grey",)
+        return ("intensity",) if self._tables.is_intensity else ("grey",)
 
     def grid(self) -> Int64s | None:
-        if len(self._arrays.shape) != 2 or min(self._arrays.shape) < 2 or self._arrays.faces:
+        tables = self._tables
+        if len(tables.shape) != 2 or min(tables.shape) < 2 or tables.faces:
             return None
-        places = np.full(self._arrays.count, -1, np.int64)
+        places = np.full(tables.count, -1, np.int64)
         places[self._measured] = np.arange(len(self._measured))
-        return places.reshape(self._arrays.shape)
+        return places.reshape(tables.shape)
 
     def attributes(self) -> tuple[str, ...]:
-        return (*(["normal"] if self._arrays.normals else []), *self._arrays.rest)
+        return (*(["normal"] if self._tables.normals else []), *self._tables.others)
 
     def _attribute(self, name: str) -> Float64s:
-        key = self._arrays.normals if name == "normal" and self._arrays.normals else name
-        values = self._table(key)[self._measured]
-        return np.ascontiguousarray(values, np.float64)
-
-    def _patched(self, new: Changes, naming: Naming) -> Written:
-        colours = new.colours
-        if colours is None or not (changed := colours != self._colours).any():
-            return Written([self.data])
-        rows, channels = np.nonzero(changed)
-        stored, key = self._stored.copy(), self._arrays.colours
-        stored[self._measured[rows], channels] = quantised(colours[changed], stored.dtype, self._scale)
-        shape = self._archive.header(key).shape
-        return Written([self._archive.with_array(key, stored.reshape(shape))])
+        table = self._tables.normals if name == "normal" and self._tables.normals else name
+        return np.ascontiguousarray(self._rows(table)[self._measured], np.float64)
 
     def contents(self) -> MeshContents:
-        arrays = self._arrays
-        used = {arrays.positions, arrays.colours, arrays.normals, arrays.faces}
-        dropped = [f"the array {name}" for name in self._archive.names if name not in used]
-        if len(self._measured) < arrays.count:
+        tables, dropped = self._tables, self._dropped()
+        if len(self._measured) < tables.count:
             dropped.append("points without a place")
-        return dataclasses.replace(
-            self._mesh,
-            alpha=self._alpha(),
-            normals=self.attribute("normal").astype(np.float32) if arrays.normals else None,
-            left_out=tuple(dropped),
-        )
+        alpha = opacity(self._stored[self._measured, -1], self._scale) if tables.has_alpha else None
+        normals = self.attribute("normal").astype(np.float32) if tables.normals else None
+        return replace(self._mesh, alpha=alpha, normals=normals, left_out=tuple(dropped))
 
-    def fingerprint(self) -> Fingerprint:
-        parts = {f"member {name}": content for name, content in self._archive.members().items()}
-        if not self.has_vertex_colours():
-            return Fingerprint(parts)
-        rest = self._stored.copy()
-        rest[self._measured, : self._arrays.channels] = 0
-        key = self._arrays.colours
-        header = self._archive.header(key)
-        parts[f"member {key}.npy"] = header.exchanged(parts[f"member {key}.npy"], rest.reshape(header.shape))
-        return Fingerprint(parts, {"point colours": self._colours})
-
-    def facts(self) -> dict[str, object]:
-        return {
-            "format": self.format,
-            "points": self._arrays.count,
-            "organised": list(self._arrays.shape),
-            "arrays": list(self._archive.names),
-        }
-
-    @cached_property
-    def _arrays(self) -> _Arrays:
-        arrays = _find_arrays(self._archive)
-        if not arrays.count:
-            raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
-        keys = (arrays.positions, arrays.colours, *([arrays.faces] if arrays.faces else []))
-        if self.access.memory is not None:
-            needed = sum(_COPIES * self._archive.header(key).count * 8 for key in keys)
-            if needed > self.access.memory:
-                raise InputError(self.name, "its arrays do not fit into memory", "raise --max-memory")
-        return arrays
+    def _recoloured(self, colours: Float32s | None) -> Array | None:
+        """Return the table of colours with new ones, rows as in `patch`; None if all are the present ones."""
+        if colours is None or not (changed := colours != self._colours).any():
+            return None
+        rows, channels = np.nonzero(changed)
+        stored = self._stored.copy()
+        stored[self._measured[rows], channels] = quantised(colours[changed], stored.dtype, self._scale)
+        return stored
 
     @cached_property
     def _positions(self) -> Float64s:
-        self._archive.require_ratio(self._arrays.positions)
-        return np.ascontiguousarray(self._table(self._arrays.positions), np.float64)
+        return np.ascontiguousarray(self._rows(self._tables.positions), np.float64)
 
     @cached_property
     def _measured(self) -> NDArray[np.intp]:
-        """Rows of the points that have a place."""
+        """Rows of the points that have a place; scanners write NaN where nothing was measured."""
         finite = np.asarray(np.isfinite(self._positions).all(axis=1))
-        if finite.all():
-            return np.arange(len(finite))
         count = int(np.count_nonzero(~finite))
-        if not finite.any() or self._arrays.faces:
+        if count and (not finite.any() or self._tables.faces):
             cause = f"{count} of {len(finite)} positions are not finite"
             raise InputError(self.name, cause, "repair the file")
-        self.notices.append(f"{count} of {len(finite)} points have no place, and take no part.")
+        if count:
+            self.notices.append(f"{count} of {len(finite)} points have no place, and take no part.")
         return np.flatnonzero(finite)
 
-    @cached_property
+    @property
     def _faces(self) -> Int32s:
-        key, count = self._arrays.faces, self._arrays.count
-        if key is None:
-            return np.empty((0, 3), np.int32)
-        shape = self._archive.header(key).shape
-        cause = f"the array {key} is of shape {shape}, not (F, 3)"
-        _require(len(shape) == 2 and shape[1] == 3, self._archive, cause)
-        faces = self._archive.read(key)
-        _require(faces.dtype.kind in "ui", self._archive, f"the array {key} is not of whole numbers")
-        inside = not faces.size or (faces.min() >= 0 and int(faces.max()) < count)
-        _require(bool(inside), self._archive, f"the array {key} names points outside 0 to {count - 1}")
-        return np.ascontiguousarray(faces, np.int32)
+        return np.empty((0, 3), np.int32)
 
     @cached_property
     def _stored(self) -> Array:
         """Colours as stored, with opacity, shape (points, C) or (points, C + 1)."""
-        return self._table(self._arrays.colours)
+        return self._rows(self._tables.colours)
 
     @cached_property
     def _numbers(self) -> Float64s:
-        numbers = self._stored[self._measured, : self._arrays.channels].astype(np.float64)
+        numbers = self._stored[self._measured, : self._tables.channels].astype(np.float64)
         require_finite(numbers, self.name, "the colour of point", self._measured)
         return numbers
 
     @cached_property
     def _scale(self) -> float:
         numbers, kind = self._numbers, self._stored.dtype
-        if self._arrays.is_intensity:
+        if self._tables.is_intensity:
             scale, notice = intensity_scale(numbers)
         elif kind in (np.uint8, np.uint16):
             scale, notice = integer_scale(int(self._stored.max()), kind)  # of opacity, too
@@ -225,14 +184,77 @@ class NpzPointsDocument(Document):
     def _colours(self) -> Float32s:
         return (self._numbers / self._scale).astype(np.float32)
 
-    def _alpha(self) -> Float32s | None:
-        return opacity(self._stored[self._measured, -1], self._scale) if self._arrays.has_alpha else None
 
-    def _table(self, key: str) -> Array:
-        return self._archive.read(key).reshape(self._arrays.count, -1)
+class NpzPointsDocument(PointsDocument):
+    """An archive of positions and colours; InputError if it is no archive of arrays."""
+
+    format: ClassVar[str] = "npz"
+
+    def _open(self, folder: Path | None) -> None:
+        self._archive = NpzArchive(self.data, self.name)
+
+    def _patched(self, new: Changes, naming: Naming) -> Written:
+        stored, key = self._recoloured(new.colours), self._tables.colours
+        if stored is None:
+            return Written([self.data])
+        return Written([self._archive.with_array(key, stored.reshape(self._archive.header(key).shape))])
+
+    def fingerprint(self) -> Fingerprint:
+        parts = {f"member {name}": content for name, content in self._archive.contents().items()}
+        if not self.has_vertex_colours():
+            return Fingerprint(parts)
+        rest = self._stored.copy()
+        rest[self._measured, : self._tables.channels] = 0
+        key = self._tables.colours
+        header = self._archive.header(key)
+        parts[f"member {key}.npy"] = header.exchanged(parts[f"member {key}.npy"], rest.reshape(header.shape))
+        return Fingerprint(parts, {"point colours": self._colours})
+
+    def facts(self) -> dict[str, object]:
+        return {
+            "format": self.format,
+            "points": self._tables.count,
+            "organised": list(self._tables.shape),
+            "arrays": list(self._archive.names),
+        }
+
+    @cached_property
+    def _tables(self) -> Tables:
+        tables = _find_tables(self._archive)
+        if not tables.count:
+            raise InputError(self.name, "there are no points", "nothing in it can be smoothed")
+        keys = (tables.positions, tables.colours, *([tables.faces] if tables.faces else []))
+        if self.access.memory is not None:
+            needed = sum(_COPIES * self._archive.header(key).count * 8 for key in keys)
+            if needed > self.access.memory:
+                raise InputError(self.name, "its arrays do not fit into memory", "raise --max-memory")
+        self._archive.require_ratio(tables.positions)
+        return tables
+
+    def _rows(self, table: str) -> Array:
+        return self._archive.array(table).reshape(self._tables.count, -1)
+
+    def _dropped(self) -> list[str]:
+        tables = self._tables
+        used = {tables.positions, tables.colours, tables.normals, tables.faces}
+        return [f"the array {name}" for name in self._archive.names if name not in used]
+
+    @cached_property
+    def _faces(self) -> Int32s:
+        key, count = self._tables.faces, self._tables.count
+        if key is None:
+            return super()._faces
+        shape = self._archive.header(key).shape
+        cause = f"the array {key} is of shape {shape}, not (F, 3)"
+        _require(len(shape) == 2 and shape[1] == 3, self._archive, cause)
+        faces = self._archive.array(key)
+        _require(faces.dtype.kind in "ui", self._archive, f"the array {key} is not of whole numbers")
+        inside = not faces.size or (faces.min() >= 0 and int(faces.max()) < count)
+        _require(bool(inside), self._archive, f"the array {key} names points outside 0 to {count - 1}")
+        return np.ascontiguousarray(faces, np.int32)
 
 
-def _find_arrays(archive: NpzArchive) -> _Arrays:
+def _find_tables(archive: NpzArchive) -> Tables:
     """Return which arrays are what, by their names and shapes; InputError if they do not go together."""
     positions = _required(archive, POSITION_KEYS, "positions")
     colours = _required(archive, (*_COLOUR_KEYS, *_INTENSITY_KEYS), "colours")
@@ -251,7 +273,10 @@ def _find_arrays(archive: NpzArchive) -> _Arrays:
     rest = [key for key in archive.names if key not in used and _goes_along(archive, key, points)]
     channels = math.prod(wide)
     has_alpha = channels in (2, 4)
-    return _Arrays(positions, colours, normals, faces, points, channels - has_alpha, has_alpha, tuple(rest))
+    return Tables(
+        positions, colours, normals, tuple(rest), points, channels - has_alpha, has_alpha,
+        is_intensity=colours in _INTENSITY_KEYS, faces=faces,
+    )  # fmt: skip
 
 
 def _required(archive: NpzArchive, keys: tuple[str, ...], what: str) -> str:

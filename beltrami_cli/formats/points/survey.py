@@ -58,14 +58,10 @@ class SurveyDocument(NpzPointsDocument):
         return ("las", "laz") if self.data.startswith(b"LASF") else (self.format,)
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        (archive,) = super()._patched(new, naming).main
-        form, arrays = new.form or self.format, Columns()
-        if archive is not self.data:
-            stored = NpzArchive(bytes(archive), self.name).read(self._arrays.colours)
-            arrays["new"] = stored.reshape(self._arrays.count, -1)
-        elif form == self.format:
+        stored, form = self._recoloured(new.colours), new.form or self.format
+        if stored is None and form == self.format:
             return Written([self.data])
-        return Written([self._ask(form, arrays)])
+        return Written([self._ask(form, {} if stored is None else {"new": stored})])
 
     def _ask(self, form: str | None, arrays: Columns) -> bytes:
         """Return the file in a form with new colours, or, for None, the archive of its arrays."""
