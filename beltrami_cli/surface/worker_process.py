@@ -72,7 +72,8 @@ def ask(
     `tick` is called several times a second with the seconds that are gone. WorkerError if the process fails,
     TimeoutError if it has not ended after some seconds.
     """
-    sent: bytes | None = _packed(question)
+    from concurrent.futures import ThreadPoolExecutor
+
     start = time.monotonic()
     with subprocess.Popen(
         [sys.executable, "-m", module, *map(str, arguments)],
@@ -81,14 +82,16 @@ def ask(
         stderr=subprocess.PIPE,
         start_new_session=True,  # so that it does not see Ctrl-C, which is for this process
         env=safe_environment(),
-    ) as process:
+    ) as process, ThreadPoolExecutor(1) as pool:  # fmt: skip
         try:
+            # One call in a thread: after a timeout, another call would send nothing more of what the pipe did not hold.
+            answered = pool.submit(process.communicate, _packed(question))
             while True:
                 try:
-                    answer, said = process.communicate(sent, _POLL)
+                    answer, said = answered.result(_POLL)
                     break
-                except subprocess.TimeoutExpired:
-                    sent, gone = None, time.monotonic() - start  # the rest of what is sent follows by itself
+                except TimeoutError:
+                    gone = time.monotonic() - start
                 if gone > seconds:
                     raise TimeoutError
                 tick(gone)

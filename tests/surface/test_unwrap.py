@@ -177,6 +177,11 @@ def test_stopping_ends_the_process_and_leaves_nothing_behind(monkeypatch, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+def test_more_is_sent_than_a_pipe_holds():
+    positions, faces = surfaces.plane(60, 60)  # 170 kB; Linux holds 64 KiB
+    assert unwrapped(positions, faces).charts == 1
+
+
 def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
     before = children()
     (tmp_path / "endless.py").write_text("while True: pass")
