@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter, zoom
 from scipy.spatial import Delaunay
 
 import beltrami_cli
-from beltrami_cli.jobs.noise_targets import jpeg_file
+from beltrami_cli.jobs.noise import jpeg_file
 from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
 
 NEAR = 0.3  # relative error of noise that is read well

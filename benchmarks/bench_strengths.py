@@ -15,7 +15,7 @@ import numpy as np
 from bench_camera_noise import images, psnr, stored, with_noise
 
 import beltrami_cli
-from beltrami_cli.jobs.noise_targets import as_jpeg
+from beltrami_cli.jobs.noise import as_jpeg
 
 BEST = 60.0  # dB; beyond it nobody sees a difference
 STRENGTHS = ("gentle", "normal", "strong")

@@ -1,5 +1,6 @@
 """Add noise to the colours of a file: for tests, and to show what smoothing takes away again.
 
+Samples at one place have one random number, so that split vertices stay equal, and seams stay invisible.
 Noise of samples by themselves is a function of a colour and of a uniform random number of the sample: the inverse of a
 distribution function. So samples with one colour and one number change equally, and samples at one place with different
 colours change in the same direction. A camera counts photons in linear light, which makes a variance of A L + B^2, and
@@ -12,21 +13,34 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beltrami_cli.arrays import Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from beltrami_cli.errors import UsageError
+from beltrami_cli.flow.canvas import painted as on_canvas
 from beltrami_cli.flow.embedding import from_space, to_space
+from beltrami_cli.flow.parameters import Space
+from beltrami_cli.flow.records import NewColours
+from beltrami_cli.formats.image import write_image
+from beltrami_cli.formats.image.picture import new_picture
+from beltrami_cli.formats.image.reading import read_image
+from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
-from beltrami_cli.jobs.noise_targets import NoiseTargets, NoisyLayer, noisy_layer
 from beltrami_cli.jobs.recolour import Painter, recolour
-from beltrami_cli.layers.layer import Layer, Repainted
-from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
+from beltrami_cli.layers.image_layer import ImageLayer
+from beltrami_cli.layers.layer import Change, Layer, Repainted
+from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
+from beltrami_cli.layers.texel_colours import all_texel_colours
+from beltrami_cli.layers.texture_layer import TextureLayer
+from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface import large_arrays
-from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import limits_of
+from beltrami_cli.surface.baking import Cells, places_of_texels
+from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.records import PaintedVertices, limits_of
 
 _BAYER = np.array([[0, 1], [1, 2]])  # the channel that is measured, by row and column
 _LATTICE = 1 << 16  # random numbers, which points of a lattice share by a hash
@@ -57,6 +71,22 @@ class NoiseReport(FileReport):
 
 
 @dataclass(frozen=True)
+class NoiseTargets:
+    """Colours in the working space, and how random numbers are assigned to them."""
+
+    colours: Float32s  # shape (K, N)
+    number_of: NDArray[np.integer[Any]]  # random number of each, shape (K,); the same for all at one place
+    stream: int = 0  # separates the random numbers of parts of a document
+    is_grey: Bools | None = None  # where all channels are one, shape (K,); None: nowhere
+    space: Space = "srgb"
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Where colours with noise are cut off."""
+        return limits_of(self.colours)
+
+
+@dataclass(frozen=True)
 class Noisy:
     """Samples with noise, and what it changed."""
 
@@ -78,11 +108,12 @@ class Noising(Painter[Noisy]):
 
     def paint(self, layer: Layer, job: Job) -> Noisy:
         del job
-        noisy = noisy_layer(layer)
-        after = _with_noise(noisy, self.noise)
-        change = np.square(after - noisy.targets.colours, dtype=np.float64)
+        targets = _targets_of(layer)
+        after = _with_noise(layer, targets, self.noise)
+        change = np.square(after - targets.colours, dtype=np.float64)
         rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
-        return Noisy(noisy.repainted(after), Added(noisy.what, len(change), rms))
+        what = "vertex colours" if isinstance(layer, PaintedLayer) else layer.label
+        return Noisy(_repainted(layer, targets, after), Added(what, len(change), rms))
 
 
 def noise_file(
@@ -120,17 +151,147 @@ def noise_file(
     return NoiseReport(**{**vars(made), "parameters": dataclasses.asdict(noise)}, added=added)
 
 
-def _with_noise(noisy: NoisyLayer, settings: NoiseSettings) -> Float32s:
-    targets = noisy.targets
+def _targets_of(layer: Layer) -> NoiseTargets:
+    """Return the colours of a layer that noise is added to: of vertices, texels or pixels."""
+    space = layer.settings.space
+    if isinstance(layer, PaintedLayer):
+        painted, rows = layer.painted, _rows_of(layer)
+        before = to_space(painted.colours[rows][:, layer.channels.changing], painted.encoding, space)
+        return NoiseTargets(before, _places_of(painted, rows), space=space)
+    if isinstance(layer, ImageLayer):
+        before = layer.unchanged().table()
+        return NoiseTargets(before, np.arange(len(before)), space=space)
+    assert isinstance(layer, TextureLayer)
+    atlas = layer.atlas
+    # Texels are numbered by their place in the textures, and not on the canvas.
+    number = np.empty(len(atlas.owned_texels), np.int64)
+    number[np.argsort(atlas.owned_texels)] = np.arange(len(number))
+    is_grey = np.array([len(picture.colour) == 1 for picture in layer.pictures], bool)
+    return NoiseTargets(
+        colours=all_texel_colours(layer.colours, layer.pictures, atlas),
+        number_of=number,
+        stream=1 + SLOTS.index(layer.slot),
+        is_grey=is_grey[np.searchsorted(atlas.texture_offsets, atlas.owned_texels, side="right") - 1],
+        space=layer.colours.space,
+    )
+
+
+def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainted:
+    """Give the targets of a layer new colours."""
+    if isinstance(layer, PaintedLayer):
+        painted, changing = layer.painted, layer.channels.changing
+        colours, places = painted.colours.copy(), (_rows_of(layer)[:, None], changing)
+        # Conversion to the working space and back is not exact: unchanged colours keep their bits.
+        back = from_space(after, painted.encoding, targets.space)
+        colours[places] = np.where(after != targets.colours, back, colours[places])
+        return Repainted(Change.between(painted.colours, colours), colours)
+    if isinstance(layer, ImageLayer):
+        new = NewColours.of(after, layer.unchanged().places)
+        pictures, suffix, remedy = [layer.picture], layer.suffix, "an OUTPUT in .png keeps all"
+    else:
+        assert isinstance(layer, TextureLayer)
+        atlas = layer.atlas
+        planes = on_canvas(atlas, after, threads=1)
+        beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
+        new = NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
+        pictures, suffix = [*layer.pictures], layer.settings.textures.image_suffix
+        remedy = "--texture-format png keeps all"
+    made = layer.repaint(new)
+    losses = [loss for picture in pictures for loss in noise_losses(picture, suffix, remedy)]
+    return dataclasses.replace(made, notices=(*made.notices, *losses))
+
+
+def _rows_of(layer: PaintedLayer) -> NDArray[np.intp]:
+    return coloured_rows(layer.painted, in_triangles=layer.in_triangles)
+
+
+def _places_of(painted: PaintedVertices, rows: NDArray[np.intp]) -> Int32s:
+    """Return the number of the place of each of some vertices."""
+    spaces = None if painted.space_of is None else painted.space_of[rows]
+    return group_places(painted.positions[rows], spaces)[0]
+
+
+def _with_noise(layer: Layer, targets: NoiseTargets, settings: NoiseSettings) -> Float32s:
     if not targets.colours.size or settings.sigma == 0:
         return targets.colours.copy()
     if settings.kind == "jpeg":
-        return noisy.coded_as_jpeg(settings.quality)
+        return _coded_as_jpeg(layer, settings.quality)
     if settings.kind == "camera":
-        return seen_by_camera(targets, noisy.cells(), settings)
+        where = layer.places()
+        return seen_by_camera(targets, where if isinstance(where, Cells) else None, settings)
     if settings.kind == "grain":
-        return add_grain(targets, *noisy.positions(), settings)
+        return add_grain(targets, *_positions_of(layer), settings)
     return add_noise(targets, settings)
+
+
+def _positions_of(layer: Layer) -> tuple[Float64s, Float64s]:
+    """Return the positions of the targets, (K, 3), and their distance from neighbours, (K,)."""
+    if isinstance(layer, PaintedLayer):
+        rows = _rows_of(layer)
+        return layer.painted.positions[rows], _spacing(layer.painted, rows)
+    cells = layer.places()
+    assert isinstance(cells, Cells)
+    if isinstance(layer, TextureLayer):
+        return places_of_texels(layer.surface, cells)
+    places = np.column_stack([cells.column, cells.row, np.zeros_like(cells.row)])
+    return places.astype(np.float64), np.ones(len(places))
+
+
+def _spacing(painted: PaintedVertices, rows: NDArray[np.intp]) -> Float64s:
+    """Return the mean length of the sides at each vertex's place, or of points the distance to the next place."""
+    place_of = _places_of(painted, rows)
+    count = int(place_of.max(initial=-1)) + 1
+    first = np.zeros(count, np.int64)
+    first[place_of] = np.arange(len(rows))
+    places = painted.positions[rows[first]]
+    if not len(painted.faces) and count > 1:
+        from scipy.spatial import cKDTree
+
+        apart = np.asarray(cKDTree(places).query(places, k=2)[0], np.float64)
+        return np.asarray(apart[place_of, 1])
+    number = np.full(len(painted.positions), -1)
+    number[rows] = place_of
+    corners = number[painted.faces]
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    sides = sides[(sides >= 0).all(axis=1) & (sides[:, 0] != sides[:, 1])]
+    lengths = np.linalg.norm(places[sides[:, 0]] - places[sides[:, 1]], axis=1)
+    total = np.bincount(sides.ravel(), np.repeat(lengths, 2), count)
+    ends = np.bincount(sides.ravel(), minlength=count)
+    return np.asarray((total / np.maximum(ends, 1))[place_of], np.float64)
+
+
+def _coded_as_jpeg(layer: Layer, quality: int) -> Float32s:
+    """Return the colours of the targets as they are after their pictures went through JPEG."""
+    if not isinstance(layer, (ImageLayer, TextureLayer)):
+        remedy = "put the colours into a texture first: `beltrami bake --to texture`"
+        raise UsageError(f"{layer.label}: JPEG codes pictures; {remedy}")
+    if layer.names not in (("red", "green", "blue"), ("grey",)):
+        cause = f"{layer.label}: JPEG codes all channels together; leave out --channels and --alpha"
+        raise UsageError(cause)
+    cells, space = layer.places(), layer.colours.space
+    coded = np.empty((len(cells.row), len(layer.names)), np.float32)
+    pictures = [layer.picture] if isinstance(layer, ImageLayer) else layer.pictures
+    for index, picture in enumerate(pictures):
+        working = layer.colours.working(picture, np.arange(picture.pixels[..., 0].size))
+        shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
+        inside, place = cells.of(index)
+        coded[inside] = to_space(as_jpeg(shown, quality)[place], "srgb", space)
+    return coded
+
+
+def as_jpeg(shown: Float32s, quality: int) -> Float32s:
+    """Return display values of a picture, (H, W, 1 or 3), as they are after JPEG with colour at half the resolution."""
+    coded = read_image(jpeg_file(shown, quality), "a picture").pixels
+    return np.asarray(coded[..., : shown.shape[2]] / np.float32(255), np.float32)
+
+
+def jpeg_file(shown: Float32s, quality: int) -> bytes:
+    """Return the JPEG file of display values, (H, W, 1 or 3), with colour at half the resolution."""
+    pixels = np.rint(255 * np.clip(shown, 0, 1)).astype(np.uint8)
+    new = new_picture(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))), "a picture")
+    new.spec.attribute("jpeg:subsampling", "4:2:0")
+    picture = dataclasses.replace(new, format="jpeg", suffix=".jpg")
+    return write_image(picture, new.pixels, jpeg_quality=quality).data
 
 
 def _generator(targets: NoiseTargets, settings: NoiseSettings) -> np.random.Generator:

@@ -86,7 +86,7 @@ class ImageLayer(Layer):
             )
         if not valid.any():
             remedy = "" if visible.any() else "; --alpha smooth takes transparent pixels, too"
-            remarks.append(f"{picture.name} has no pixel but holes, so nothing was smoothed{remedy}.")
+            remarks.append(f"{picture.name} has no pixel but holes, so nothing was changed{remedy}.")
         return cls(
             names=colours.names, picture=picture, settings=settings, colours=colours,
             surface=dataclasses.replace(surface, valid=valid), valid=valid,

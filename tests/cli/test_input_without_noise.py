@@ -87,7 +87,7 @@ def test_where_there_are_no_samples_no_strength_is_advised(tmp_path):
     pixels[..., 3] = 0
     (tmp_path / "a.png").write_bytes(encode(pixels, "png"))
     run = beltrami("smooth", tmp_path / "a.png", tmp_path / "b.png", "--strength", "strong")
-    assert b"a.png has no pixel but holes, so nothing was smoothed; --alpha smooth takes" in run.stderr
+    assert b"a.png has no pixel but holes, so nothing was changed; --alpha smooth takes" in run.stderr
     assert b"left as they are" in run.stderr
     shown = beltrami("info", tmp_path / "a.png").stdout
     assert b"nothing to smooth: there are no samples" in shown

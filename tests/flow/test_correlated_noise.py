@@ -15,8 +15,7 @@ from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.sure import RiskEstimate
 from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import seen_by_camera
-from beltrami_cli.jobs.noise_targets import NoiseTargets
+from beltrami_cli.jobs.noise import NoiseTargets, seen_by_camera
 from beltrami_cli.surface.baking import Cells
 from flow.test_choice import Blur
 from formats.image_files import encode

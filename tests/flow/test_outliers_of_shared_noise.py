@@ -11,8 +11,7 @@ from beltrami_cli.flow.coarse_levels import replace_outliers
 from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import add_grain, seen_by_camera
-from beltrami_cli.jobs.noise_targets import NoiseTargets
+from beltrami_cli.jobs.noise import NoiseTargets, add_grain, seen_by_camera
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces

@@ -13,8 +13,7 @@ from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_
 from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.vertex_graph import levels_of
 from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import add_grain
-from beltrami_cli.jobs.noise_targets import NoiseTargets
+from beltrami_cli.jobs.noise import NoiseTargets, add_grain
 from beltrami_cli.surface.records import SampledSurface
 from oracles import surfaces
 from oracles.paintings import psnr

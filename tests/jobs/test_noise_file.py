@@ -9,8 +9,7 @@ from scipy.stats import kstest
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.inspect import check_files
 from beltrami_cli.jobs.job import NoiseSettings, amount, sure_amount
-from beltrami_cli.jobs.noise import add_noise, noise_file
-from beltrami_cli.jobs.noise_targets import NoiseTargets
+from beltrami_cli.jobs.noise import NoiseTargets, add_noise, noise_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES, beltrami
 from formats.image_files import encode, stored

@@ -75,7 +75,7 @@ def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_cov
     noise[..., 3] = 0
     (tmp_path / "skin.png").write_bytes(encoded(noise))
     (reported,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
-    assert reported.endswith("nothing was smoothed; --alpha smooth counts them, too")
+    assert reported.endswith("nothing was changed; --alpha smooth counts them, too")
     smoothed = smooth_file(
         model,
         tmp_path / "o.obj",
@@ -87,7 +87,7 @@ def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_cov
     (tmp_path / "skin.png").write_bytes(encoded(noise))
     model.write_text(re.sub(r"vt .*", "vt 0.5 0.5", model.read_text()))
     (reported,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
-    assert reported.endswith("--unwrap makes a new atlas")
+    assert reported.endswith("`smooth --unwrap` makes a new atlas")
 
 
 def test_what_is_wrong_with_an_image_is_said_with_the_model(tmp_path):

@@ -13,8 +13,7 @@ import beltrami_cli
 from beltrami_cli._native import sweep_instruction_set
 from beltrami_cli.flow.parameters import PRESETS
 from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import add_grain
-from beltrami_cli.jobs.noise_targets import NoiseTargets
+from beltrami_cli.jobs.noise import NoiseTargets, add_grain
 from beltrami_cli.layers.image_surface import ImageSurface
 from oracles import surfaces
 from properties import textured_planes
