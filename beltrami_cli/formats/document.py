@@ -18,11 +18,12 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain, count
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, Self
 
 import numpy as np
 
@@ -319,6 +320,25 @@ class Document(ABC):
     def _textured_mesh(self) -> records.MeshContents:
         """Return what `textured_mesh` does, without colours of vertices."""
         raise InputError(self.name, f"the textures of a {self.format} file cannot be converted")
+
+    def repainted(
+        self, vertices: PaintedVertices | None, images: Mapping[tuple[records.Slot, str], bytes]
+    ) -> Self:
+        """Return a copy to look at, but not to patch, with other vertex colours (None: the same) and image files."""
+        made = copy(self)
+        made.notices, made._textured = [], {}
+        if vertices is not None:
+            made._painted = vertices  # in place of what the property would cache
+        for slot in dict.fromkeys(slot for slot, _ in images):
+            surface = self.textured(slot)
+            made._textured[slot] = replace(
+                surface,
+                textures=tuple(
+                    replace(each, content=images.get((slot, each.key), each.content))
+                    for each in surface.textures
+                ),
+            )
+        return made
 
     def fingerprint(self) -> Fingerprint:
         """Take the file apart for comparison with another; InputError if that is not possible or it is damaged."""

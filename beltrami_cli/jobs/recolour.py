@@ -1,25 +1,25 @@
 """Give a document new colours: select, take layers, paint, give back, convert.
 
 A painter gives a layer new colours: by the kernel, by adding noise, and the like. No code here asks which layers they
-are. The files of the result have the format that the output asks for. In memory, the result is a `RepaintedDocument`.
+are. The files of the result have the format that the output asks for; in memory, the result is a document to look at.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import ClassVar, Generic, NoReturn, Protocol, Self, TypeVar
+from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int64s
+from beltrami_cli.arrays import Float64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.colours import quantised
-from beltrami_cli.formats.document import Changes, Document, ImageDocument, Naming, Written
+from beltrami_cli.formats.document import Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
@@ -34,12 +34,9 @@ from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import (
     ImageFile,
-    MeshContents,
     MovedVertices,
-    PaintedVertices,
     PlannedImage,
     Slot,
-    TexturedSurface,
 )
 
 
@@ -241,63 +238,14 @@ def _sidecar_names(
 def with_new_colours(document: Document, painted: Sequence[Repainted]) -> Document:
     """Return what a document would be with new colours, rounded to what its file holds of them."""
     images = {key: image.data for key, image in all_images(painted)[0].items()}
-    vertices = next((each for each in painted if each.colours is not None), None)
+    new = next((each for each in painted if each.colours is not None), None)
     if document.kind == "image":
         return ImageDocument(images.get(("baseColor", ""), document.data), document.name)
-    return RepaintedDocument(document, None if vertices is None else _rounded(document, vertices), images)
-
-
-def _rounded(document: Document, new: Repainted) -> PaintedVertices:
-    painted, colours = document.painted(), new.colours
-    assert colours is not None
-    if painted.stored.startswith(("uint", "int")):
-        full = painted.full_scale
-        colours = (quantised(colours, painted.stored, full) / full).astype(np.float32)
-    return replace(
-        painted, colours=colours, positions=painted.positions if new.positions is None else new.positions
-    )
-
-
-class RepaintedDocument(Document):
-    """A model with other vertex colours and image files than its source; the rest is delegated to the source."""
-
-    format: ClassVar[str] = "repainted"
-
-    def __init__(
-        self, source: Document, vertices: PaintedVertices | None, images: Mapping[tuple[Slot, str], bytes]
-    ) -> None:
-        super().__init__(source.data, source.name, None, source.access)
-        self._source, self._vertices, self._images = source, vertices, images
-        self.kind = source.kind  # type: ignore[misc]
-
-    def painted(self) -> PaintedVertices:
-        return self._source.painted() if self._vertices is None else self._vertices
-
-    def grid(self) -> Int64s | None:
-        return self._source.grid()
-
-    def attributes(self) -> tuple[str, ...]:
-        return self._source.attributes()
-
-    def attribute(self, name: str) -> Float64s:
-        return self._source.attribute(name)
-
-    def contents(self) -> MeshContents:
-        return self._source.recoloured_contents(None if self._vertices is None else self._vertices.colours)
-
-    def slots(self) -> tuple[Slot, ...]:
-        return self._source.slots()
-
-    def _gathered(self, slot: Slot) -> TexturedSurface:
-        surface = self._source.textured(slot)
-        textures = [
-            replace(each, content=self._images.get((slot, each.key), each.content))
-            for each in surface.textures
-        ]
-        return replace(surface, textures=tuple(textures))
-
-    def _patched(self, new: Changes, naming: Naming) -> NoReturn:
-        raise NotImplementedError("it is not written")
-
-    def facts(self) -> dict[str, object]:
-        return self._source.facts()
+    if new is None or new.colours is None:
+        return document.repainted(None, images)
+    vertices, colours = document.painted(), new.colours
+    if vertices.stored.startswith(("uint", "int")):
+        full = vertices.full_scale
+        colours = (quantised(colours, vertices.stored, full) / full).astype(np.float32)
+    positions = vertices.positions if new.positions is None else new.positions
+    return document.repainted(replace(vertices, colours=colours, positions=positions), images)

@@ -154,9 +154,16 @@ class Smoothing(Painter[Smoothed]):
 
 def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:
     """Add the changes of layers to the report of a file."""
+    groups: dict[object, list[Smoothed]] = {}
+    for number, each in enumerate(done):
+        report = each.report
+        key = (
+            (report.slot, str(report.choice), str(report.noise)) if isinstance(report, SlotReport) else number
+        )
+        groups.setdefault(key, []).append(each)
     reports: dict[Part, list[Any]] = {"vertices": [], "textures": [], "image": []}
-    for each in _joined(done):
-        reports[each.part].append(each.report)
+    for group in groups.values():
+        reports[group[0].part].append(_joined(group))
     return SmoothReport(
         **{**vars(made), "parameters": describe_settings(settings)},
         vertices=next(iter(reports["vertices"]), None),
@@ -166,19 +173,25 @@ def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSe
     )
 
 
-def _joined(done: Sequence[Smoothed]) -> list[Smoothed]:
-    """Join the reports of groups of textures of one slot that have the same noise and parameters."""
-    groups: dict[object, list[Smoothed]] = {}
-    for number, each in enumerate(done):
-        key = each.report.joining_key
-        groups.setdefault(number if key is None else key, []).append(each)
-    joined = []
-    for first, *others in groups.values():
-        group = [first, *others]
-        change = Change.joined(each.repainted.change for each in group).summary()
-        report = type(first.report).joined([each.report for each in group])
-        joined.append(dataclasses.replace(first, report=dataclasses.replace(report, change=change)))
-    return joined
+def _joined(group: Sequence[Smoothed]) -> LayerReport:
+    """Return one report for groups of textures of one slot that have the same noise and parameters."""
+    reports = [each.report for each in group if isinstance(each.report, SlotReport)]
+    if len(reports) < 2:
+        return group[0].report
+    texels = [max(1, report.counts["covered"]) for report in reports]
+
+    def mean(name: str) -> float:
+        return float(np.average([getattr(report, name) or 0.0 for report in reports], weights=texels))
+
+    return dataclasses.replace(
+        reports[0],
+        textures=[texture for report in reports for texture in report.textures],
+        counts={key: sum(report.counts[key] for report in reports) for key in reports[0].counts},
+        pitch=mean("pitch"),
+        samples_per_kernel=round(mean("samples_per_kernel"), 2),
+        patches=None if reports[0].patches is None else mean("patches"),
+        change=Change.joined(each.repainted.change for each in group).summary(),
+    )
 
 
 _HEAD = re.compile(rb'\{\n  "input": ".*",\n  "output": ".*",\n  "format": "\w+",\n  "parameters": \{')

@@ -310,16 +310,6 @@ class LayerReport:
         del max_samples
         return []
 
-    @property
-    def joining_key(self) -> object:
-        """What several reports must agree in to become one; None: this one stays separate."""
-        return None
-
-    @classmethod
-    def joined(cls, reports: Sequence[Self]) -> Self:
-        """Return one report for several with one `joining_key`, but for the change of colours."""
-        return reports[0]
-
 
 @dataclass(frozen=True, kw_only=True)
 class VertexReport(LayerReport):
@@ -356,29 +346,6 @@ class SlotReport(LayerReport):
     counts: dict[str, int]
     pitch: float  # mean distance of neighbouring texels on the surface, in the model's own unit of length
     samples_per_kernel: float  # mean
-
-    @property
-    def joining_key(self) -> object:
-        return self.slot, str(self.choice), str(self.noise)
-
-    @classmethod
-    def joined(cls, reports: Sequence[Self]) -> Self:
-        first = reports[0]
-        if len(reports) == 1:
-            return first
-        texels = [report.counts["covered"] for report in reports]
-
-        def mean(values: Sequence[float]) -> float:
-            return sum(a * b for a, b in zip(values, texels, strict=True)) / max(1, sum(texels))
-
-        return dataclasses.replace(
-            first,
-            textures=[texture for report in reports for texture in report.textures],
-            counts={key: sum(report.counts[key] for report in reports) for key in first.counts},
-            pitch=mean([report.pitch for report in reports]),
-            samples_per_kernel=round(mean([report.samples_per_kernel for report in reports]), 2),
-            patches=None if first.patches is None else mean([report.patches or 0.0 for report in reports]),
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
