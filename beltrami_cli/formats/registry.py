@@ -269,3 +269,58 @@ def _with_textures(name: str, image_suffix: str | None = None) -> Format:
         cause = f"a .{name} file takes PNG and JPEG textures, not {image_suffix}"
         raise UsageError(f"{cause}; choose --texture-format png or jpg")
     return line
+
+
+@dataclass(frozen=True)
+class OutputFormat:
+    """A format to write."""
+
+    name: str
+    # Whether the output keeps all that the document holds besides colours; otherwise it is converted.
+    is_patched: bool
+    suffix: str | None = None  # of another image format, with its dot
+
+
+def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
+    """Choose the format to write, by option, by the output's name, or as the source; UsageError if it is unknown."""
+    from beltrami_cli.formats.image.picture import format_of_suffix
+
+    if document.kind == "image":
+        return _image_format(document, target, chosen)
+    wanted = chosen or Path(target).suffix.lower().lstrip(".")
+    if wanted in OUTPUT_FORMATS:
+        name = OUTPUT_FORMATS[wanted]
+    elif wanted in document.forms:
+        name = wanted
+    elif target == "-" or not wanted:
+        name = OUTPUT_FORMATS.get(document.format, document.format if document.forms else "ply")
+    elif format_of_suffix(f".{wanted}") is not None:
+        cause = f".{wanted} is an image format, but {document.name} is a model"
+        drawn = f"beltrami render {document.name} {target} draws it"
+        raise UsageError(f"{target}: {cause}; {drawn}, or end the name in .{document.format}")
+    else:
+        known = ", ".join("." + f for f in OUTPUT_FORMATS)
+        cause = f"no format is known for .{wanted}"
+        if is_only_read(wanted):
+            why = ": the STL format has no colours" if wanted == "stl" else ""
+            cause = f".{wanted} files are read, but not written{why}"
+        elif wanted in KEPT_FORMATS:
+            cause = f"a .{document.format} file is not converted to .{wanted}"
+        raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
+    return OutputFormat(name, is_patched=name in (document.format, *document.forms))
+
+
+def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
+    from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
+
+    suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
+    known = format_of_suffix(suffix) if suffix else None
+    if suffix and known is None:
+        raise UsageError(
+            f"{target}: no image format is known for {suffix}; end the name in {', '.join(WRITABLE)}, or say --format"
+        )
+    own = format_of(document.data, document.name)
+    if not suffix or known == own:
+        own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"
+        return OutputFormat(own_suffix.lower()[1:], is_patched=True)
+    return OutputFormat(suffix.lower()[1:], is_patched=True, suffix=suffix)

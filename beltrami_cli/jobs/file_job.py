@@ -20,10 +20,15 @@ from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access, read_regular, read_source
 from beltrami_cli.formats.document import Document, Naming, Written
-from beltrami_cli.formats.registry import OUTPUT_FORMATS, held_images, is_only_read
+from beltrami_cli.formats.registry import (
+    OUTPUT_FORMATS,
+    OutputFormat,
+    choose_format,
+    held_images,
+    is_only_read,
+)
 from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
 from beltrami_cli.jobs.output import Output
-from beltrami_cli.layers.selection import OutputFormat, choose_format
 from beltrami_cli.layers.settings import SmoothSettings
 
 

@@ -28,22 +28,15 @@ from beltrami_cli.jobs.job import Job, Progress
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.levelled_charts import photograph_attribute, photographs_of
-from beltrami_cli.layers.memory_check import require_memory, within_memory
-from beltrami_cli.layers.selection import (
-    Selection,
-    count_samples,
-    layers_of,
-    require_scale,
-    select,
-    vertex_layer,
-)
+from beltrami_cli.layers.memory_check import require_memory
+from beltrami_cli.layers.selection import Selection, select, vertex_layer
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas, texels_by_texture
 from beltrami_cli.surface.geometry import bounds, count_topology
 from beltrami_cli.surface.grouping import group_places
-from beltrami_cli.surface.records import Slot, Texture
+from beltrami_cli.surface.records import Texture
 
 
 def inspect_file(
@@ -85,15 +78,15 @@ def inspect_file(
     job = Job(access, progress)
     job.begin("reading")
     document = open_input(os.fspath(source), settings, access)
-    selection = select(document, settings)
-    require_scale(document, selection)
-    counts = count_samples(document, selection, settings.textures)
+    selection = select(document, settings, access)
+    selection.require_scale()
+    counts = selection.samples()
     job.expect(chain(*(phases_of(["laying out", "choosing parameters"], count) for count in counts)))
     surface = dict[str, object]()
     if selection.slots and not selection.vertices:
-        surface = _describe_under_textures(document, selection.slots[0], settings, access)
+        surface = _describe_under_textures(selection)
     notices = [*document.notices, *selection.notices]
-    described, of_layers = _describe_layers(document, selection, settings, job)
+    described, of_layers = _describe_layers(selection, job)
     notices += of_layers
     # Of images they are known once there is enough memory to decode them.
     file = {"name": document.name, "format": document.format, **document.facts()}
@@ -108,17 +101,16 @@ def inspect_file(
     return {**found, "notices": notices}
 
 
-def _describe_layers(
-    document: Document, selection: Selection, settings: SmoothSettings, job: Job
-) -> tuple[dict[Part, list[dict[str, object]]], list[str]]:
+def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[dict[str, object]]], list[str]]:
     """Describe the selected layers, by the part of the document that they belong to; return also notices."""
     described: dict[Part, list[dict[str, object]]] = {"vertices": [], "image": [], "textures": []}
-    notices, photographs, access = list[str](), None, job.access
+    document, settings = selection.document, selection.settings
+    notices, photographs = list[str](), None
     if selection.vertices and photograph_attribute(document) is not None:
         photographs = photographs_of(document)
-    with within_memory(document, selection.slots, settings.textures, access):
+    with selection.within_memory():
         job.begin("laying out")
-        for layer in layers_of(document, selection, settings, access, in_groups=settings.fits_parts):
+        for layer in selection.layers(in_groups=settings.fits_parts):
             job.begin(f"{layer.label}: choosing parameters")
             facts, exposure = layer.describe(), describe_exposure(layer, photographs)
             described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
@@ -149,16 +141,15 @@ def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[s
     }
 
 
-def _describe_under_textures(
-    document: Document, slot: Slot, settings: SmoothSettings, access: Access
-) -> dict[str, object]:
+def _describe_under_textures(selection: Selection) -> dict[str, object]:
     """Describe the surface that only textures are smoothed on, and the vertex colours that it has besides."""
+    document, settings = selection.document, selection.settings
     if settings.on == "auto" and document.grid() is None and document.has_vertex_colours():
         # They stay as they are, so no parameters are chosen for them.
         plain = dataclasses.replace(DEFAULTS, kernel=dataclasses.replace(settings.kernel, free=()))
-        facts = vertex_layer(document, plain, access).describe()
+        facts = vertex_layer(document, plain, selection.access).describe()
         return {key: facts[key] for key in facts if key != "smooth"}
-    surface = document.textured(slot)
+    surface = document.textured(selection.slots[0])
     place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
     positions = surface.positions[first]
     counts = {

@@ -25,8 +25,7 @@ from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.layers.layer import Layer, SampledVertices
-from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory, require_memory_for_textures
-from beltrami_cli.layers.selection import layers_of, require_scale, select
+from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings
 from beltrami_cli.surface.atlas import EMPTY
 from beltrami_cli.surface.baking import Cells
@@ -62,15 +61,13 @@ def kernel_file(
     output = Output(target, overwrite=job.overwrite, is_text=suffix == ".csv", what="kernel", reads=[source])
     access = output.files.watching(job.access)
     document = open_input(source, settings, access)
-    selection = select(document, settings)
-    require_scale(document, selection)
+    selection = select(document, settings, access)
+    selection.require_scale()
     if selection.vertices + len(selection.slots) + selection.image > 1:
         remedy = "choose --on vertices, or --on texture and one of --slots"
         raise UsageError(f"{document.name}: a kernel is of one image; {remedy}")
-    if selection.image:
-        require_memory([(document.name, document.data)], access, PIXEL_BYTES["smoothed"])
-    require_memory_for_textures(document, selection.slots, settings.textures, access)
-    (samples,) = layers_of(document, selection, settings, access)
+    selection.require_memory("smoothed" if selection.image else "painted")
+    (samples,) = selection.layers()
     where = samples.places()
     on_mesh = isinstance(where, SampledVertices)
     if suffix != ".csv" and (suffix == ".ply") != on_mesh:

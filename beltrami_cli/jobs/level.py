@@ -10,13 +10,13 @@ from typing import Any
 from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.formats.document import Document
+from beltrami_cli.formats.registry import OutputFormat
 from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.recolour import Painter, recolour
 from beltrami_cli.layers.layer import Layer, LevelReport, Repainted
 from beltrami_cli.layers.levelled_charts import photographs_of
-from beltrami_cli.layers.selection import OutputFormat, Selection
+from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 
 
@@ -36,15 +36,17 @@ class Levelling(Painter[Levelled]):
     wanted: LevelSettings
     photographs: Int64s | None = None  # number of the photograph that each vertex is from
 
-    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Levelling:
+    def prepared(self, selection: Selection, target: OutputFormat) -> Levelling:
         """Find the photographs of vertices; errors if there are none, or it is an image."""
         del target
         if selection.image:
             cause = "an image has no charts that could differ in exposure; give a model with textures"
-            raise UsageError(f"{document.name}: {cause}")
+            raise UsageError(f"{selection.document.name}: {cause}")
         if not selection.vertices:
             return self
-        return dataclasses.replace(self, photographs=photographs_of(document, self.wanted.photographs))
+        return dataclasses.replace(
+            self, photographs=photographs_of(selection.document, self.wanted.photographs)
+        )
 
     def paint(self, layer: Layer, job: Job) -> Levelled:
         del job

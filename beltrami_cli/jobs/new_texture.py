@@ -17,7 +17,7 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import write_mesh
 from beltrami_cli.jobs.file_job import FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job, Progress
-from beltrami_cli.layers.memory_check import require_memory_for_textures
+from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, BakeTo
 from beltrami_cli.surface.baking import (
     bake,
@@ -297,7 +297,7 @@ def bake_file(
                 made.in_words,
             )
         else:
-            require_memory_for_textures(document, ("baseColor",), DEFAULTS.textures, file.job.access)
+            Selection(document, DEFAULTS, file.job.access, slots=("baseColor",)).require_memory()
             contents, notices = _colours_from_textures(document)
             counts = {"coloured vertex": len(contents.positions), "triangle": len(contents.offsets) - 1}
             written, texture = write_mesh(contents, kind, stem), ""

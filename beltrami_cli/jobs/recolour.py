@@ -21,15 +21,14 @@ from beltrami_cli.formats import registry
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
+from beltrami_cli.formats.registry import OutputFormat
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
 from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
-from beltrami_cli.layers.memory_check import within_memory
-from beltrami_cli.layers.selection import NOTHING, OutputFormat, Selection, count_samples, layers_of, select
+from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texel_colours import choose_textures
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
 from beltrami_cli.surface.records import (
@@ -72,9 +71,9 @@ class Painter(ABC, Generic[AnyPainted]):
         """Whether textures that do not touch are painted separately."""
         return False
 
-    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Self:
-        """Return the painter for a document; errors if it cannot be painted, before anything is computed."""
-        del document, selection, target
+    def prepared(self, selection: Selection, target: OutputFormat) -> Self:
+        """Return the painter for what is selected; errors if it cannot be painted, before anything is computed."""
+        del selection, target
         return self
 
     @abstractmethod
@@ -89,19 +88,15 @@ def recolour(
     file = begin(source, target, settings, job)
     document, kind, watch = file.document, file.format, file.watch
     with watch.stage("read"):
-        selection = select(document, settings)
+        selection = select(document, settings, file.job.access)
         if not painter.changes and kind.suffix is None:
-            selection = NOTHING
-        painter = painter.prepared(document, selection, kind)
-        naming = file.reserve(lambda naming: _sidecar_names(naming, document, selection, settings, kind))
+            selection = Selection(document, settings, file.job.access)
+        painter = painter.prepared(selection, kind)
+        naming = file.reserve(partial(_sidecar_names, selection, kind))
     place = None if file.output is None else target
-    textures, in_files = settings.textures, painter.works_in_files
-    with within_memory(document, selection.slots, textures, file.job.access, place, in_files=in_files):
+    with selection.within_memory(place, in_files=painter.works_in_files):
         with watch.stage("smooth"):
-            in_groups = painter.works_in_groups
-            painted = paint(
-                document, selection, settings, painter, file.job, kind.suffix, in_groups=in_groups
-            )
+            painted = paint(selection, painter, file.job, kind.suffix)
         with watch.stage("write"):
             new = [each.repainted for each in painted]
             images, said = all_images(new)
@@ -115,32 +110,26 @@ def recolour_in_memory(
     document: Document, settings: SmoothSettings, painter: Painter[AnyPainted], job: Job
 ) -> tuple[Document, list[AnyPainted]]:
     """Paint what the settings select, and return it as the document that would be written; the other is kept."""
-    selection = select(document, settings) if painter.changes else NOTHING
-    painter = painter.prepared(document, selection, OutputFormat(document.format, is_patched=True))
-    textures, in_files = settings.textures, painter.works_in_files
-    with within_memory(document, selection.slots, textures, job.access, in_files=in_files):
-        painted = paint(document, selection, settings, painter, job, in_groups=painter.works_in_groups)
+    selection = Selection(document, settings, job.access)
+    if painter.changes:
+        selection = select(document, settings, job.access)
+    painter = painter.prepared(selection, OutputFormat(document.format, is_patched=True))
+    with selection.within_memory(in_files=painter.works_in_files):
+        painted = paint(selection, painter, job)
     return with_new_colours(document, [each.repainted for each in painted]), painted
 
 
 def paint(
-    document: Document,
-    selection: Selection,
-    settings: SmoothSettings,
-    painter: Painter[AnyPainted],
-    job: Job,
-    suffix: str | None = None,
-    *,
-    in_groups: bool,
+    selection: Selection, painter: Painter[AnyPainted], job: Job, suffix: str | None = None
 ) -> list[AnyPainted]:
     """Paint the selected parts, layer by layer; `suffix`: of another image format that is written."""
     painted = []
-    counts = count_samples(document, selection, settings.textures)
+    counts = selection.samples()
     phases = [phases_of(["laying out", *painter.phases], count) for count in counts]
     job.expect([*chain(*phases), *phases_of(["writing"], sum(counts))])
     job.begin("laying out")
-    options = {"colours_only": painter.colours_only, "in_groups": in_groups}
-    for layer in layers_of(document, selection, settings, job.access, suffix, **options):
+    options = {"colours_only": painter.colours_only, "in_groups": painter.works_in_groups}
+    for layer in selection.layers(suffix, **options):
         layer.require_writable()
         painted.append(painter.paint(layer, job))
         job.begin("laying out" if len(painted) < len(counts) else "writing")
@@ -210,14 +199,13 @@ def moved_vertices(document: Document, positions: Float64s) -> MovedVertices:
     return MovedVertices(positions, normals)
 
 
-def _sidecar_names(
-    naming: Naming, document: Document, selection: Selection, settings: SmoothSettings, kind: OutputFormat
-) -> list[str]:
+def _sidecar_names(selection: Selection, kind: OutputFormat, naming: Naming) -> list[str]:
     """Return the names of the output's sidecar files in advance, as if all selected colours changed."""
+    document, settings = selection.document, selection.settings
     chosen = settings.textures.image_suffix
     images: dict[tuple[Slot, str], PlannedImage] = {}
-    for slot in selection.slots:
-        for texture in choose_textures(document.textured(slot), settings.textures).textures:
+    for slot, surface in zip(selection.slots, selection.surfaces(), strict=True):
+        for texture in surface.textures:
             suffix = chosen or suffix_for(texture.data, texture.name) or ".png"
             images[slot, texture.key] = PlannedImage(suffix, is_chosen=chosen is not None, slot=slot)
     if kind.is_patched:

@@ -17,9 +17,8 @@ from beltrami_cli.fields import override
 from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.tuning.choice import Choice
-from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
-from beltrami_cli.formats.registry import write_mesh
+from beltrami_cli.formats.registry import OutputFormat, write_mesh
 from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
 from beltrami_cli.jobs.recolour import Painter, paint, recolour
@@ -34,8 +33,7 @@ from beltrami_cli.layers.layer import (
     SlotReport,
     VertexReport,
 )
-from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.selection import OutputFormat, Selection, require_geometry, require_scale
+from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
@@ -138,13 +136,13 @@ class Smoothing(Painter[Smoothed]):
     def works_in_groups(self) -> bool:
         return self.levelling is None and self.settings.fits_parts
 
-    def prepared(self, document: Document, selection: Selection, target: OutputFormat) -> Smoothing:
+    def prepared(self, selection: Selection, target: OutputFormat) -> Smoothing:
         if self.changes:
-            require_geometry(document, selection, self.settings, target)
-        require_scale(document, selection)
+            selection.require_geometry(is_patched=target.is_patched)
+        selection.require_scale()
         if self.levelling is None:
             return self
-        return dataclasses.replace(self, levelling=self.levelling.prepared(document, selection, target))
+        return dataclasses.replace(self, levelling=self.levelling.prepared(selection, target))
 
     def paint(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
@@ -297,12 +295,12 @@ def _smooth_unwrapped(
     _check(settings)
     file = begin(source, target, settings, job, models_only=True)
     with file.watch.stage("read"):
-        selection = _selected(file.document, settings)
+        selection = _selected(file, settings)
         stem = file.reserve_new(settings.textures.image_suffix or ".png")
     if settings.kernel.iterations:
-        require_scale(file.document, selection)
-    _require_possible(file, selection, settings)
-    made, image, smoothed = _new_texture(file, selection, settings, wanted)
+        selection.require_scale()
+    _require_possible(selection)
+    made, image, smoothed = _new_texture(file, selection, wanted)
     notices = [*made.notices]
     if selection.slots and file.document.has_vertex_colours():
         notices.append("Vertex colours are not in the new file; --on vertices takes them, not the texture.")
@@ -328,35 +326,37 @@ def _check(settings: SmoothSettings) -> None:
         raise UsageError(f"--unwrap {cause}")
 
 
-def _selected(document: Document, settings: SmoothSettings) -> Selection:
+def _selected(file: FileJob, settings: SmoothSettings) -> Selection:
     """Choose the base colour or the vertex colours; InputError if there are no colours at all."""
+    document, access = file.document, file.job.access
     shown = document.readable(slot for slot in document.slots() if slot == "baseColor")
     if settings.on == "texture" or (settings.on != "vertices" and shown):
-        return Selection(slots=("baseColor",))
+        return Selection(document, settings, access, slots=("baseColor",))
     document.painted()  # raises if there are none
-    return Selection(vertices=True)
+    return Selection(document, settings, access, vertices=True)
 
 
-def _require_possible(file: FileJob, selection: Selection, settings: SmoothSettings) -> None:
+def _require_possible(selection: Selection) -> None:
     if selection.vertices:
         from beltrami_cli.layers.vertex_layer import require_surface  # which textures do without
 
-        require_surface(file.document.painted(), file.document.name)
+        require_surface(selection.document.painted(), selection.document.name)
         return
-    if settings.embedding.guides:
+    if selection.settings.embedding.guides:
         raise UsageError("--guide cannot guide the new texture that --unwrap makes; use both in turn")
-    require_memory_for_textures(file.document, selection.slots, settings.textures, file.job.access)
+    selection.require_memory()
 
 
 def _new_texture(
-    file: FileJob, selection: Selection, settings: SmoothSettings, wanted: BakeSettings
+    file: FileJob, selection: Selection, wanted: BakeSettings
 ) -> tuple[NewTexture, ImageFile, list[Smoothed]]:
     """Smooth the colours, then make the texture of them; in the opposite order where textures are too small."""
     from beltrami_cli.jobs.new_texture import texture_from_textures, texture_from_vertices
 
     # Between texels and vertices the new texture shows mixtures of the old colours. Their noise is spread over several
     # texels, where it looks like a pattern and stays.
-    document, job, textures = file.document, file.job, settings.textures
+    document, job, settings = file.document, file.job, selection.settings
+    textures = settings.textures
     smooths, smoothed = bool(settings.kernel.iterations), list[Smoothed]()
     if smooths and (selection.vertices or _are_large_enough(document.textured("baseColor"))):
         # The images are only read by what follows, so they are written in a format that loses nothing.
@@ -364,7 +364,7 @@ def _new_texture(
             settings, textures=dataclasses.replace(textures, image_suffix=".tif", small=False)
         )
         with file.watch.stage("smooth"):
-            smoothed = paint(document, selection, exact, Smoothing(exact), job, in_groups=False)
+            smoothed = paint(dataclasses.replace(selection, settings=exact), Smoothing(exact), job)
     with file.watch.stage("unwrap"):
         if selection.vertices:
             colours = smoothed[0].repainted.colours if smoothed else None

@@ -1,68 +1,171 @@
-"""Which parts of a document are painted, as which layers, and in which format the document is written."""
+"""Which parts of a document are painted, and as which layers.
+
+Textures that touch each other nowhere on the surface have noise and parameters of their own: the fibres of a carpet are
+no noise of a plain wall, and parameters that suit wood smooth the wall too little.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from beltrami_cli.arrays import Float64s, Int32s
+from beltrami_cli.arrays import Float64s, Int32s, Int64s
 from beltrami_cli.errors import InputError, UnpaintedError, UsageError
 from beltrami_cli.fields import given_options
-from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image.picture import WRITABLE, format_of, format_of_suffix, label_of
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
-from beltrami_cli.formats.registry import KEPT_FORMATS, OUTPUT_FORMATS, is_only_read
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.settings import SLOTS, SmoothSettings, TextureSettings
-from beltrami_cli.layers.texel_colours import choose_textures
-from beltrami_cli.layers.texture_groups import separate_surfaces
+from beltrami_cli.layers.memory_check import PIXEL_BYTES, measured, require_memory, too_large
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings
+from beltrami_cli.layers.texel_colours import choose_textures, only_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.geometry import coarse_rounding
-from beltrami_cli.surface.records import Slot, check_scale
+from beltrami_cli.surface.grouping import group_places
+from beltrami_cli.surface.large_arrays import kept_within
+from beltrami_cli.surface.records import Slot, TexturedSurface, check_scale
 
 if TYPE_CHECKING:
     from beltrami_cli.layers.vertex_layer import PaintedLayer
+
+
+# Texels that take as long as a vertex, for progress.
+_TEXELS_OF_A_VERTEX = 6
+
+# Bytes per texel of all textures, or per pixel of an image, that stay in memory where large arrays are in files: masks.
+# 16 textures of 2048 x 2048, limited to 180 MB, took 270 MB with the program's own 90 and arrays of 45: 2.0 a texel.
+_MASKS = 2
+
+# Covered texels by which noise and parameters are found well; parts of a surface with fewer are put together.
+_ENOUGH_TEXELS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Selection:
     """The painted parts of a document: its vertex colours, the textures of slots, or the image itself."""
 
+    document: Document
+    settings: SmoothSettings
+    access: Access
     vertices: bool = False
     slots: tuple[Slot, ...] = ()
     image: bool = False
     notices: tuple[str, ...] = ()
 
+    def surfaces(self) -> list[TexturedSurface]:
+        """Return the surface of each slot with the chosen textures."""
+        return [choose_textures(self.document.textured(slot), self.settings.textures) for slot in self.slots]
 
-NOTHING = Selection()
-_TEXELS_OF_A_VERTEX = 6  # texels that take as long as a vertex
+    def images(self) -> Iterator[Iterator[tuple[str, bytes]]]:
+        """Give the names and bytes of the files that are painted together: the image, or those of each slot."""
+        if self.image:
+            yield iter([(self.document.name, self.document.data)])
+        for surface in self.surfaces():
+            yield ((texture.name, texture.data) for texture in surface.textures)
+
+    def require_memory(self, work: str = "painted") -> None:
+        """Raise InputError if images cannot fit into memory, slot by slot; `work` on them as in `PIXEL_BYTES`."""
+        for images in self.images():
+            require_memory(images, self.access, PIXEL_BYTES[work])
+
+    @contextmanager
+    def within_memory(self, target: str | None = None, *, in_files: bool = True) -> Iterator[None]:
+        """Keep large arrays in files, in the folder of `target`, where memory is too small for all of them.
+
+        InputError if it is too small even so; or if arrays are not to be `in_files`, as for work that makes many in
+        memory. Besides arrays there must be room for one image as it is decoded, and for the new file, about as large
+        as the old one, without and with its metadata.
+        """
+        if not in_files:
+            self.require_memory("smoothed")
+        if self.access.memory is None or not in_files:
+            yield
+            return
+        left = memory = self.access.memory - len(self.document.data)
+        for images in self.images():
+            largest = texels = 0
+            for name, size, stored in measured(images):
+                largest, texels = max(largest, size.decoded + 2 * stored), texels + size.texels
+                left = min(left, memory - largest - _MASKS * texels)
+                if left < 0:
+                    raise too_large(name, size)
+        with kept_within(left, Path(target).absolute().parent if target else None):
+            yield
+
+    def layers(
+        self, suffix: str | None = None, *, colours_only: bool = False, in_groups: bool = False
+    ) -> Iterator[Layer]:
+        """Give the selected layers; `in_groups`: textures that do not touch separately."""
+        # For the other parameters see `ImageLayer`.
+        document, settings, access = self.document, self.settings, self.access
+        if self.image:
+            from beltrami_cli.layers.image_layer import ImageLayer
+
+            yield ImageLayer.read(document, settings, access, suffix=suffix, colours_only=colours_only)
+        if self.vertices:
+            yield vertex_layer(document, settings, access)
+        surfaces = self.surfaces()
+        counts = Counter(texture.key for surface in surfaces for texture in surface.textures)
+        shared = frozenset(key for key, count in counts.items() if count > 1)
+        for slot, surface in zip(self.slots, surfaces, strict=True):
+            parts = separate_surfaces(surface) if in_groups and settings.kernel.is_open else [surface]
+            for number, part in enumerate(parts, 1):
+                whole, name = (document, access), f"part {number} of {len(parts)}" if len(parts) > 1 else ""
+                yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
+
+    def samples(self) -> list[int]:
+        """Estimate how many texels take as long as each selected layer, without decoding an image."""
+        counts = []
+        if self.image:
+            size = measure_image(self.document.data, self.document.name)
+            counts.append(0 if size is None else size.texels)
+        if self.vertices:
+            counts.append(_TEXELS_OF_A_VERTEX * len(self.document.painted().colours))
+        return [*counts, *(int(_covered_texels(surface).sum()) for surface in self.surfaces())]
+
+    def require_geometry(self, *, is_patched: bool) -> None:
+        """Raise errors if positions are to be smoothed, but there are none, or the format cannot store them."""
+        document = self.document
+        if not self.settings.embedding.smooth_geometry:
+            return
+        if not self.vertices:
+            raise UsageError(
+                f"{document.name}: --smooth-geometry moves vertices along with their colours, but only textures are "
+                "smoothed; choose --on vertices or --on both"
+            )
+        if document.grid() is not None or not len(document.painted().faces):
+            raise InputError(document.name, "it has no triangles, so there is no geometry to smooth")
+        if is_patched:
+            document.require_movable()
+
+    def require_scale(self) -> None:
+        """Raise InputError if distances on the samples cannot be computed; say if positions are too coarse."""
+        document, meshes = self.document, list[tuple[Float64s, Int32s]]()
+        if self.vertices:
+            painted = document.painted()
+            meshes.append((painted.positions, painted.faces))
+        for slot in self.slots:
+            surface = document.textured(slot)
+            meshes.append((surface.positions, surface.faces[surface.texture_of >= 0]))
+        for mesh in meshes:
+            check_scale(*mesh, document.name)
+            document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
 
 
-@dataclass(frozen=True)
-class OutputFormat:
-    """A format to write."""
-
-    name: str
-    is_patched: (
-        bool  # the output keeps all that the document holds besides colours; otherwise it is converted
-    )
-    suffix: str | None = None  # of another image format, with its dot
-
-
-def select(document: Document, settings: SmoothSettings) -> Selection:
+def select(document: Document, settings: SmoothSettings, access: Access = EVERYTHING_INSIDE) -> Selection:
     """Choose the painted parts by the settings and the document; errors if there are none, or for unfit options."""
     if document.kind == "image":
         from beltrami_cli.layers.image_surface import refuse_options_of_meshes
 
         refuse_options_of_meshes(settings, document.name)
-        return Selection(image=True)
+        return Selection(document, settings, access, image=True)
     if wrong := given_options(settings.image):
         raise UsageError(f"{', '.join(wrong)}: for images only, but {document.name} is none; leave it out")
     present = document.slots()
@@ -76,7 +179,7 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     if settings.on == "vertices" or (settings.on == "auto" and not slots and coloured):
         if not coloured:
             document.painted()  # raises an error with what there is instead
-        return Selection(vertices=True)
+        return Selection(document, settings, access, vertices=True)
     if settings.on == "both" and not (coloured and slots):
         missing = "vertex colours" if slots else "textures in the chosen slots"
         raise InputError(document.name, f"it has no {missing}", "use --on auto")
@@ -89,56 +192,7 @@ def select(document: Document, settings: SmoothSettings) -> Selection:
     both = settings.on == "both"
     if coloured and not both:
         absent.append("its vertex colours stay as they are; --on both smooths them too")
-    return Selection(vertices=both, slots=slots, notices=tuple(absent))
-
-
-def layers_of(
-    document: Document,
-    selection: Selection,
-    settings: SmoothSettings,
-    access: Access,
-    suffix: str | None = None,
-    *,
-    colours_only: bool = False,
-    in_groups: bool = False,
-) -> Iterator[Layer]:
-    """Give the selected layers; `in_groups`: textures that do not touch separately."""
-    # For the other parameters see `ImageLayer`.
-    if document.kind == "image":
-        if selection.image:
-            from beltrami_cli.layers.image_layer import ImageLayer
-
-            yield ImageLayer.read(document, settings, access, suffix=suffix, colours_only=colours_only)
-        return
-    if selection.vertices:
-        yield vertex_layer(document, settings, access)
-    chosen = [choose_textures(document.textured(slot), settings.textures) for slot in selection.slots]
-    counts = Counter(texture.key for surface in chosen for texture in surface.textures)
-    shared = frozenset(key for key, count in counts.items() if count > 1)
-    for slot, surface in zip(selection.slots, chosen, strict=True):
-        parts = separate_surfaces(surface, settings.kernel) if in_groups else [surface]
-        for number, part in enumerate(parts, 1):
-            whole, name = (document, access), f"part {number} of {len(parts)}" if len(parts) > 1 else ""
-            yield TextureLayer.read(part, slot, settings, guided=whole, shared=shared, part=name)
-
-
-def count_samples(document: Document, selection: Selection, wanted: TextureSettings) -> list[int]:
-    """Estimate how many texels take as long as each selected layer, without decoding an image."""
-    counts = []
-    if selection.image:
-        size = measure_image(document.data, document.name)
-        counts.append(0 if size is None else size.texels)
-    if selection.vertices:
-        counts.append(_TEXELS_OF_A_VERTEX * len(document.painted().colours))
-    for slot in selection.slots:
-        surface = choose_textures(document.textured(slot), wanted)
-        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
-        texels = np.array([0 if size is None else size.texels for size in sizes] + [0], np.float64)
-        (a, b), (c, d) = np.moveaxis(np.diff(surface.uv, axis=1), 0, 2)
-        areas = np.nan_to_num(np.abs(a * d - b * c) / 2)
-        areas = np.bincount(surface.texture_of % len(texels), areas, len(texels))
-        counts.append(int((texels * np.minimum(areas, 1)).sum()))
-    return counts
+    return Selection(document, settings, access, both, slots, notices=tuple(absent))
 
 
 def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -> PaintedLayer:
@@ -161,35 +215,52 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
     return GridLayer(painted=painted, grid=grid, settings=settings, guides=guides, noise=noise)
 
 
-def require_geometry(
-    document: Document, selection: Selection, settings: SmoothSettings, target: OutputFormat
-) -> None:
-    """Raise errors if positions are to be smoothed, but there are none, or the format cannot store them."""
-    if not settings.embedding.smooth_geometry:
-        return
-    if not selection.vertices:
-        raise UsageError(
-            f"{document.name}: --smooth-geometry moves vertices along with their colours, but only textures are "
-            "smoothed; choose --on vertices or --on both"
-        )
-    if document.grid() is not None or not len(document.painted().faces):
-        raise InputError(document.name, "it has no triangles, so there is no geometry to smooth")
-    if target.is_patched:
-        document.require_movable()
+def separate_surfaces(surface: TexturedSurface) -> list[TexturedSurface]:
+    """Part textures so that those which touch are together."""
+    if len(surface.textures) < 2:
+        return [surface]
+    parts = _large_parts(_touching(surface), _covered_texels(surface))
+    return [only_textures(surface, part) for part in parts] if len(parts) > 1 else [surface]
 
 
-def require_scale(document: Document, selection: Selection) -> None:
-    """Raise InputError if distances on the selected samples cannot be computed; say if positions are too coarse."""
-    meshes = list[tuple[Float64s, Int32s]]()
-    if selection.vertices:
-        painted = document.painted()
-        meshes.append((painted.positions, painted.faces))
-    for slot in selection.slots:
-        surface = document.textured(slot)
-        meshes.append((surface.positions, surface.faces[surface.texture_of >= 0]))
-    for mesh in meshes:
-        check_scale(*mesh, document.name)
-        document.notices += [each for each in coarse_rounding(*mesh) if each not in document.notices]
+def _covered_texels(surface: TexturedSurface) -> Float64s:
+    """Return about how many texels of each texture triangles cover, without decoding it."""
+    sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
+    # An image that cannot be measured is left to its decoder, which raises the error; the last counts for none.
+    texels = np.array([0 if size is None else size.texels for size in sizes] + [0], np.float64)
+    (a, b), (c, d) = np.moveaxis(np.diff(surface.uv, axis=1), 0, 2)
+    areas = np.nan_to_num(np.abs(a * d - b * c) / 2)
+    areas = np.bincount(surface.texture_of % len(texels), areas, len(texels))
+    return np.asarray((texels * np.minimum(areas, 1))[:-1], np.float64)
+
+
+def _touching(surface: TexturedSurface) -> Int64s:
+    """Give textures the same number where a path over the surface joins them, shape (T,)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    # A graph of textures and of the edges of their triangles.
+    place_of, first = group_places(surface.positions, surface.space_of, surface.faces)
+    faces = np.flatnonzero(surface.texture_of >= 0)
+    places = place_of[surface.faces[faces]]
+    pairs = np.sort(np.stack([places, np.roll(places, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    keys, edge = np.unique(pairs[:, 0].astype(np.int64) * len(first) + pairs[:, 1], return_inverse=True)
+    count = len(surface.textures)
+    at, size = (count + edge, np.repeat(surface.texture_of[faces], 3)), count + len(keys)
+    met = coo_array((np.ones(len(edge), bool), at), shape=(size, size))
+    numbers: Int64s = connected_components(met, directed=False)[1][:count].astype(np.int64)
+    return numbers
+
+
+def _large_parts(part_of: Int64s, covered: Float64s) -> list[list[int]]:
+    """Return the textures of each part, in their order; parts of few texels are one, or join the largest."""
+    texels = np.bincount(part_of, covered)
+    small = texels < _ENOUGH_TEXELS
+    if texels[small].sum() < _ENOUGH_TEXELS:
+        small[texels.argmax()] |= small.any()
+    number = np.where(small, len(texels), np.arange(len(texels)))[part_of]
+    parts = [np.flatnonzero(number == each).tolist() for each in np.unique(number)]
+    return sorted(parts)
 
 
 def _no_such_textures(document: Document, present: Sequence[Slot], wanted: Sequence[str]) -> InputError:
@@ -236,44 +307,3 @@ def _with_chosen_textures(
             + (f", in the materials {materials}" if wanted.materials else "")
         )
     return kept
-
-
-def choose_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    """Choose the format to write, by option, by the output's name, or as the source; UsageError if it is unknown."""
-    if document.kind == "image":
-        return _image_format(document, target, chosen)
-    wanted = chosen or Path(target).suffix.lower().lstrip(".")
-    if wanted in OUTPUT_FORMATS:
-        name = OUTPUT_FORMATS[wanted]
-    elif wanted in document.forms:
-        name = wanted
-    elif target == "-" or not wanted:
-        name = OUTPUT_FORMATS.get(document.format, document.format if document.forms else "ply")
-    elif format_of_suffix(f".{wanted}") is not None:
-        cause = f".{wanted} is an image format, but {document.name} is a model"
-        drawn = f"beltrami render {document.name} {target} draws it"
-        raise UsageError(f"{target}: {cause}; {drawn}, or end the name in .{document.format}")
-    else:
-        known = ", ".join("." + f for f in OUTPUT_FORMATS)
-        cause = f"no format is known for .{wanted}"
-        if is_only_read(wanted):
-            why = ": the STL format has no colours" if wanted == "stl" else ""
-            cause = f".{wanted} files are read, but not written{why}"
-        elif wanted in KEPT_FORMATS:
-            cause = f"a .{document.format} file is not converted to .{wanted}"
-        raise UsageError(f"{target}: {cause}; end the name in {known}, or say --format")
-    return OutputFormat(name, is_patched=name in (document.format, *document.forms))
-
-
-def _image_format(document: Document, target: str, chosen: str | None) -> OutputFormat:
-    suffix = f".{chosen}" if chosen else "" if target == "-" else Path(target).suffix
-    known = format_of_suffix(suffix) if suffix else None
-    if suffix and known is None:
-        raise UsageError(
-            f"{target}: no image format is known for {suffix}; end the name in {', '.join(WRITABLE)}, or say --format"
-        )
-    own = format_of(document.data, document.name)
-    if not suffix or known == own:
-        own_suffix = Path(document.name).suffix or f".{label_of(own or '')}"
-        return OutputFormat(own_suffix.lower()[1:], is_patched=True)
-    return OutputFormat(suffix.lower()[1:], is_patched=True, suffix=suffix)

@@ -39,9 +39,7 @@ from beltrami_cli.surface.atlas import Atlas, build_atlas
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile, Slot, TexturedSurface
 
-_UNCOVERED = (
-    "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
-)
+_UNCOVERED = "no texel is covered by the surface, so nothing was changed; `smooth --unwrap` makes a new atlas"
 _UNSEEN = (
     "all texels on the surface have an opacity of 0, so nothing was changed; --alpha smooth counts them, too"
 )

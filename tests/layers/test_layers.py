@@ -13,7 +13,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE
 from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.inspect import describe_exposure
 from beltrami_cli.jobs.smooth import smooth_layer
-from beltrami_cli.layers.selection import layers_of, select
+from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import LevelSettings
 from cli.commands import SAMPLES
 from cli.pictures import encode
@@ -32,7 +32,7 @@ def layer(request, tmp_path):
     np.savez(tmp_path / "points.npz", points=places.reshape(-1, 3), point_colours=colours.reshape(-1, 3))
     path = next(path for path in (tmp_path / request.param, SAMPLES / request.param) if path.exists())
     document = open_input(str(path), GIVEN, EVERYTHING_INSIDE)
-    (only,) = layers_of(document, select(document, GIVEN), GIVEN, EVERYTHING_INSIDE)
+    (only,) = select(document, GIVEN).layers()
     return only
 
 

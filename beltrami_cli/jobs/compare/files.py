@@ -42,8 +42,7 @@ from beltrami_cli.jobs.file_job import open_any, require_level_set
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Limits, tracked
 from beltrami_cli.jobs.output import Output, Overwrite
 from beltrami_cli.jobs.progress import phases_of
-from beltrami_cli.layers.memory_check import require_memory_for_textures
-from beltrami_cli.layers.selection import Selection, count_samples, select
+from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.records import Slot, as_bytes, colour_by_value
@@ -161,7 +160,7 @@ def choose_parts(documents: Documents, settings: SmoothSettings) -> tuple[Select
         cause = f"it is {kinds[1]}, but {documents[0].name} is {kinds[0]}"
         raise InputError(documents[1].name, cause, "compare two files of one kind")
     if documents[0].kind == "image":
-        return Selection(image=True), []
+        return Selection(documents[0], settings, documents[0].access, image=True), []
     notices: list[str] = []
     chosen = settings if settings.textures.slots else _everything(documents, settings, notices)
     selection = select(documents[0], chosen)
@@ -288,10 +287,10 @@ def compare_documents(
 ) -> Compared:
     """Compare the colours of two models, or of two images; `further` phases of progress follow."""
     selection, notices = choose_parts(documents, settings)
-    samples = sum(count_samples(documents[0], selection, settings.textures))
+    samples = sum(selection.samples())
     job.expect(phases_of(["comparing", "measuring", *further], samples))
     for document in documents:
-        require_memory_for_textures(document, selection.slots, settings.textures, job.access)
+        dataclasses.replace(selection, document=document, access=job.access).require_memory()
     steps: list[Callable[[], list[ComparedColours]]] = []
     if selection.image:
         steps.append(lambda: [compare_images(documents, settings, job.access)])
