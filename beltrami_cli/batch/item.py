@@ -25,7 +25,7 @@ from beltrami_cli.jobs.output import FileSet, Output
 from beltrami_cli.jobs.progress import Share
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.file_job import FileReport
+    from beltrami_cli.jobs.recolour import FileReport
     from beltrami_cli.layers.settings import SmoothSettings
 
 

@@ -21,9 +21,9 @@ from beltrami_cli.formats.document import Written
 from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.ply.writer import write_scalars_as_ply
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
 from beltrami_cli.jobs.output import Output
+from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, SampledVertices
 from beltrami_cli.layers.selection import select
 from beltrami_cli.layers.settings import DEFAULTS, IMAGE_SUFFIXES, SmoothSettings

@@ -11,9 +11,8 @@ from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.formats.registry import OutputFormat
-from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import Painter, recolour
+from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
 from beltrami_cli.layers.layer import Layer, LevelReport, Repainted
 from beltrami_cli.layers.levelled_charts import photographs_of
 from beltrami_cli.layers.selection import Selection

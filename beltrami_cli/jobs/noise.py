@@ -28,9 +28,8 @@ from beltrami_cli.formats.image import write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
-from beltrami_cli.jobs.file_job import FileReport
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
-from beltrami_cli.jobs.recolour import Painter, recolour
+from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Change, Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings

@@ -1,4 +1,4 @@
-"""Give a document new colours: select, take layers, paint, give back, convert.
+"""Give a file new colours: open it, choose format and names of the output, select, take layers, paint, write, report.
 
 A painter gives a layer new colours: by the kernel, by adding noise, and the like. No code here asks which layers they
 are. The files of the result have the format that the output asks for; in memory, the result is a document to look at.
@@ -6,37 +6,184 @@ are. The files of the result have the format that the output asks for; in memory
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
+from pathlib import Path
 from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from beltrami_cli.arrays import Float64s
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import BeltramiError, UsageError
+from beltrami_cli.fields import given_options
 from beltrami_cli.formats import registry
+from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.colours import quantised
 from beltrami_cli.formats.document import Document, ImageDocument, Naming, Written
 from beltrami_cli.formats.image.picture import suffix_for
-from beltrami_cli.formats.registry import OutputFormat
+from beltrami_cli.formats.registry import OutputFormat, choose_format
 from beltrami_cli.formats.textured_mesh import with_images, with_suffixes
-from beltrami_cli.jobs.file_job import FileReport, begin, is_moved
-from beltrami_cli.jobs.job import Job
+from beltrami_cli.jobs.job import Job, Stopwatch, peak_memory
+from beltrami_cli.jobs.output import Output, shared_files
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.layers.layer import Layer, Repainted, all_images
 from beltrami_cli.layers.selection import Selection, select
 from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.surface.geometry import vertex_normals
 from beltrami_cli.surface.grouping import group_equal_rows
-from beltrami_cli.surface.records import (
-    ImageFile,
-    MovedVertices,
-    PlannedImage,
-    Slot,
-)
+from beltrami_cli.surface.records import ImageFile, MovedVertices, PlannedImage, Slot
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileReport:
+    """The report of a written file; `SmoothReport` describes its fields."""
+
+    input: str
+    output: str
+    format: str
+    parameters: dict[str, object] = field(default_factory=dict)
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    peak_memory: int | None = field(default_factory=peak_memory)
+    written: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class FileJob:
+    """A job on one file: the opened source, and where the output goes in which format."""
+
+    source: str
+    target: str
+    job: Job  # whose access records files as read, so that nothing but OUTPUT replaces them
+    document: Document
+    format: OutputFormat
+    output: Output | None  # None on a dry run
+    watch: Stopwatch
+    occupied: dict[str, None] = field(default_factory=dict)  # names in OUTPUT's folder that other models have
+
+    def reserve(self, sidecars: Callable[[Naming], Iterable[str]]) -> Naming:
+        """Return how the output's sidecar files are named; OutputError if one of them may not be written."""
+        if self.job.check is not None:
+            self.job.check(self.document)
+        naming = _naming_of(self)
+        names = sidecars(naming)
+        if self.output is not None:
+            self.output.check_sidecars(names)
+        return naming
+
+    def reserve_new(self, image_suffix: str | None) -> str:
+        """Return an unused stem for the sidecar files of a new mesh with one texture, or none."""
+
+        def names(stem: str) -> list[str]:
+            return registry.sidecar_names(self.format.name, stem, image_suffix)
+
+        return self.reserve(lambda naming: names(naming.free_stem(names))).free_stem(names)
+
+    def write(self, files: Written, notices: Iterable[str], warnings: Iterable[str] = ()) -> FileReport:
+        """Write the files, unless it is a dry run; `notices` are about the file, `warnings` about what was computed."""
+        with self.watch.stage("write"):
+            folder, access = Path(self.source).parent, self.job.access
+            copied = {new: read_source(str(folder / old), access) for new, old in files.copies.items()}
+            files = replace(files, sidecars={**files.sidecars, **copied})
+            shared, names = self._notices_of_sharing(files.sidecars), list[str]()
+            if self.output is not None:
+                self.output.write(files)
+                names = [self.target, *files.sidecars]
+        # Several slots say the same of one surface.
+        notices = dict.fromkeys([*self.document.notices, *notices, *shared, *files.notices])
+        return FileReport(
+            input=self.source,
+            output=self.target,
+            format=self.format.name,
+            stages=self.watch.stages,
+            written=names,
+            warnings=[*notices, *warnings],
+        )
+
+    def _notices_of_sharing(self, sidecars: Iterable[str]) -> list[str]:
+        notices = []
+        if self.occupied:
+            names = ", ".join(self.occupied)
+            notices.append(
+                f"another model in OUTPUT's folder has {names}; the new files have a number in their names."
+            )
+        if self.output is not None and self.output.folder is not None and self.output.overwrite:
+            notices += shared_files(self.output.folder, self.output.path, sidecars)
+        return notices
+
+
+def begin(
+    source: str, target: str, settings: SmoothSettings, job: Job, *, models_only: bool = False
+) -> FileJob:
+    """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
+    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
+    job.begin("reading")
+    with watch.stage("read"):
+        document = open_input(source, settings, access)
+        if models_only and document.kind == "image":
+            document.painted()  # raises the error that it is no model
+        kind = choose_format(document, target, job.format)
+    return FileJob(source, target, replace(job, access=access), document, kind, output, watch)
+
+
+def open_input(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Read a file, or standard input for "-", as a document; errors if it is unsupported, or no level set."""
+    document = open_any(source, settings, access)
+    require_level_set(settings, document)
+    return document
+
+
+def require_level_set(settings: SmoothSettings, *documents: Document) -> None:
+    """Raise UsageError if options of level sets are given, and none of the documents is one."""
+    wrong = given_options(settings.level_set)
+    if wrong and all(document.kind != "volume" for document in documents):
+        raise UsageError(f"{', '.join(wrong)}: for level sets, and {documents[0].name} is none")
+
+
+def open_any(source: str, settings: SmoothSettings, access: Access) -> Document:
+    """Open a file as `open_input`, whether or not options of level sets mean anything for it."""
+    data = read_source(source, access)
+    name, folder = ("<stdin>", None) if source == "-" else (source, Path(source).parent)
+    line = registry.recognised(data, name)
+    if line is not None and line.kind == "volume":
+        from beltrami_cli.layers.voxels import read_level_set
+
+        return read_level_set(data, name, folder, settings.level_set, access, settings.kernel.thread_count)
+    return registry.open_as(line, data, name, folder, access)
+
+
+def _naming_of(file: FileJob) -> Naming:
+    source, target, output = file.source, file.target, file.output
+    folder = None if output is None else output.folder
+    keeps = "-" not in (source, target) and Path(source).resolve() == Path(os.path.realpath(target))
+    if output is not None and keeps:
+        output.replaceable = frozenset(file.document.references())
+
+    def is_taken(name: str) -> bool:
+        if output is None or folder is None or not os.path.lexists(folder / name):
+            return False
+        if not output.replaceable:
+            with suppress(BeltramiError):  # there may be no output yet, or none that names files
+                there = registry.open_document(target, replace(file.job.access, note=None))
+                output.replaceable = frozenset(there.references())
+        if name in output.replaceable:
+            return False
+        file.occupied[name] = None
+        return True
+
+    return Naming(Path(target).stem, keeps, is_moved(source, target), is_taken)
+
+
+def is_moved(source: str, target: str) -> bool:
+    """Whether the output is in another folder than the source."""
+    if "-" in (source, target):
+        return source != "-"
+    return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
 
 
 class Painted(Protocol):

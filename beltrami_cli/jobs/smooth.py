@@ -19,9 +19,8 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import OutputFormat, write_mesh
-from beltrami_cli.jobs.file_job import FileJob, FileReport, begin
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
-from beltrami_cli.jobs.recolour import Painter, paint, recolour
+from beltrami_cli.jobs.recolour import FileJob, FileReport, Painter, begin, paint, recolour
 from beltrami_cli.layers.layer import (
     Change,
     ImageReport,

@@ -19,7 +19,6 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.document import Document, Written
 from beltrami_cli.formats.image.reading import pictures_kept
 from beltrami_cli.jobs.compare.files import compare_documents, open_both, require_samples
-from beltrami_cli.jobs.file_job import open_input
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import one_of

@@ -11,7 +11,7 @@ from scipy.special import eval_legendre
 
 from beltrami_cli import SmoothSettings, smooth
 from beltrami_cli.formats.access import EVERYTHING_INSIDE
-from beltrami_cli.jobs.file_job import open_input
+from beltrami_cli.jobs.recolour import open_input
 from formats.volume_files import sphere_file
 from oracles.level_sets import directions
 
