@@ -1,4 +1,4 @@
-"""Take exposure steps between the charts of a file out of its colours: the painter, and the job on a file."""
+"""Take exposure steps between the charts of a file out of its colours, and leave them as they are otherwise."""
 
 from __future__ import annotations
 
@@ -7,53 +7,13 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
-from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
-from beltrami_cli.formats.registry import OutputFormat
 from beltrami_cli.jobs.job import PLAIN_JOB, Job
-from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
-from beltrami_cli.layers.layer import Layer, LevelReport, Repainted
-from beltrami_cli.layers.levelled_charts import photographs_of
-from beltrami_cli.layers.selection import Selection
+from beltrami_cli.jobs.recolour import FileReport, recolour
+from beltrami_cli.jobs.smooth import Smoothing, unsmoothed
+from beltrami_cli.layers.layer import LevelReport
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
-
-
-@dataclass(frozen=True)
-class Levelled:
-    """A layer without exposure steps, and what was found of these."""
-
-    repainted: Repainted
-    report: LevelReport
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Levelling(Painter[Levelled]):
-    """A painter that takes exposure steps out; not in groups, since exposures are fitted to all seams together."""
-
-    wanted: LevelSettings
-    photographs: Int64s | None = None  # number of the photograph that each vertex is from
-
-    def prepared(self, selection: Selection, target: OutputFormat) -> Levelling:
-        """Find the photographs of vertices; errors if there are none, or it is an image."""
-        del target
-        if selection.image:
-            cause = "an image has no charts that could differ in exposure; give a model with textures"
-            raise UsageError(f"{selection.document.name}: {cause}")
-        if not selection.vertices:
-            return self
-        return dataclasses.replace(
-            self, photographs=photographs_of(selection.document, self.wanted.photographs)
-        )
-
-    def paint(self, layer: Layer, job: Job) -> Levelled:
-        del job
-        layer = layer.levelled(self.wanted, self.photographs)
-        repainted = layer.repaint(layer.unchanged(), is_smoothed=False)
-        assert layer.level_report is not None
-        change = repainted.change.summary()
-        return Levelled(repainted, dataclasses.replace(layer.level_report, change=change))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,10 +76,14 @@ def level_file(
         cause = "exposures are gains of channels, which the space oklab mixes"
         raise UsageError(f"{cause}; choose srgb or linear")
     source, target = os.fspath(source), os.fspath(target)
-    made, levelled = recolour(source, target, settings, Levelling(wanted), job)
+    still = dataclasses.replace(settings, kernel=unsmoothed(settings.kernel))
+    made, done = recolour(source, target, still, Smoothing(still, wanted), job)
+    levelled = [
+        dataclasses.replace(each.levelled, change=each.report.change)
+        for each in done
+        if each.levelled is not None
+    ]
     described, used = describe_settings(settings), ("threads", "space", "channels", "on", "textures")
     parameters = {name: value for name, value in described.items() if name in used}
     parameters |= dataclasses.asdict(wanted)
-    return LevelFileReport(
-        **{**vars(made), "parameters": parameters}, levelled=[each.report for each in levelled]
-    )
+    return LevelFileReport(**{**vars(made), "parameters": parameters}, levelled=levelled)

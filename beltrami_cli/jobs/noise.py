@@ -158,7 +158,7 @@ def _targets_of(layer: Layer) -> NoiseTargets:
         before = to_space(painted.colours[rows][:, layer.channels.changing], painted.encoding, space)
         return NoiseTargets(before, _places_of(painted, rows), space=space)
     if isinstance(layer, ImageLayer):
-        before = layer.unchanged().table()
+        before = layer.colours.working(layer.picture, np.flatnonzero(layer.valid))
         return NoiseTargets(before, np.arange(len(before)), space=space)
     assert isinstance(layer, TextureLayer)
     atlas = layer.atlas
@@ -185,7 +185,7 @@ def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainte
         colours[places] = np.where(after != targets.colours, back, colours[places])
         return Repainted(Change.between(painted.colours, colours), colours)
     if isinstance(layer, ImageLayer):
-        new = NewColours.of(after, layer.unchanged().places)
+        new = NewColours.of(after, np.flatnonzero(layer.valid))
         pictures, suffix, remedy = [layer.picture], layer.suffix, "an OUTPUT in .png keeps all"
     else:
         assert isinstance(layer, TextureLayer)

@@ -206,7 +206,11 @@ class Painter(ABC, Generic[AnyPainted]):
     colours_only: ClassVar[bool] = True
     # Whether large arrays are in files where memory is too small for them.
     works_in_files: ClassVar[bool] = True
-    phases: ClassVar[Sequence[str]] = ("painting",)  # of `paint`, see `jobs/progress.py`
+
+    @property
+    def phases(self) -> Sequence[str]:
+        """Return the phases of `paint`, see `jobs/progress.py`."""
+        return ("painting",)
 
     @property
     def changes(self) -> bool:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.beltrami_flow import smooth
@@ -38,7 +39,6 @@ from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.records import ImageFile, TexturedSurface
 
 if TYPE_CHECKING:
-    from beltrami_cli.jobs.level import Levelling
     from beltrami_cli.jobs.new_texture import NewTexture
 
 
@@ -69,8 +69,7 @@ def smooth_layer(
     result = smooth(plan, progress)
     is_worse = _is_worse(result.choice, layer.settings.kernel)
     if is_worse:
-        kernel = dataclasses.replace(layer.settings.kernel, iterations=0, free=())
-        settings = dataclasses.replace(layer.settings, kernel=kernel)
+        settings = dataclasses.replace(layer.settings, kernel=unsmoothed(layer.settings.kernel))
         layer = dataclasses.replace(layer, settings=settings)  # type: ignore[type-var]  # each layer is a dataclass
         plan = layer.plan()
         result = dataclasses.replace(smooth(plan), choice=result.choice)
@@ -86,6 +85,11 @@ def smooth_layer(
         report=dataclasses.replace(report, change=repainted.change.summary()), warnings=warnings,
         choice=choice, samples_per_kernel=samples_per_kernel, levelled=layer.level_report,
     )  # fmt: skip
+
+
+def unsmoothed(kernel: KernelParameters) -> KernelParameters:
+    """Return parameters that leave colours as they are."""
+    return dataclasses.replace(kernel, iterations=0, free=(), patches="off")
 
 
 def _is_worse(choice: Choice | None, wanted: KernelParameters) -> bool:
@@ -110,21 +114,21 @@ def smooth_in_job(layer: Layer, job: Job, label: str) -> Smoothed:
 
 @dataclass(frozen=True)
 class Smoothing(Painter[Smoothed]):
-    """A painter that smooths, after `levelling` if that is wanted."""
+    """A painter that removes exposure steps, if that is wanted, and then smooths."""
 
     colours_only: ClassVar[bool] = False
-    phases: ClassVar[Sequence[str]] = ("choosing parameters", "smoothing")
 
     settings: SmoothSettings
-    levelling: Levelling | None = None
+    levelling: LevelSettings | None = None
+    photographs: Int64s | None = None  # the number of the photograph that each vertex is from
 
     @classmethod
     def of(cls, settings: SmoothSettings) -> Smoothing:
-        if not settings.level_seams:
-            return cls(settings)
-        from beltrami_cli.jobs.level import Levelling
+        return cls(settings, LevelSettings() if settings.level_seams else None)
 
-        return cls(settings, Levelling(LevelSettings()))
+    @property
+    def phases(self) -> Sequence[str]:
+        return ("choosing parameters", "smoothing") if self.settings.kernel.iterations != 0 else ("painting",)
 
     @property
     def changes(self) -> bool:
@@ -141,12 +145,20 @@ class Smoothing(Painter[Smoothed]):
         selection.require_scale()
         if self.levelling is None:
             return self
-        return dataclasses.replace(self, levelling=self.levelling.prepared(selection, target))
+        if selection.image:
+            cause = "an image has no charts that could differ in exposure; give a model with textures"
+            raise UsageError(f"{selection.document.name}: {cause}")
+        if not selection.vertices:
+            return self
+        from beltrami_cli.layers.levelled_charts import photographs_of
+
+        named = photographs_of(selection.document, self.levelling.photographs)
+        return dataclasses.replace(self, photographs=named)
 
     def paint(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
-            layer = layer.levelled(self.levelling.wanted, self.levelling.photographs)
-        return smooth_in_job(layer, job, layer.label)
+            layer = layer.levelled(self.levelling, self.photographs)
+        return smooth_in_job(layer, job, layer.label) if "smoothing" in self.phases else smooth_layer(layer)
 
 
 def smooth_report(made: FileReport, done: Sequence[Smoothed], settings: SmoothSettings) -> SmoothReport:

@@ -159,10 +159,6 @@ class ImageLayer(Layer):
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
         return written(self, new, notices)
 
-    def unchanged(self) -> NewColours:
-        pixels = np.flatnonzero(self.valid)
-        return NewColours.of(self.colours.working(self.picture, pixels), pixels)
-
     def places(self) -> Cells:
         row, column = np.nonzero(self.valid)
         return Cells([self.valid.shape], np.zeros_like(row), row, column, np.zeros_like(row))

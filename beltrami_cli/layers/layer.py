@@ -133,10 +133,6 @@ class Layer(ABC):
         Where neither smoothing nor levelling changed a texture, its gutter stays.
         """
 
-    @abstractmethod
-    def unchanged(self) -> NewColours:
-        """Return the colours that they have, as `repaint` takes them."""
-
     def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> Self:
         """Return the layer without exposure steps, with a report; UsageError if it cannot have any.
 

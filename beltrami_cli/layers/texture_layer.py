@@ -215,10 +215,6 @@ class TextureLayer(layer.Layer):
         change = layer.Change.joined(changes)
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
-    def unchanged(self) -> NewColours:
-        still, metric = self.settings.kernel.with_values(iterations=0), self.colours.metric_channels
-        return grid_manifold(self.atlas, on_canvas(self), still, metric_channels=metric).new_colours()
-
     def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> TextureLayer:
         from beltrami_cli.layers.levelled_charts import TextureCharts, level_charts
 

@@ -203,9 +203,6 @@ class VertexLayer(PaintedLayer):
     def places(self) -> SampledVertices:
         return SampledVertices(self.joined, self.sampling.sample_of.astype(np.int64))
 
-    def unchanged(self) -> NewColours:
-        return NewColours.of(self.surface().colours)
-
     def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> VertexLayer:
         if photographs is None:
             raise UsageError(f"{self.label}: nothing says which photograph each vertex is from")
@@ -285,10 +282,6 @@ class GridLayer(PaintedLayer):
         sample_of = np.full(len(self.painted.positions), -1)
         sample_of[measured] = np.arange(len(measured))
         return SampledVertices(self.painted, sample_of)
-
-    def unchanged(self) -> NewColours:
-        places = np.flatnonzero(self.grid >= 0)
-        return NewColours.of(self._working(places), places)
 
     def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
         del is_smoothed

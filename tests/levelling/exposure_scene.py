@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from beltrami_cli.flow.beltrami_flow import smooth
 from beltrami_cli.flow.canvas import canvas_colours, painted
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
+from beltrami_cli.jobs.smooth import unsmoothed
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -23,6 +25,13 @@ LIGHT_GAINS = 0.6, 1.6  # of linear light
 def stored_colours(layer):
     """Return the colours of the owned cells of textures, shape (T, N)."""
     return all_texel_colours(layer.colours, layer.pictures, layer.atlas)
+
+
+def unchanged(layer):
+    """Return the colours that a layer has, as its `repaint` takes them."""
+    kernel = unsmoothed(layer.settings.kernel)
+    still = replace(layer, settings=replace(layer.settings, kernel=kernel))
+    return smooth(still.plan()).manifold.new_colours()
 
 
 @dataclass
@@ -59,7 +68,7 @@ class ExposureScene:
 
     def levelled_as_file(self):
         """Return what `beltrami level` makes of the colours of its files."""
-        return self.samples.levelled(LevelSettings()).unchanged().table().astype(float)
+        return unchanged(self.samples.levelled(LevelSettings())).table().astype(float)
 
     @property
     def charts(self):
