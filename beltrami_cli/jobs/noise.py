@@ -33,7 +33,7 @@ from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Change, Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
-from beltrami_cli.layers.texel_colours import all_texel_colours
+from beltrami_cli.layers.texel_colours import PictureLayer, all_texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import PaintedLayer, coloured_rows
 from beltrami_cli.surface import large_arrays
@@ -186,17 +186,16 @@ def _repainted(layer: Layer, targets: NoiseTargets, after: Float32s) -> Repainte
         return Repainted(Change.between(painted.colours, colours), colours)
     if isinstance(layer, ImageLayer):
         new = NewColours.of(after, np.flatnonzero(layer.valid))
-        pictures, suffix, remedy = [layer.picture], layer.suffix, "an OUTPUT in .png keeps all"
+        remedy = "an OUTPUT in .png keeps all"
     else:
         assert isinstance(layer, TextureLayer)
         atlas = layer.atlas
         planes = on_canvas(atlas, after, threads=1)
         beyond = np.ascontiguousarray(planes.reshape(len(planes), -1)[:, atlas.gutter_cells].T)
         new = NewColours.of(after, atlas.owned_texels, atlas.gutter_texels, beyond)
-        pictures, suffix = [*layer.pictures], layer.settings.textures.image_suffix
         remedy = "--texture-format png keeps all"
     made = layer.repaint(new)
-    losses = [loss for picture in pictures for loss in noise_losses(picture, suffix, remedy)]
+    losses = [loss for each in layer.pictures for loss in noise_losses(each, layer.suffix, remedy)]
     return dataclasses.replace(made, notices=(*made.notices, *losses))
 
 
@@ -261,16 +260,16 @@ def _spacing(painted: PaintedVertices, rows: NDArray[np.intp]) -> Float64s:
 
 def _coded_as_jpeg(layer: Layer, quality: int) -> Float32s:
     """Return the colours of the targets as they are after their pictures went through JPEG."""
-    if not isinstance(layer, (ImageLayer, TextureLayer)):
+    if not isinstance(layer, PictureLayer):
         remedy = "put the colours into a texture first: `beltrami bake --to texture`"
         raise UsageError(f"{layer.label}: JPEG codes pictures; {remedy}")
     if layer.names not in (("red", "green", "blue"), ("grey",)):
         cause = f"{layer.label}: JPEG codes all channels together; leave out --channels and --alpha"
         raise UsageError(cause)
     cells, space = layer.places(), layer.colours.space
+    assert isinstance(cells, Cells)
     coded = np.empty((len(cells.row), len(layer.names)), np.float32)
-    pictures = [layer.picture] if isinstance(layer, ImageLayer) else layer.pictures
-    for index, picture in enumerate(pictures):
+    for index, picture in enumerate(layer.pictures):
         working = layer.colours.working(picture, np.arange(picture.pixels[..., 0].size))
         shown = from_space(working, "srgb", space).reshape(*picture.pixels.shape[:2], -1)
         inside, place = cells.of(index)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,16 +11,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s
+from beltrami_cli.arrays import Bools
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.document import Document
-from beltrami_cli.formats.image import Picture, check_writable, is_exact, label_of
+from beltrami_cli.formats.image import Picture, is_exact, label_of
 from beltrami_cli.formats.image.conversion import upright
-from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
+from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from beltrami_cli.layers.guides import noise_of_pixels, read_guide_images
 from beltrami_cli.layers.image_surface import (
     ImageSurface,
@@ -28,31 +29,25 @@ from beltrami_cli.layers.image_surface import (
     read_surface,
     refuse_options_of_meshes,
 )
-from beltrami_cli.layers.layer import Change, ImageReport, Layer, Part, Repainted, rewritten
-from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures, with_chosen_layer
+from beltrami_cli.layers.layer import ImageReport, Part, Repainted, rewritten
+from beltrami_cli.layers.picture_colours import Make, PictureColours, with_chosen_layer
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texel_colours import Repainting
+from beltrami_cli.layers.texel_colours import PictureLayer
+from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.baking import Cells
 from beltrami_cli.surface.records import ImageFile
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImageLayer(Layer):
+class ImageLayer(PictureLayer):
     """Pixels of an image that are no holes."""
 
     part: ClassVar[Part] = "image"
     label = "image"
 
-    names: tuple[str, ...]
-    picture: Picture
-    settings: SmoothSettings
-    colours: PictureColours
     surface: ImageSurface
     valid: Bools  # (H, W): pixels that are samples
     guides: Sequence[Guide] = ()  # with a row for each pixel
-    noise: Float32s | None = None  # standard deviations, with a row for each pixel
-    tables: JpegTables | None = None
-    suffix: str | None = None  # of another image format that is written
     remarks: tuple[str, ...] = ()  # on its surface, holes and channels
 
     @classmethod
@@ -88,27 +83,26 @@ class ImageLayer(Layer):
             remedy = "" if visible.any() else "; --alpha smooth takes transparent pixels, too"
             remarks.append(f"{picture.name} has no pixel but holes, so nothing was changed{remedy}.")
         return cls(
-            names=colours.names, picture=picture, settings=settings, colours=colours,
+            names=colours.names, pictures=[picture], settings=settings, colours=colours,
             surface=dataclasses.replace(surface, valid=valid), valid=valid,
             guides=read_guide_images(picture, valid, settings, access),
             noise=noise_of_pixels(settings.kernel, [picture], valid.reshape(-1), access),
-            tables=read_jpeg_tables(document.data), suffix=suffix, remarks=tuple(remarks),
+            tables=[read_jpeg_tables(document.data)], suffix=suffix, remarks=tuple(remarks),
         )  # fmt: skip
 
-    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        make, atlas, kernel = canvas_of_image(
+    @property
+    def picture(self) -> Picture:
+        return self.pictures[0]
+
+    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
+        return canvas_of_image(
             self.surface, partial(self.colours.working, self.picture), self.settings.kernel,
             guides=self.guides, metric_channels=self.colours.metric_channels, noise=self.noise,
         )  # fmt: skip
-        coded = [(self.picture.pixels, self.tables)] if self.colours.shows_all else []
-        return plan_on_pictures(make, atlas, coded, kernel, tick=tick, light_in=self.colours.light_space)
 
     @property
     def notices(self) -> Sequence[str]:  # type: ignore[override]  # read-only, as in all layers
         return [*self.picture.notices, *self.remarks]
-
-    def require_writable(self) -> None:
-        check_writable(self.picture, self.suffix)
 
     def _facts(self) -> dict[str, object]:
         picture, valid = self.picture, self.valid
@@ -139,37 +133,20 @@ class ImageLayer(Layer):
             **self._used(plan, result),
         )
 
-    def painted(self, new: NewColours) -> tuple[Array, Change]:
-        """Return the picture's pixels with new colours, and how they changed; other numbers keep their bits."""
-        painter = Repainting(
-            pictures=[self.picture],
-            colours=self.colours,
-            texture_offsets=np.array([0, self.valid.size], np.int64),
-            lone=np.zeros(0, np.int64),
-            gutter=None,
-            threads=self.settings.kernel.thread_count,
-        )
-        return painter.repaint(0, new)
-
     def repaint(self, new: NewColours, *, is_smoothed: bool = True) -> Repainted:
         del is_smoothed
         notices = [*self.remarks]
         if self.suffix is None and not self.valid.all() and not is_exact(self.picture):
             label = label_of(self.picture.format)
             notices.append(f"{self.picture.name}: {label} is not exact, so holes change slightly as well.")
-        return written(self, new, notices)
+        pixels, change = self.new_pixels(0, new)
+        pixels, turned = upright(self.picture, pixels, self.suffix)
+        wanted, as_data = self.settings.textures, self.settings.space == "data"
+        file, said = rewritten(self.picture, pixels, wanted, self.suffix, as_data=as_data)
+        image = ImageFile(file.data, self.suffix or Path(self.picture.name).suffix)
+        change = change.in_file(file, self.picture)
+        return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
 
     def places(self) -> Cells:
         row, column = np.nonzero(self.valid)
         return Cells([self.valid.shape], np.zeros_like(row), row, column, np.zeros_like(row))
-
-
-def written(layer: ImageLayer, new: NewColours, notices: Sequence[str]) -> Repainted:
-    """Return the image with new colours as a file; `notices` follow the writer's own."""
-    picture, suffix, settings = layer.picture, layer.suffix, layer.settings
-    pixels, change = layer.painted(new)
-    pixels, turned = upright(picture, pixels, suffix)
-    file, said = rewritten(picture, pixels, settings.textures, suffix, as_data=settings.space == "data")
-    image = ImageFile(file.data, suffix or Path(picture.name).suffix)
-    change = change.in_file(file, picture)
-    return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))

@@ -13,17 +13,16 @@ from numpy.typing import NDArray
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.fields import given_options
 from beltrami_cli.flow.beltrami_flow import Plan
-from beltrami_cli.flow.canvas import canvas_margin, painted_by
+from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.embedding import Guide
-from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
-from beltrami_cli.flow.noise.model import NoiseModel
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.access import Access, read_source
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.layers.guides import require_size
 from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
-from beltrami_cli.layers.picture_colours import Make, plan_on_pictures
+from beltrami_cli.layers.picture_colours import Make, maker_of_manifolds, plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, grid_atlas
 from beltrami_cli.surface.records import check_scale
@@ -160,24 +159,15 @@ def canvas_of_image(
     atlas = grid_atlas(valid.shape, canvas_margin(kernel), positions, valid)
     del positions  # as large as all that follows
     own = atlas.owned_texels
-    unit = None if surface.heights is None else 1.0
-
-    def manifold(planes: NDArray[np.float32] | None, found: NoiseModel | None) -> GridManifold:
-        if planes is None:
-            channels, texels = colours_of(atlas.owned_texels[:0]).shape[1], atlas.owned_texels
-            planes = painted_by(atlas, channels, lambda block: colours_of(texels[block]), kernel.thread_count)
-        return grid_manifold(
-            atlas,
-            planes,
-            kernel,
-            stop_at_holes=atlas.covered < valid.size,
-            guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
-            metric_channels=metric_channels,
-            noise=noise[own] if found is None and noise is not None else found,
-            unit=unit,
-        )
-
-    return manifold, atlas, kernel
+    make = maker_of_manifolds(
+        atlas, kernel, colours_of(own[:0]).shape[1], lambda block: colours_of(own[block]),
+        None if noise is None else noise[own],
+        stop_at_holes=atlas.covered < valid.size,
+        guides=[dataclasses.replace(guide, values=guide.values[own]) for guide in guides],
+        metric_channels=metric_channels,
+        unit=None if surface.heights is None else 1.0,
+    )  # fmt: skip
+    return make, atlas, kernel
 
 
 def plan_on_image(

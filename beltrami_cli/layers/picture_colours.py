@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
-from beltrami_cli.flow.canvas import painted
+from beltrami_cli.flow.canvas import painted, painted_by
 from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
 from beltrami_cli.flow.embedding import from_space, to_space
-from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
 from beltrami_cli.formats.image import Picture
@@ -266,6 +267,24 @@ Make = Callable[[Float32s | None, NoiseModel | None], GridManifold]
 # How often pictures are decoded before patches, which take remaining ringing for detail, as it repeats itself.
 # The mean of two pilots gains 0.5 to 0.7 dB on paint, and keeps detail that the second alone loses.
 _PILOTS = 2
+
+
+def maker_of_manifolds(
+    atlas: Atlas,
+    kernel: KernelParameters,
+    channels: int,
+    colours_of: Callable[[slice], Float32s],
+    noise: Float32s | None,
+    **options: Any,
+) -> Make:
+    """Return what makes the manifold of the owned cells, of which `colours_of` gives blocks; see `grid_manifold`."""
+
+    def make(planes: Float32s | None, found: NoiseModel | None) -> GridManifold:
+        if planes is None:
+            planes = painted_by(atlas, channels, colours_of, kernel.thread_count)
+        return grid_manifold(atlas, planes, kernel, noise=noise if found is None else found, **options)
+
+    return make
 
 
 def plan_on_pictures(

@@ -1,8 +1,9 @@
-"""Which textures are meant, the colours of their texels, and new colours, with the gutters around charts refilled."""
+"""Which textures are meant, the colours of their texels, and new pixels, with gutters refilled around charts."""
 
 from __future__ import annotations
 
 import dataclasses
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -11,11 +12,15 @@ from functools import partial
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.flow.beltrami_flow import Plan
+from beltrami_cli.flow.grid_manifold import GridManifold
+from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
-from beltrami_cli.formats.image import Picture
-from beltrami_cli.layers.layer import Change, store
-from beltrami_cli.layers.picture_colours import PictureColours
-from beltrami_cli.layers.settings import TextureSettings
+from beltrami_cli.formats.image import Picture, check_writable
+from beltrami_cli.formats.image.metadata import JpegTables
+from beltrami_cli.layers.layer import Change, Layer, store
+from beltrami_cli.layers.picture_colours import Make, PictureColours, plan_on_pictures
+from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import (
     ROWS,
@@ -90,68 +95,94 @@ def without_transparent(
 _REAL_STEP = 3.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Repainting:
-    """Writes texels of an atlas to its textures; `gutter`: texels around charts that are refilled, None: none."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PictureLayer(Layer):
+    """The common part of the texels of textures and the pixels of an image."""
 
+    names: tuple[str, ...]
+    settings: SmoothSettings
     pictures: Sequence[Picture]
+    tables: Sequence[
+        JpegTables | None
+    ]  # of pictures that are JPEG files, and whose colours are as these have them
     colours: PictureColours
-    texture_offsets: Int64s
-    lone: Indices  # uncovered texels that faces without texels of their own look up
-    gutter: int | None
-    threads: int
-    is_dithered: bool = False  # so that smooth changes of colours are no bands in 8 bits
+    atlas: Atlas | None = None  # of textures
+    noise: Float32s | None = None  # standard deviations, with a row for each sample or, in images, pixel
+    suffix: str | None = None  # of another image format that is written
 
-    def repaint(self, index: int, new: NewColours) -> tuple[Array, Change]:
-        """Return a picture's pixels with new colours, and the change of its covered texels."""
-        picture = self.pictures[index]
+    @abstractmethod
+    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
+        """Return how the manifold is made, its atlas, and the parameters in its unit of length."""
+
+    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
+        make, atlas, kernel = self._canvas()
+        pixels = [picture.pixels for picture in self.pictures]
+        coded = list(zip(pixels, self.tables, strict=True)) if self.colours.shows_all else []
+        return plan_on_pictures(make, atlas, coded, kernel, tick=tick, light_in=self.colours.light_space)
+
+    def require_writable(self) -> None:
+        for picture in self.pictures:
+            check_writable(picture, self.suffix)
+
+    def new_pixels(
+        self, index: int, new: NewColours, gutter: int | None = None, *, is_dithered: bool = False
+    ) -> tuple[Array, Change]:
+        """Return a picture's pixels with new colours, and the change of its samples; other numbers keep their bits.
+
+        `gutter`: texels around the charts of a texture that are refilled. `is_dithered`: so that smooth changes of
+        colours are no bands in 8 bits.
+        """
+        picture, threads, atlas = self.pictures[index], self.settings.kernel.thread_count, self.atlas
         pixels = large_arrays.copy_of(picture.pixels)
-        change = self.paint(pixels, index, new.places, new.take)
-        if self.gutter is not None:
-            covered, known, rows = self.near_charts(index, pixels.shape[:2], new)
+        change = self._paint(pixels, index, new.places, new.take, is_dithered=is_dithered)
+        if gutter is not None and atlas is not None:
+            covered, known, rows = self._near_charts(index, pixels.shape[:2], new, gutter)
             chosen, values = new.beyond_places[rows], new.beyond[rows]
-            self.paint(pixels, index, chosen, lambda block, inside: values[block][inside])
+            beyond = NewColours.of(values)
+            self._paint(pixels, index, chosen, beyond.take, is_dithered=is_dithered)
             keep_others(
                 picture.pixels, pixels, covered, known, partial(self.colours.shown, picture),
-                width=self.gutter, lone=self.of_texture(self.lone, index)[1], threads=self.threads,
+                width=gutter, lone=self._of_picture(atlas.lone_texels, index)[1], threads=threads,
             )  # fmt: skip
             opacity, columns = self.colours.opacity(picture), self.colours.columns(picture)
-            fill_gutter(pixels, covered, self.gutter, known, self.threads, columns, opacity)
+            fill_gutter(pixels, covered, gutter, known, threads, columns, opacity)
         return pixels, change
 
-    def of_texture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
-        """Select the texels of one texture, and number them from its first."""
-        if len(self.texture_offsets) == 2:  # there is no other
+    def _of_picture(self, texels: Indices, index: int) -> tuple[Bools | slice, Indices]:
+        """Select the texels of one picture, and number them from its first."""
+        if len(self.pictures) == 1 or self.atlas is None:
             return slice(None), texels
-        begin, end = self.texture_offsets[index : index + 2].tolist()
+        begin, end = self.atlas.texture_offsets[index : index + 2].tolist()
         inside = (texels >= begin) & (texels < end)
         return inside, texels[inside] - begin
 
-    def near_charts(self, index: int, shape: tuple[int, ...], new: NewColours) -> tuple[Bools, Bools, Int64s]:
+    def _near_charts(
+        self, index: int, shape: tuple[int, ...], new: NewColours, gutter: int
+    ) -> tuple[Bools, Bools, Int64s]:
         """Return the covered texels of a texture, shape (H, W), the gutter texels near them, and their rows."""
-        assert self.gutter is not None
         covered, near = np.zeros(shape, bool), np.zeros(shape, bool)
         for block in large_arrays.blocks(len(new.places)):
-            covered.reshape(-1)[self.of_texture(new.places[block], index)[1]] = True
-        inside, texels = self.of_texture(new.beyond_places, index)
-        chosen = within(covered, self.gutter).reshape(-1)[texels]
+            covered.reshape(-1)[self._of_picture(new.places[block], index)[1]] = True
+        inside, texels = self._of_picture(new.beyond_places, index)
+        chosen = within(covered, gutter).reshape(-1)[texels]
         near.reshape(-1)[texels[chosen]] = True
         return covered, near, np.arange(len(new.beyond_places))[inside][chosen]
 
-    def paint(
-        self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s]
-    ) -> Change:
+    def _paint(
+        self, pixels: Array, index: int, texels: Indices, take: Callable[[slice, Bools | slice], Float32s], *,
+        is_dithered: bool,
+    ) -> Change:  # fmt: skip
         """Write samples into pixels like a picture's own, in place, and return how these change."""
-        picture, colours = self.pictures[index], self.colours
+        picture, colours, threads = self.pictures[index], self.colours, self.settings.kernel.thread_count
         table, changes = pixels.reshape(-1, pixels.shape[2]), []
         for block in large_arrays.blocks(len(texels), large_arrays.CACHED):
-            inside, here = self.of_texture(texels[block], index)
+            inside, here = self._of_picture(texels[block], index)
             if not len(here):
                 continue
             values = colours.stored(picture, table, here, take(block, inside))
-            if self.is_dithered and picture.stored == "uint8":
+            if is_dithered and picture.stored == "uint8":
                 values = dithered(values, here, picture.pixels.shape[1])
-            changes.append(store(picture, table, here, values, colours.columns(picture), self.threads))
+            changes.append(store(picture, table, here, values, colours.columns(picture), threads))
         return Change.joined(changes)
 
 

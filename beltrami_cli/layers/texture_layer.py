@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
@@ -13,22 +13,20 @@ import numpy as np
 from beltrami_cli.arrays import Array, Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
-from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted, painted_by
-from beltrami_cli.flow.embedding import Guide
+from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
 from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
-from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
-from beltrami_cli.formats.image import Picture, check_writable, read_texture
+from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
-from beltrami_cli.layers.picture_colours import PictureColours, plan_on_pictures
+from beltrami_cli.layers.picture_colours import Make, PictureColours, maker_of_manifolds
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.layers.texel_colours import (
-    Repainting,
+    PictureLayer,
     choose_textures,
     only_textures,
     texel_colours,
@@ -48,23 +46,17 @@ _WORTH_REPORTING = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TextureLayer(layer.Layer):
+class TextureLayer(PictureLayer):
     """Covered and visible texels of the chosen textures of a slot, together."""
 
     part: ClassVar[layer.Part] = "textures"
 
     label: str
-    names: tuple[str, ...]
     slot: Slot
-    settings: SmoothSettings
     surface: TexturedSurface
-    pictures: Sequence[Picture]
-    tables: Sequence[JpegTables | None]
     atlas: Atlas
-    colours: PictureColours
     shared: Collection[str] = ()  # keys of images that other slots show, too
     guided: GuidedTexels | None = None  # where its guides are read from
-    noise: Float32s | None = None  # standard deviations of the owned cells, (T, K)
     is_whole: bool = True  # no texture of the slot is in another layer
     levelled_colours: Float32s | None = None  # of the owned cells without exposure steps, (T, N)
     level_report: LevelReport | None = None
@@ -109,37 +101,21 @@ class TextureLayer(layer.Layer):
         return cls(
             label=f"{slot} textures", names=colours.names, slot=slot, settings=settings, surface=surface,
             pictures=pictures, tables=tables, atlas=atlas, colours=colours, shared=shared, guided=guides,
-            noise=noise,
+            noise=noise, suffix=settings.textures.image_suffix,
         )  # fmt: skip
 
-    def plan(self, tick: Callable[[], None] | None = None) -> Plan[GridManifold]:
-        is_as_stored = self.levelled_colours is None and self.colours.shows_all
-        pixels = [picture.pixels for picture in self.pictures]
-        return plan_on_pictures(
-            partial(self.manifold, guides=self.guided.guides() if self.guided else ()),
-            self.atlas,
-            list(zip(pixels, self.tables, strict=True)) if is_as_stored else [],
-            self.settings.kernel,
-            tick=tick,
-            light_in=self.colours.light_space,
-        )
+    def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
+        make = maker_of_manifolds(
+            self.atlas, self.settings.kernel, len(self.names), self._colours_of, self.noise,
+            guides=self.guided.guides() if self.guided else (), metric_channels=self.colours.metric_channels,
+        )  # fmt: skip
+        return make, self.atlas, self.settings.kernel
 
-    def manifold(
-        self, planes: Float32s | None = None, noise: NoiseModel | None = None, *, guides: Sequence[Guide] = ()
-    ) -> GridManifold:
-        """Return the manifold of the texels, with the noise of their colours; or of others, with theirs."""
-        return grid_manifold(
-            self.atlas,
-            on_canvas(self) if planes is None else planes,
-            self.settings.kernel,
-            guides=guides,
-            metric_channels=self.colours.metric_channels,
-            noise=self.noise if noise is None else noise,
-        )
-
-    def require_writable(self) -> None:
-        for picture in self.pictures:
-            check_writable(picture, self.settings.textures.image_suffix)
+    def _colours_of(self, block: slice) -> Float32s:
+        """Return the colours of a block of the owned cells, levelled if they were, shape (T, N)."""
+        if self.levelled_colours is not None:
+            return self.levelled_colours[block]
+        return texel_colours(self.colours, self.pictures, self.atlas, block)
 
     def _facts(self) -> list[dict[str, object]]:
         atlas = self.atlas
@@ -193,14 +169,14 @@ class TextureLayer(layer.Layer):
         notices = _notices_of(self.atlas) if is_tried or not is_covered else []
         is_levelled, wanted = self.levelled_colours is not None, self.settings.textures
         gutter = wanted.gutter if is_smoothed or is_levelled else None
-        painter = painter_of(self, gutter, is_dithered=is_levelled and not is_smoothed)
+        is_dithered = is_levelled and not is_smoothed
         changes, images, shared = (
             list[layer.Change](),
             dict[tuple[Slot, str], ImageFile](),
             list[layer.SharedImage](),
         )
         for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
-            pixels, change = painter.repaint(index, new)
+            pixels, change = self.new_pixels(index, new, gutter, is_dithered=is_dithered)
             large_arrays.leave_memory()
             write = partial(_written, picture, wanted, as_data=self.slot not in COLOUR_SLOTS)
             if texture.key in self.shared:
@@ -224,15 +200,17 @@ class TextureLayer(layer.Layer):
             raise UsageError(f"{self.label}: {cause}")
         if not self.is_whole:
             raise UsageError(f"{self.label}: exposures are fitted to all textures of a slot together")
-        planes = on_canvas(self)
+        threads = self.settings.kernel.thread_count
+        planes = painted_by(self.atlas, len(self.names), self._colours_of, threads)
         charts = TextureCharts.of(self.atlas, self.surface.textures, self.pictures)
         is_coloured = self.names == ("red", "green", "blue")
         spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
         report = level_charts(self.label, planes, self.atlas, charts, wanted, spans)
-        levelled, threads = None, self.settings.kernel.thread_count
-        if report.levelled:
-            levelled = colours_at(planes, self.atlas.owned_cells, threads)
-        return dataclasses.replace(self, levelled_colours=levelled, level_report=report)
+        made = dataclasses.replace(self, level_report=report)
+        if not report.levelled:
+            return made
+        levelled = colours_at(planes, self.atlas.owned_cells, threads)
+        return dataclasses.replace(made, levelled_colours=levelled, tables=[None] * len(self.tables))
 
     def places(self) -> Cells:
         atlas, sizes = self.atlas, [picture.pixels.shape[:2] for picture in self.pictures]
@@ -241,28 +219,6 @@ class TextureLayer(layer.Layer):
         row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
         names = [texture.name for texture in self.surface.textures]
         return Cells(sizes, picture, row, column, atlas.chart_of, names)
-
-
-def on_canvas(textures: TextureLayer) -> Float32s:
-    """Return the colours on the canvas of the atlas, levelled if they were."""
-    atlas, threads = textures.atlas, textures.settings.kernel.thread_count
-    if textures.levelled_colours is not None:
-        return painted(atlas, textures.levelled_colours, threads)
-    working = partial(texel_colours, textures.colours, textures.pictures, atlas)
-    return painted_by(atlas, len(textures.names), working, threads)
-
-
-def painter_of(textures: TextureLayer, gutter: int | None, *, is_dithered: bool = False) -> Repainting:
-    """Return what writes new colours to the pixels of textures; `gutter` None: nothing changes around charts."""
-    return Repainting(
-        pictures=textures.pictures,
-        colours=textures.colours,
-        texture_offsets=textures.atlas.texture_offsets,
-        lone=textures.atlas.lone_texels,
-        gutter=gutter,
-        threads=textures.settings.kernel.thread_count,
-        is_dithered=is_dithered,
-    )
 
 
 def _written(

@@ -25,7 +25,7 @@ from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.image_surface import ImageSurface
 from beltrami_cli.layers.layer import Layer
 from beltrami_cli.layers.settings import SmoothSettings
-from beltrami_cli.layers.texture_layer import TextureLayer, painter_of
+from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.layers.vertex_layer import GridLayer, PaintedLayer, VertexLayer, only_rows
 from beltrami_cli.surface.geometry import triangle_areas
 from beltrami_cli.surface.records import PaintedVertices, Slot, Texture, TexturedSurface
@@ -147,7 +147,7 @@ class LayerView:
         around = _window((rows, columns), focus.origin[1::-1] * (rows, columns), budget)
         top, left = (slice(axis.start // CODED_TOGETHER * CODED_TOGETHER, axis.stop) for axis in around)
         layer = _cut(self._pixels, (top, left), kernel)
-        pixels, _ = layer.painted(_smooth(layer, progress))
+        pixels, _ = layer.new_pixels(0, _smooth(layer, progress))
         shown = displayed_pixels(dataclasses.replace(layer.picture, pixels=pixels))
         row, column = (axis.ravel() for axis in np.indices(shown.shape[:2]))
         return [Patch(0, row + top.start, column + left.start, shown.reshape(-1, 4))]
@@ -190,14 +190,14 @@ class LayerView:
             space_of=None if surface.space_of is None else surface.space_of[rows],
         )  # fmt: skip
         layer = TextureLayer.read(part, self._textures, settings, guided=(self._document, self._access))
-        new, painter = _smooth(layer, progress), painter_of(layer, gutter=None)
+        new = _smooth(layer, progress)
         offsets, patches = layer.atlas.texture_offsets, []
         keys = [each.key for each in surface.textures]
         for index, picture in enumerate(layer.pictures):
             inside = (new.places >= offsets[index]) & (new.places < offsets[index + 1])
             texels = new.places[inside] - offsets[index]
             if len(texels):
-                pixels = painter.repaint(index, new)[0].reshape(-1, picture.pixels.shape[2])[texels]
+                pixels = layer.new_pixels(index, new)[0].reshape(-1, picture.pixels.shape[2])[texels]
                 shown = displayed_pixels(dataclasses.replace(picture, pixels=pixels[None]))[0]
                 rows, columns = np.divmod(texels, picture.pixels.shape[1])
                 number = keys.index(layer.surface.textures[index].key)
@@ -275,7 +275,9 @@ def _cut(layer: ImageLayer, place: tuple[slice, slice], kernel: KernelParameters
     return dataclasses.replace(
         layer,
         settings=dataclasses.replace(layer.settings, kernel=kernel),
-        picture=dataclasses.replace(layer.picture, pixels=np.ascontiguousarray(layer.picture.pixels[place])),
+        pictures=[
+            dataclasses.replace(layer.picture, pixels=np.ascontiguousarray(layer.picture.pixels[place]))
+        ],
         valid=layer.valid[place],
         surface=ImageSurface(
             heights=None if surface.heights is None else surface.heights[place],

@@ -22,7 +22,7 @@ from beltrami_cli.jobs.compare.files import compare_documents, open_both, requir
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, Progress
 from beltrami_cli.jobs.output import Output
 from beltrami_cli.jobs.progress import one_of
-from beltrami_cli.jobs.recolour import recolour_in_memory
+from beltrami_cli.jobs.recolour import open_input, recolour_in_memory
 from beltrami_cli.jobs.smooth import Smoothed, Smoothing
 from beltrami_cli.layers.settings import LevelSetSettings, SmoothSettings
 from beltrami_cli.view.drawing import Panel, arranged, draw_panels, fixed_looks
