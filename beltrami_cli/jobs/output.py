@@ -17,6 +17,7 @@ import logging
 import os
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import islice, takewhile
 from pathlib import Path, PurePosixPath
@@ -172,7 +173,8 @@ class Output:
                 raise OutputError(self.target, f"the folder {name} does not exist", "make it first")
             if not folder.is_dir():
                 raise OutputError(self.target, f"{name} is no folder", "choose another place")
-            replacing.check_writable(folder)
+            with replacing.endings_held(), tempfile.TemporaryFile(dir=folder):
+                pass  # it can be written to
             replacing.recover(folder)
         except OSError as error:
             cause = f"the folder {name} cannot be written to ({error.strerror})"

@@ -68,7 +68,8 @@ class Journal:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path, self._files, self._is_needed = _new_journal(folder), list[TemporaryFile](), False
+        self._path = folder / f".beltrami-{os.urandom(6).hex()}.tmp"
+        self._files, self._is_needed = list[TemporaryFile](), False
         self._descriptor = os.open(self._path, _OPENING | os.O_CREAT | os.O_EXCL, 0o600)
         _try_lock(self._descriptor)
 
@@ -144,40 +145,29 @@ def recover(folder: Path) -> None:
         journals = sorted(path for path in folder.iterdir() if _JOURNAL.fullmatch(path.name))
     for journal in journals:
         # In the lock of the folder, since two runs would take each other for the one that goes on.
-        with folders_locked([folder]), _left_in(journal) as text:
-            files, is_settled = _read(journal, text)
-            with folders_locked({file.path.parent for file in files} - {folder}), endings_held():
+        with folders_locked([folder]), contextlib.ExitStack() as opened:
+            try:
+                file = opened.enter_context(os.fdopen(os.open(journal, _OPENING), "rb"))
+            except OSError:
+                continue
+            status = os.fstat(file.fileno())
+            is_ours = stat.S_ISREG(status.st_mode) and status.st_uid == _user()
+            if not is_ours or not _try_lock(file.fileno()):
+                continue  # another user's, or of a run that goes on
+            files, is_settled = _read(journal, file.read(_LARGEST_JOURNAL))
+            with folders_locked({each.path.parent for each in files} - {folder}), endings_held():
                 if not is_settled and (stuck := _undo(files)) is not None:
                     raise stuck
-                if text is not None:
-                    _remove(files, journal)
+                _remove(files, journal)
 
 
-def _new_journal(folder: Path) -> Path:
-    return folder / f".beltrami-{os.urandom(6).hex()}.tmp"
-
-
-@contextlib.contextmanager
-def _left_in(journal: Path) -> Iterator[bytes | None]:
-    """Lock a journal and give its text; None if its run goes on, or is another user's."""
-    try:
-        file = os.fdopen(os.open(journal, _OPENING), "rb")
-    except OSError:
-        yield None
-        return
-    with file:
-        status = os.fstat(file.fileno())
-        is_ours = stat.S_ISREG(status.st_mode) and status.st_uid == _user()
-        yield file.read(_LARGEST_JOURNAL) if is_ours and _try_lock(file.fileno()) else None
-
-
-def _read(journal: Path, text: bytes | None) -> tuple[list[TemporaryFile], bool]:
+def _read(journal: Path, text: bytes) -> tuple[list[TemporaryFile], bool]:
     """Return the files of a set, as far as they can be trusted, and whether the set is complete or undone."""
     files: dict[Path, TemporaryFile] = {}
     name_of_temporary = re.compile(re.escape(journal.stem) + r"\.[0-9]+\.tmp")
     is_settled = False
     # Behind the last break is nothing, or what could not be written before the end.
-    for line in (text or b"").split(b"\n")[:-1]:
+    for line in text.split(b"\n")[:-1]:
         with contextlib.suppress(ValueError, TypeError):
             value = parse_json(line)
             if value is _SETTLED:
@@ -245,19 +235,7 @@ def place_of(path: Path) -> str:
 
 def is_special(path: Path) -> bool:
     """Whether a path is neither a file nor a folder, such as a device or a pipe."""
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
-
-
-def check_writable(folder: Path) -> None:
-    """Make a file in a folder and remove it; OSError if that is not possible."""
-    probe = _new_journal(folder)
-    with endings_held():
-        os.close(os.open(probe, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-        probe.unlink(missing_ok=True)  # Another run may have done so.
+    return os.access(path, os.F_OK) and not (path.is_file() or path.is_dir())
 
 
 def is_protected(path: Path) -> bool:
