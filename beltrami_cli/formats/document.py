@@ -370,4 +370,4 @@ class ImageDocument(Document):
         return {"format": self._picture.format, "bytes": len(self.data)}
 
     def _patched(self, new: Changes, naming: Naming) -> Written:
-        return Written([image.data for image in new.images.values()] or [self.data])
+        return Written([image.content for image in new.images.values()] or [self.data])

@@ -24,7 +24,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 
 if TYPE_CHECKING:
     from beltrami_cli.formats.document import Document
-    from beltrami_cli.jobs.output import FileSet, Output
+    from beltrami_cli.jobs.output import FileSet
 
 
 Progress = Callable[[str, int, int], None]  # a label, the work done and the work to do
@@ -84,16 +84,6 @@ class Job:
     format: str | None = None
     files: FileSet | None = None
     check: Callable[[Document], None] | None = None
-
-    def output(self, target: str, guarded: Iterable[str]) -> tuple[Output | None, Access]:
-        """Return where OUTPUT goes, None on a dry run, and an access by which it replaces nothing read or `guarded`."""
-        from beltrami_cli.jobs.output import Output
-
-        if self.dry_run:
-            return None, self.access
-        output = Output(target, overwrite=self.overwrite, files=self.files)
-        output.files.guard(guarded)
-        return output, output.files.watching(self.access)
 
     def expect(self, phases: Iterable[tuple[str, float]]) -> None:
         """Announce the phases ahead, and how many seconds each takes, see `jobs/progress.py`."""

@@ -29,7 +29,7 @@ from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.image.reading import read_image
 from beltrami_cli.formats.image.writing import noise_losses
 from beltrami_cli.jobs.job import PLAIN_JOB, Job, NoiseSettings
-from beltrami_cli.jobs.recolour import FileReport, Painter, recolour
+from beltrami_cli.jobs.recolour import FileReport, Painted, Painter, recolour
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import Change, Layer, Repainted
 from beltrami_cli.layers.settings import DEFAULTS, SLOTS, SmoothSettings
@@ -85,13 +85,11 @@ class NoiseTargets:
         return limits_of(self.colours)
 
 
-@dataclass(frozen=True)
-class Noisy:
+@dataclass(frozen=True, kw_only=True)
+class Noisy(Painted):
     """Samples with noise, and what it changed."""
 
-    repainted: Repainted
     added: Added
-    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,8 @@ class Noising(Painter[Noisy]):
         change = np.square(after - targets.colours, dtype=np.float64)
         rms = float(np.sqrt(np.mean(change))) if change.size else 0.0
         what = "vertex colours" if isinstance(layer, PaintedLayer) else layer.label
-        return Noisy(_repainted(layer, targets, after), Added(what, len(change), rms))
+        added = Added(what, len(change), rms)
+        return Noisy(repainted=_repainted(layer, targets, after), added=added)
 
 
 def noise_file(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import ClassVar, Generic, Protocol, Self, TypeVar
+from typing import ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -121,7 +121,11 @@ def begin(
     source: str, target: str, settings: SmoothSettings, job: Job, *, models_only: bool = False
 ) -> FileJob:
     """Open a source, and choose where the output goes in which format; UsageError or OutputError if it cannot."""
-    watch, (output, access) = Stopwatch(), job.output(target, settings.files_besides(source))
+    watch, output, access = Stopwatch(), None, job.access
+    if not job.dry_run:
+        output = Output(target, overwrite=job.overwrite, files=job.files)
+        output.files.guard(settings.files_besides(source))
+        access = output.files.watching(access)
     job.begin("reading")
     with watch.stage("read"):
         document = open_input(source, settings, access)
@@ -186,14 +190,12 @@ def is_moved(source: str, target: str) -> bool:
     return Path(source).resolve().parent != Path(os.path.realpath(target)).parent
 
 
-class Painted(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Painted:
     """What a painter made of samples; painters add what they report of it."""
 
-    @property
-    def repainted(self) -> Repainted: ...
-
-    @property
-    def warnings(self) -> Sequence[str]: ...
+    repainted: Repainted
+    warnings: Sequence[str] = ()
 
 
 AnyPainted = TypeVar("AnyPainted", bound=Painted)

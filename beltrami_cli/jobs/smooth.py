@@ -21,7 +21,7 @@ from beltrami_cli.flow.tuning.choice import Choice
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import OutputFormat, write_mesh
 from beltrami_cli.jobs.job import PLAIN_JOB, BakeSettings, Job
-from beltrami_cli.jobs.recolour import FileJob, FileReport, Painter, begin, paint, recolour
+from beltrami_cli.jobs.recolour import FileJob, FileReport, Painted, Painter, begin, paint, recolour
 from beltrami_cli.layers.layer import (
     Change,
     ImageReport,
@@ -29,7 +29,6 @@ from beltrami_cli.layers.layer import (
     LayerReport,
     LevelReport,
     Part,
-    Repainted,
     SlotReport,
     VertexReport,
 )
@@ -45,14 +44,12 @@ if TYPE_CHECKING:
 _USUAL_TICKS = 30  # while parameters are chosen
 
 
-@dataclass(frozen=True)
-class Smoothed:
-    """What smoothing makes of a layer: its part of the document, what was done, and what users should know."""
+@dataclass(frozen=True, kw_only=True)
+class Smoothed(Painted):
+    """What smoothing makes of a layer."""
 
-    part: Part
-    repainted: Repainted
+    part: Part  # of the document
     report: LayerReport
-    warnings: list[str]
     choice: Choice | None
     samples_per_kernel: float  # not rounded, as in the report
     levelled: LevelReport | None = None  # what was done to exposure steps before

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
+from beltrami_cli.arrays import Bools, Float32s, Float64s, Int64s
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.embedding import Guide, centred
 from beltrami_cli.flow.parameters import KernelParameters
@@ -22,9 +22,9 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
-from beltrami_cli.layers.memory_check import require_memory
+from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
 from beltrami_cli.layers.picture_colours import PictureColours
-from beltrami_cli.layers.settings import SLOTS, EmbeddingSettings, SmoothSettings
+from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.baking import look_up
 from beltrami_cli.surface.records import Slot, Texture, TexturedSurface, require_finite
@@ -77,21 +77,24 @@ def read_table(path: str, rows: int, model: str, access: Access) -> Float64s:
     return numbers
 
 
-def read_map(path: str, access: Access) -> Float32s:
-    """Read numbers of texels or pixels, shape (H, W, G)."""
+def read_map(path: str, picture: Picture, access: Access) -> Float32s:
+    """Read numbers of the pixels of a picture, shape (H * W, G)."""
+    image = read_of_size(path, picture, access, "painted")
+    channels = [i for i in range(image.pixels.shape[2]) if i != image.alpha]
+    numbers = np.asarray(full_scale_one(image.pixels[..., channels]), np.float32)
+    return numbers.reshape(-1, numbers.shape[2])
+
+
+def read_of_size(path: str, picture: Picture, access: Access, work: str) -> Picture:
+    """Read an image of the size of a picture; `work` on it as in `PIXEL_BYTES`."""
     data = read_source(path, access)
-    require_memory([(path, data)], access)
-    picture = read_image(data, path, finite=False)
-    channels = [i for i in range(picture.pixels.shape[2]) if i != picture.alpha]
-    return np.asarray(full_scale_one(picture.pixels[..., channels]), np.float32)
-
-
-def require_size(image: Array, size: tuple[int, int], path: str, of: str) -> None:
-    """Check that an image has the size of the one that it guides."""
-    if image.shape[:2] != size:
-        rows, columns = image.shape[:2]
-        cause = f"its {columns} x {rows} pixels do not fit the {size[1]} x {size[0]} of {of}"
+    require_memory([(path, data)], access, PIXEL_BYTES[work])
+    image = read_image(data, path, finite=False)
+    (rows, columns), size = image.pixels.shape[:2], picture.pixels.shape[:2]
+    if (rows, columns) != size:
+        cause = f"its {columns} x {rows} pixels do not fit the {size[1]} x {size[0]} of {picture.name}"
         raise InputError(path, cause, "both must have the same size, pixel by pixel")
+    return image
 
 
 def _exists(path: str) -> bool:
@@ -104,15 +107,14 @@ def read_guide_images(
     """Read all guides for an image, with one row per pixel."""
     guides = []
     for path, beta in settings.embedding.weighted_guides:
-        image = read_map(path, access)
-        require_size(image, valid.shape, path, picture.name)
-        finite = np.isfinite(image).all(axis=2) | ~valid
+        image = read_map(path, picture, access)
+        finite = np.isfinite(image).all(axis=1).reshape(valid.shape) | ~valid
         if not finite.all():
             row, column = np.unravel_index(int(np.argmin(finite)), finite.shape)
             remedy = "leave such pixels out with --mask"
             cause = f"its pixel {column},{row} is not finite, so it cannot guide there"
             raise InputError(path, cause, remedy)
-        guides.append(Guide(path, image.reshape(-1, image.shape[2]), beta))
+        guides.append(Guide(path, image, beta))
     return tuple(guides)
 
 
@@ -158,9 +160,7 @@ class GuidedTexels:
             raise UsageError(
                 f"{path} guides one texture, but several are smoothed ({names}); choose one by --texture or --material"
             )
-        image, picture = read_map(path, self.access), self.pictures[0]
-        require_size(image, picture.pixels.shape[:2], path, picture.name)
-        values = image.reshape(-1, image.shape[2])[self.atlas.owned_texels]
+        values = read_map(path, self.pictures[0], self.access)[self.atlas.owned_texels]
         require_finite(values, path, "its pixel")
         return values
 
@@ -181,13 +181,7 @@ class GuidedTexels:
 
     def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
         pictures = [read_texture(texture) for texture in guiding.textures]
-        plain = dataclasses.replace(
-            self.settings,
-            channels=None,
-            textures=dataclasses.replace(self.settings.textures, alpha="keep"),
-            embedding=EmbeddingSettings(),
-        )
-        colours = PictureColours.of(pictures, slot, plain)
+        colours = PictureColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
         shapes = [picture.pixels.shape[:2] for picture in pictures]
         return [
             colours.working(picture, np.arange(rows * columns)).reshape(rows, columns, -1)
@@ -244,11 +238,10 @@ def noise_of_pixels(
     if len(pictures) != 1:
         cause = f"{given.source} is the noise of one of {len(pictures)} textures; choose it by --texture"
         raise UsageError(cause)
-    image = read_map(given.source, access)
-    require_size(image, pictures[0].pixels.shape[:2], given.source, pictures[0].name)
+    rows = read_map(given.source, pictures[0], access)
     if given.kind == "frame":
-        image = deviation_in_frame(image)
-    rows = image.reshape(-1, image.shape[2])
+        frame = rows.reshape(*pictures[0].pixels.shape[:2], -1)
+        rows = deviation_in_frame(frame).reshape(rows.shape)
     _check(rows[pixels], given.source, "pixel")
     return rows
 

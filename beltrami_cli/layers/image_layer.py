@@ -35,7 +35,6 @@ from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.layers.texel_colours import PictureLayer
 from beltrami_cli.surface.atlas import Atlas
 from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import ImageFile
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +142,7 @@ class ImageLayer(PictureLayer):
         pixels, turned = upright(self.picture, pixels, self.suffix)
         wanted, as_data = self.settings.textures, self.settings.space == "data"
         file, said = rewritten(self.picture, pixels, wanted, self.suffix, as_data=as_data)
-        image = ImageFile(file.data, self.suffix or Path(self.picture.name).suffix)
+        image = dataclasses.replace(file, suffix=self.suffix or Path(self.picture.name).suffix)
         change = change.in_file(file, self.picture)
         return Repainted(change, images={("baseColor", ""): image}, notices=(*said, *turned, *notices))
 

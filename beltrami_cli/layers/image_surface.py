@@ -17,11 +17,10 @@ from beltrami_cli.flow.canvas import canvas_margin
 from beltrami_cli.flow.embedding import Guide
 from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters, Space
-from beltrami_cli.formats.access import Access, read_source
-from beltrami_cli.formats.image import Picture, read_image
+from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.layers.guides import require_size
-from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
+from beltrami_cli.layers.guides import read_of_size
 from beltrami_cli.layers.picture_colours import Make, maker_of_manifolds, plan_on_pictures
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, grid_atlas
@@ -85,10 +84,7 @@ def read_surface(picture: Picture, wanted: ImageSettings, access: Access) -> Ima
 
 def _read(path: str, picture: Picture, access: Access, notices: list[str]) -> Picture:
     """Read an image of the size of the picture, and add notices about it as a map."""
-    data = read_source(path, access)
-    require_memory([(path, data)], access, PIXEL_BYTES["mapped"])
-    read = read_image(data, path, finite=False)
-    require_size(read.pixels, picture.pixels.shape[:2], path, picture.name)
+    read = read_of_size(path, picture, access, "mapped")
     notices += read.notices
     if read.stored == "uint8":
         notices.append(

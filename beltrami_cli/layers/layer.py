@@ -25,6 +25,7 @@ from beltrami_cli.formats.image.picture import as_stored
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
 from beltrami_cli.surface.atlas import Indices, store_integers
 from beltrami_cli.surface.baking import Cells
+from beltrami_cli.surface.large_arrays import kept_bytes
 from beltrami_cli.surface.records import ImageFile, PaintedVertices, Slot
 
 Part = Literal["vertices", "textures", "image"]
@@ -252,7 +253,8 @@ def rewritten(
     quality, small = wanted.jpeg_quality, wanted.small
     file = write_image(picture, pixels, suffix=suffix, jpeg_quality=quality, small=small, as_data=as_data)
     lost = losses(picture, suffix) if suffix is not None else ()
-    return dataclasses.replace(file, is_chosen=suffix is not None), [*picture.notices, *file.notices, *lost]
+    file = dataclasses.replace(file, content=kept_bytes(file.data), is_chosen=suffix is not None)
+    return file, [*picture.notices, *file.notices, *lost]
 
 
 def all_images(

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Float32s, Int64s
+from beltrami_cli.arrays import Float32s, Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
@@ -24,7 +24,7 @@ from beltrami_cli.layers import layer
 from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
 from beltrami_cli.layers.picture_colours import Make, PictureColours, maker_of_manifolds
-from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texel_colours import (
     PictureLayer,
     choose_textures,
@@ -178,7 +178,8 @@ class TextureLayer(PictureLayer):
         for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
             pixels, change = self.new_pixels(index, new, gutter, is_dithered=is_dithered)
             large_arrays.leave_memory()
-            write = partial(_written, picture, wanted, as_data=self.slot not in COLOUR_SLOTS)
+            as_data = self.slot not in COLOUR_SLOTS
+            write = partial(layer.rewritten, picture, wanted=wanted, suffix=self.suffix, as_data=as_data)
             if texture.key in self.shared:
                 columns = self.colours.columns(picture)
                 shared.append(layer.SharedImage(self.slot, texture.key, pixels, columns, write))
@@ -219,14 +220,6 @@ class TextureLayer(PictureLayer):
         row, column = np.divmod(own, np.array([columns for _, columns in sizes], np.int64)[picture])
         names = [texture.name for texture in self.surface.textures]
         return Cells(sizes, picture, row, column, atlas.chart_of, names)
-
-
-def _written(
-    picture: Picture, wanted: TextureSettings, pixels: Array, *, as_data: bool
-) -> tuple[ImageFile, list[str]]:
-    """Write new pixels as a file; return also what users should know."""
-    file, said = layer.rewritten(picture, pixels, wanted, wanted.image_suffix, as_data=as_data)
-    return dataclasses.replace(file, content=large_arrays.kept_bytes(file.data)), said
 
 
 def _plan_alone(textures: TextureLayer, index: int) -> Plan[GridManifold]:
