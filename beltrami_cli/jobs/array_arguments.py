@@ -183,11 +183,8 @@ def painted_arrays(
     triangles = face_table([] if faces is None else faces, len(places))
     if len(places) != len(shades):
         raise InputError(_ARRAYS, f"there are {len(places)} positions but {len(shades)} colours")
-    for what, table in (("position", places), ("colour", shades)):
-        finite = np.isfinite(table).all(axis=1)
-        if not finite.all():
-            cause = f"the {what} of vertex {int(np.argmin(finite))} is not finite"
-            raise InputError(_ARRAYS, cause, "repair the file")
+    require_finite(places, _ARRAYS, "the position of vertex")
+    require_finite(shades, _ARRAYS, "the colour of vertex")
     check_scale(places, triangles, _ARRAYS)
     return PaintedVertices(places, triangles, shades, names, encoding, stored)
 

@@ -28,7 +28,7 @@ from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, Part
 from beltrami_cli.layers.levelled_charts import photograph_attribute, photographs_of
-from beltrami_cli.layers.memory_check import require_memory
+from beltrami_cli.layers.picture_colours import require_memory
 from beltrami_cli.layers.selection import Selection, select, vertex_layer
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
 from beltrami_cli.layers.texture_layer import TextureLayer

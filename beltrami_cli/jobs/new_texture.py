@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -132,15 +132,10 @@ def texture_from_textures(
     document: Document,
     wanted: BakeSettings,
     progress: Progress | None = None,
-    smoothed: Mapping[str, ImageFile] | None = None,
 ) -> NewTexture:
-    """Move all base colour textures, or others by their keys in their stead, to one new atlas."""
+    """Move all base colour textures to one new atlas."""
     old = document.textured("baseColor")
-    new = [(smoothed or {}).get(texture.key) for texture in old.textures]
-    pictures = [
-        read_texture(texture, None if file is None else file.data)
-        for texture, file in zip(old.textures, new, strict=True)
-    ]
+    pictures = [read_texture(texture) for texture in old.textures]
     texels = texels_of(old, np.array([picture.pixels.shape[1::-1] for picture in pictures]))
     made = _unwrapped(document, old.positions, old.faces, old.space_of, texels, wanted, progress)
     channels = 4 if any(picture.alpha is not None for picture in pictures) else 3

@@ -31,6 +31,7 @@ from beltrami_cli.layers.layer import (
     Part,
     SlotReport,
     VertexReport,
+    all_images,
 )
 from beltrami_cli.layers.selection import Selection
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings, describe_settings
@@ -378,8 +379,9 @@ def _new_texture(
             colours = smoothed[0].repainted.colours if smoothed else None
             made = texture_from_vertices(document, wanted, job.progress, colours)
         else:
-            images = {key: image for each in smoothed for (_, key), image in each.repainted.images.items()}
-            made = texture_from_textures(document, wanted, job.progress, images)
+            images = all_images(each.repainted for each in smoothed)[0]
+            exact_document = document.repainted(None, {key: image.data for key, image in images.items()})
+            made = texture_from_textures(exact_document, wanted, job.progress)
     if smoothed or not smooths:
         return (
             made,

@@ -22,8 +22,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image, read_texture
 from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.formats.registry import document_of
-from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
-from beltrami_cli.layers.picture_colours import PictureColours
+from beltrami_cli.layers.picture_colours import PictureColours, require_memory
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.surface.atlas import Atlas, texels_by_texture
 from beltrami_cli.surface.baking import look_up
@@ -86,9 +85,9 @@ def read_map(path: str, picture: Picture, access: Access) -> Float32s:
 
 
 def read_of_size(path: str, picture: Picture, access: Access, work: str) -> Picture:
-    """Read an image of the size of a picture; `work` on it as in `PIXEL_BYTES`."""
+    """Read an image of the size of a picture; for `work` see `require_memory`."""
     data = read_source(path, access)
-    require_memory([(path, data)], access, PIXEL_BYTES[work])
+    require_memory([(path, data)], access, work)
     image = read_image(data, path, finite=False)
     (rows, columns), size = image.pixels.shape[:2], picture.pixels.shape[:2]
     if (rows, columns) != size:

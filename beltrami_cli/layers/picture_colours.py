@@ -1,16 +1,16 @@
-"""Colours of textures and images in the working space, and back; and smoothing of pictures whose noise JPEG coded."""
+"""Colours of pictures in the working space, and back; the memory that they take; smoothing where JPEG coded noise."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from beltrami_cli.arrays import Array, Bools, Float32s, Float64s, Int64s
-from beltrami_cli.errors import UsageError
+from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.flow.beltrami_flow import Plan, choose_parameters, smooth
 from beltrami_cli.flow.canvas import painted, painted_by
 from beltrami_cli.flow.coded_picture import CodedPicture, decode, is_changed, noise_after, sigma_before
@@ -18,6 +18,7 @@ from beltrami_cli.flow.embedding import from_space, to_space
 from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.noise.model import NoiseModel
 from beltrami_cli.flow.parameters import KernelParameters, Space
+from beltrami_cli.formats.access import Access
 from beltrami_cli.formats.image import Picture
 from beltrami_cli.formats.image.metadata import JpegTables
 from beltrami_cli.formats.image.picture import (
@@ -31,6 +32,7 @@ from beltrami_cli.formats.image.picture import (
     with_colours_of,
     without_alpha,
 )
+from beltrami_cli.formats.image.reading import ImageSize, measure_image
 from beltrami_cli.layers.layer import choose_channels
 from beltrami_cli.layers.settings import COLOUR_SLOTS, SmoothSettings
 from beltrami_cli.surface import large_arrays
@@ -206,6 +208,39 @@ class PictureColours:
         every = tuple(range(pixels.shape[1]))
         colours = pixels if picture.colour == every else pixels[:, list(picture.colour)]
         return np.repeat(colours, self.width, axis=1) if colours.shape[1] < self.width else colours
+
+
+# Bytes per pixel and per sample that a job on images needs in memory at least, besides the decoded images: to paint one
+# at a time, its old and new colours in single precision; to smooth an image without files, the least of the peaks on
+# noise of 1536 x 1536 pixels with one channel and three (40 + 13); to compare two (36 + 1); to read heights or
+# positions, as coordinates in double precision, as read and for each pixel.
+_PIXEL_BYTES = {"painted": (0, 2 * 4), "smoothed": (40, 13), "compared": (36, 1), "mapped": (3 * 8, 8)}
+
+
+def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: str = "painted") -> None:
+    """Raise InputError if images cannot fit into memory: all as stored, and one of them as it is worked on."""
+    if access.memory is None:
+        return
+    (per_pixel, per_sample), decoded, working = _PIXEL_BYTES[work], 0, 0
+    for name, size, _ in measured(images):
+        decoded += size.decoded
+        working = max(working, per_pixel * size.texels + per_sample * size.samples)
+        if decoded + working > access.memory:
+            raise too_large(name, size)
+
+
+def measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize, int]]:
+    """Measure images and their files; those that fail are left to their decoder, which raises the error."""
+    for name, data in images:
+        size = measure_image(data, name)
+        if size is not None:
+            yield name, size, len(data)
+
+
+def too_large(name: str, size: ImageSize) -> InputError:
+    """Return the error that an image, with those around it, needs more memory than there is."""
+    cause = f"its {size.width} x {size.height} pixels of {size.channels} channels do not fit into memory"
+    return InputError(name, cause, "scale it down, or raise --max-memory")
 
 
 def with_chosen_layer(picture: Picture, settings: SmoothSettings) -> tuple[Picture, SmoothSettings]:

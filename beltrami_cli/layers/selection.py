@@ -23,7 +23,7 @@ from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.model_folder import LEFT_ALONE, remedy_for
 from beltrami_cli.layers.layer import Layer
-from beltrami_cli.layers.memory_check import PIXEL_BYTES, measured, require_memory, too_large
+from beltrami_cli.layers.picture_colours import measured, require_memory, too_large
 from beltrami_cli.layers.settings import SLOTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures, only_textures
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -71,9 +71,9 @@ class Selection:
             yield ((texture.name, texture.data) for texture in surface.textures)
 
     def require_memory(self, work: str = "painted") -> None:
-        """Raise InputError if images cannot fit into memory, slot by slot; `work` on them as in `PIXEL_BYTES`."""
+        """Raise InputError if images cannot fit into memory, slot by slot; see there for `work`."""
         for images in self.images():
-            require_memory(images, self.access, PIXEL_BYTES[work])
+            require_memory(images, self.access, work)
 
     @contextmanager
     def within_memory(self, target: str | None = None, *, in_files: bool = True) -> Iterator[None]:

@@ -21,8 +21,7 @@ from beltrami_cli.formats.image.picture import full_scale_one
 from beltrami_cli.jobs.compare.figures import ComparedColours, Pair
 from beltrami_cli.layers.image_layer import ImageLayer
 from beltrami_cli.layers.layer import choose_channels
-from beltrami_cli.layers.memory_check import PIXEL_BYTES, require_memory
-from beltrami_cli.layers.picture_colours import PictureColours
+from beltrami_cli.layers.picture_colours import PictureColours, require_memory
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.layers.texel_colours import choose_textures, texel_colours
 from beltrami_cli.layers.texture_layer import TextureLayer
@@ -191,7 +190,7 @@ def compare_images(
     slots = settings.textures.slots or DEFAULTS.textures.slots  # which images do without
     settings = dataclasses.replace(settings, textures=dataclasses.replace(settings.textures, slots=slots))
     images = [(document.name, document.data) for document in documents]
-    require_memory(images, access, PIXEL_BYTES["compared"])
+    require_memory(images, access, "compared")
     _require_same_size(documents[0].picture(), documents[1].picture(), names[1])
     samples = [ImageLayer.read(document, settings, access, colours_only=True) for document in documents]
     one, other, valid = samples[0].colours, samples[1].colours, samples[0].valid
