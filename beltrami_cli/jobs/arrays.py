@@ -400,7 +400,7 @@ def smooth_textured(
     names = [picture.name for picture in pictures]
     surface = textured_surface(arrays, names, texture_of, origin)
     # Images that other slots show, too, are handed back as pixels, not as files: here all of them.
-    layer = TextureLayer.of(surface, pictures, [None] * len(pictures), slot, settings, shared=names)
+    layer = TextureLayer.read(surface, slot, settings, shared=names, decoded=pictures)
     done = smooth_layer(layer.levelled(LevelSettings()) if settings.level_seams else layer, progress)
     assert isinstance(done.report, SlotReport)
     smoothed = [

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -117,22 +116,11 @@ def read_guide_images(
     return tuple(guides)
 
 
-class Textured(Protocol):
-    """A document, or a part of one, whose textures guide."""
-
-    @property
-    def name(self) -> str: ...
-
-    def slots(self) -> tuple[Slot, ...]: ...
-
-    def textured(self, slot: Slot) -> TexturedSurface: ...
-
-
 @dataclass(frozen=True)
 class GuidedTexels:
     """The texels that guides are read for."""
 
-    document: Textured
+    document: Document
     surface: TexturedSurface
     pictures: Sequence[Picture]
     atlas: Atlas

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatch
 
 import numpy as np
@@ -25,12 +24,18 @@ _NO_SEAMS = "no seam joins two of its charts"
 _TOO_SMALL = "the change would be too small to be seen"
 
 
+Chart = tuple[Texture, dict[str, object]]  # a chart that owns texels: its texture, and facts for reports
+
+
 def level_charts(
-    what: str, planes: Float32s, atlas: Atlas, charts: TextureCharts, wanted: LevelSettings, spans: Sequence[int]
+    what: str, planes: Float32s, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture],
+    wanted: LevelSettings, spans: Sequence[int],
 ) -> LevelReport:  # fmt: skip
     """Take exposure steps out of colours on a canvas, in place; `spans` as in `level_canvas`."""
-    found, change = level_canvas(atlas, planes, wanted.strength, charts.matching(wanted.reference), spans)
-    return _report(what, found, change, charts.facts())
+    charts = _charts_of(atlas, textures, pictures)
+    fixed = _reference(charts, max(1, atlas.charts), wanted.reference) if wanted.reference else None
+    found, change = level_canvas(atlas, planes, wanted.strength, fixed, spans)
+    return _report(what, found, change, [facts for _, facts in charts])
 
 
 def level_photographs(
@@ -44,62 +49,43 @@ def level_photographs(
     return colours, _report(what, found, change, [{"chart": part} for part in range(len(found.groups))])
 
 
-@dataclass(frozen=True)
-class TextureCharts:
-    """The charts of an atlas by the textures that they lie on."""
+def _charts_of(atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture]) -> list[Chart]:
+    """Return for each chart its texture, and its number, a texel of it there, and how many it has."""
+    areas = np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
+    texel, charts = np.zeros(len(areas), np.int64), list[Chart]()
+    for block in large_arrays.blocks(len(atlas.chart_of)):
+        texel[atlas.chart_of[block]] = atlas.owned_texels[block]
+    texture_of = np.searchsorted(atlas.texture_offsets, texel, side="right") - 1
+    for chart in np.flatnonzero(areas).tolist():
+        index = int(texture_of[chart])
+        of_texture = int(texel[chart] - atlas.texture_offsets[index])
+        row, column = divmod(of_texture, pictures[index].pixels.shape[1])
+        place = {"texture": textures[index].name, "column": column, "row": row}
+        charts.append((textures[index], {"chart": chart, **place, "samples": int(areas[chart])}))
+    return charts
 
-    textures: Sequence[Texture]
-    pictures: Sequence[Picture]
-    areas: Int64s  # (charts,): texels of each
-    texture_of: Int64s  # (charts,): -1 where a chart owns no texel
-    texel: Int64s  # (charts,): one of its texels, counted from the first of its texture
 
-    @classmethod
-    def of(cls, atlas: Atlas, textures: Sequence[Texture], pictures: Sequence[Picture]) -> TextureCharts:
-        offsets, areas = atlas.texture_offsets, np.bincount(atlas.chart_of, minlength=max(1, atlas.charts))
-        texel = np.zeros(len(areas), np.int64)
-        for block in large_arrays.blocks(len(atlas.chart_of)):
-            texel[atlas.chart_of[block]] = atlas.owned_texels[block]
-        texture_of = np.searchsorted(offsets, texel, side="right") - 1
-        texture_of, texel = np.where(areas > 0, texture_of, -1), texel - offsets[texture_of]
-        return cls(textures, pictures, areas, texture_of, texel)
-
-    def matching(self, wanted: Sequence[str]) -> Bools | None:
-        """Return which charts are the reference, shape (charts,); None: none was asked for."""
-        if not wanted:
-            return None
-        found = np.zeros(len(self.texture_of), bool)
-        for word in wanted:
-            if word.isdecimal() and int(word) < len(found):
-                found[int(word)] = True
-                continue
-            fits = [
-                index
-                for index, texture in enumerate(self.textures)
-                if any(fnmatch(name, word) for name in (texture.name, *texture.materials))
-            ]
-            if not fits:
-                names = ", ".join(texture.name for texture in self.textures)
-                raise UsageError(
-                    f"--reference {word} is neither one of the charts 0 to {len(found) - 1} nor a texture or material; "
-                    f"there are {names}"
-                )
-            found |= np.isin(self.texture_of, fits)
-        if found[self.texture_of >= 0].all():
+def _reference(charts: Sequence[Chart], count: int, wanted: Sequence[str]) -> Bools:
+    """Return which charts stay as they are, shape (count,), by their numbers, textures or materials."""
+    found = np.zeros(count, bool)
+    for word in wanted:
+        fits = [
+            int(str(facts["chart"]))
+            for texture, facts in charts
+            if any(fnmatch(name, word) for name in (texture.name, *texture.materials))
+        ]
+        if word.isdecimal() and int(word) < count:
+            fits = [int(word)]
+        if not fits:
+            names = ", ".join(dict.fromkeys(texture.name for texture, _ in charts))
             raise UsageError(
-                f"--reference {' '.join(wanted)} keeps all charts as they are, so none is levelled"
+                f"--reference {word} is neither one of the charts 0 to {count - 1} nor a texture or material; "
+                f"there are {names}"
             )
-        return found
-
-    def facts(self) -> list[dict[str, object]]:
-        """Return for each chart its number, its texture, a texel of it there, and how many it has."""
-        found: list[dict[str, object]] = []
-        for chart in np.flatnonzero(self.texture_of >= 0).tolist():
-            index = int(self.texture_of[chart])
-            row, column = divmod(int(self.texel[chart]), self.pictures[index].pixels.shape[1])
-            place = {"texture": self.textures[index].name, "column": column, "row": row}
-            found.append({"chart": chart, **place, "samples": int(self.areas[chart])})
-        return found
+        found[fits] = True
+    if all(found[int(str(facts["chart"]))] for _, facts in charts):
+        raise UsageError(f"--reference {' '.join(wanted)} keeps all charts as they are, so none is levelled")
+    return found
 
 
 def _report(what: str, found: Levelled, change: float, charts: Sequence[dict[str, object]]) -> LevelReport:

@@ -18,10 +18,11 @@ from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
+from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_texture
 from beltrami_cli.formats.image.metadata import JpegTables, read_jpeg_tables
 from beltrami_cli.layers import layer
-from beltrami_cli.layers.guides import GuidedTexels, Textured, noise_of_pixels
+from beltrami_cli.layers.guides import GuidedTexels, noise_of_pixels
 from beltrami_cli.layers.layer import LevelReport, SlotReport
 from beltrami_cli.layers.picture_colours import Make, PictureColours, maker_of_manifolds
 from beltrami_cli.layers.settings import COLOUR_SLOTS, LevelSettings, SmoothSettings
@@ -64,44 +65,31 @@ class TextureLayer(PictureLayer):
     @classmethod
     def read(
         cls, surface: TexturedSurface, slot: Slot, settings: SmoothSettings, *,
-        guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (), part: str = "",
+        guided: tuple[Document, Access] | None = None, shared: Collection[str] = (), part: str = "",
+        decoded: Sequence[Picture] | None = None,
     ) -> TextureLayer:  # fmt: skip
-        """Decode the chosen textures, and lay their charts out.
+        """Decode the chosen textures, unless they are `decoded`, and lay their charts out.
 
         `guided`: where guides and noise are read from; `part`: a name, if it has not all textures of the slot.
         """
-        surface = choose_textures(surface, settings.textures)
-        pictures, tables = list[Picture](), list[JpegTables | None]()
-        for texture in surface.textures:
-            data = texture.data  # each access may read the file
-            pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
-            tables.append(read_jpeg_tables(data))
-        made = cls.of(surface, pictures, tables, slot, settings, guided=guided, shared=shared)
-        if not part:
-            return made
-        return dataclasses.replace(made, label=f"{made.label}, {part}", is_whole=False)
-
-    @classmethod
-    def of(
-        cls, surface: TexturedSurface, pictures: Sequence[Picture], tables: Sequence[JpegTables | None], slot: Slot,
-        settings: SmoothSettings, *, guided: tuple[Textured, Access] | None = None, shared: Collection[str] = (),
-    ) -> TextureLayer:  # fmt: skip
-        """Lay the charts of decoded textures out."""
-        kernel = settings.kernel
-        atlas = atlas_of(surface, pictures, kernel)
+        kernel, pictures, tables = settings.kernel, [*(decoded or ())], list[JpegTables | None]()
+        if decoded is None:
+            surface = choose_textures(surface, settings.textures)
+            for texture in surface.textures:
+                data = texture.data  # each access may read the file
+                pictures.append(dataclasses.replace(read_texture(texture, data), content=texture.content))
+                tables.append(read_jpeg_tables(data))
         colours = PictureColours.of(pictures, slot, settings)
-        atlas = without_transparent(atlas, colours, pictures, surface.textures)
+        atlas = without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
         noise = guides = None
         if guided is not None:
-            if kernel.given_noise is not None:
-                noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
-                noise = None if noise is None else noise[atlas.owned_texels]
-            if settings.embedding.guides:
-                guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
+            noise = noise_of_pixels(kernel, pictures, atlas.owned_texels, guided[1])
+            guides = GuidedTexels(guided[0], surface, pictures, atlas, settings, guided[1])
         return cls(
-            label=f"{slot} textures", names=colours.names, slot=slot, settings=settings, surface=surface,
-            pictures=pictures, tables=tables, atlas=atlas, colours=colours, shared=shared, guided=guides,
-            noise=noise, suffix=settings.textures.image_suffix,
+            label=f"{slot} textures" + (f", {part}" if part else ""), is_whole=not part, names=colours.names,
+            slot=slot, settings=settings, surface=surface, pictures=pictures,
+            tables=tables or [None] * len(pictures), atlas=atlas, colours=colours, shared=shared, guided=guides,
+            noise=None if noise is None else noise[atlas.owned_texels], suffix=settings.textures.image_suffix,
         )  # fmt: skip
 
     def _canvas(self) -> tuple[Make, Atlas, KernelParameters]:
@@ -193,7 +181,7 @@ class TextureLayer(PictureLayer):
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
     def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> TextureLayer:
-        from beltrami_cli.layers.levelled_charts import TextureCharts, level_charts
+        from beltrami_cli.layers.levelled_charts import level_charts
 
         del photographs
         if self.slot not in COLOUR_SLOTS:
@@ -203,10 +191,10 @@ class TextureLayer(PictureLayer):
             raise UsageError(f"{self.label}: exposures are fitted to all textures of a slot together")
         threads = self.settings.kernel.thread_count
         planes = painted_by(self.atlas, len(self.names), self._colours_of, threads)
-        charts = TextureCharts.of(self.atlas, self.surface.textures, self.pictures)
+        textures = self.surface.textures
         is_coloured = self.names == ("red", "green", "blue")
         spans = [max(each.span) if is_coloured and each is not None else 1 for each in self.tables]
-        report = level_charts(self.label, planes, self.atlas, charts, wanted, spans)
+        report = level_charts(self.label, planes, self.atlas, textures, self.pictures, wanted, spans)
         made = dataclasses.replace(self, level_report=report)
         if not report.levelled:
             return made
