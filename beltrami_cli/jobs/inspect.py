@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Array, Bools, Int64s
+from beltrami_cli.arrays import Array, Bools
 from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
@@ -27,7 +27,6 @@ from beltrami_cli.jobs.job import Job, Progress
 from beltrami_cli.jobs.progress import phases_of
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.layer import Layer, Part
-from beltrami_cli.layers.levelled_charts import photograph_attribute, photographs_of
 from beltrami_cli.layers.picture_colours import require_memory
 from beltrami_cli.layers.selection import Selection, select, vertex_layer
 from beltrami_cli.layers.settings import DEFAULTS, LevelSettings, SmoothSettings
@@ -105,14 +104,12 @@ def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[di
     """Describe the selected layers, by the part of the document that they belong to; return also notices."""
     described: dict[Part, list[dict[str, object]]] = {"vertices": [], "image": [], "textures": []}
     document, settings = selection.document, selection.settings
-    notices, photographs = list[str](), None
-    if selection.vertices and photograph_attribute(document) is not None:
-        photographs = photographs_of(document)
+    notices = list[str]()
     with selection.within_memory():
         job.begin("laying out")
         for layer in selection.layers(in_groups=settings.fits_parts):
             job.begin(f"{layer.label}: choosing parameters")
-            facts, exposure = layer.describe(), describe_exposure(layer, photographs)
+            facts, exposure = layer.describe(), describe_exposure(layer)
             described[layer.part].append(facts if exposure is None else {**facts, "exposure": exposure})
             notices += layer.notices
         for slot in selection.slots:
@@ -124,11 +121,11 @@ def _describe_layers(selection: Selection, job: Job) -> tuple[dict[Part, list[di
     return described, notices
 
 
-def describe_exposure(layer: Layer, photographs: Int64s | None = None) -> dict[str, object] | None:
+def describe_exposure(layer: Layer) -> dict[str, object] | None:
     """Describe exposure steps, in JSON types; None for layers that cannot be levelled, such as data."""
     try:
-        report = layer.levelled(LevelSettings(strength=0.0), photographs).level_report
-    except UsageError:
+        report = layer.levelled(LevelSettings(strength=0.0)).level_report
+    except (UsageError, InputError):
         return None
     assert report is not None
     return {

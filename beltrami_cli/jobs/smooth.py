@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Int64s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override
 from beltrami_cli.flow.beltrami_flow import smooth
@@ -118,7 +117,6 @@ class Smoothing(Painter[Smoothed]):
 
     settings: SmoothSettings
     levelling: LevelSettings | None = None
-    photographs: Int64s | None = None  # the number of the photograph that each vertex is from
 
     @classmethod
     def of(cls, settings: SmoothSettings) -> Smoothing:
@@ -141,21 +139,14 @@ class Smoothing(Painter[Smoothed]):
         if self.changes:
             selection.require_geometry(is_patched=target.is_patched)
         selection.require_scale()
-        if self.levelling is None:
-            return self
-        if selection.image:
+        if self.levelling is not None and selection.image:
             cause = "an image has no charts that could differ in exposure; give a model with textures"
             raise UsageError(f"{selection.document.name}: {cause}")
-        if not selection.vertices:
-            return self
-        from beltrami_cli.layers.levelled_charts import photographs_of
-
-        named = photographs_of(selection.document, self.levelling.photographs)
-        return dataclasses.replace(self, photographs=named)
+        return self
 
     def paint(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
-            layer = layer.levelled(self.levelling, self.photographs)
+            layer = layer.levelled(self.levelling)
         return smooth_in_job(layer, job, layer.label) if "smoothing" in self.phases else smooth_layer(layer)
 
 

@@ -134,12 +134,9 @@ class Layer(ABC):
         Where neither smoothing nor levelling changed a texture, its gutter stays.
         """
 
-    def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> Self:
-        """Return the layer without exposure steps, with a report; UsageError if it cannot have any.
-
-        `photographs`: the number of the photograph that each vertex is from.
-        """
-        del wanted, photographs
+    def levelled(self, wanted: LevelSettings) -> Self:
+        """Return the layer without exposure steps, with a report; UsageError if it cannot have any."""
+        del wanted
         cause = "there are no charts that could differ in exposure; textures of models have them"
         raise UsageError(f"{self.label}: {cause}")
 

@@ -122,16 +122,11 @@ def _why_not(verdict: Verdict) -> str:
     return f"the seam steps do not agree with one exposure per chart, which explains {share} of them"
 
 
-def photograph_attribute(document: Document, wanted: str | None = None) -> str | None:
-    """Return the name of the attribute that numbers the photographs of vertices, if there is one."""
-    known = {name.lower(): name for name in document.attributes()}
-    words = [wanted] if wanted else [*_PHOTOGRAPHS, *(f"{name}_id" for name in _PHOTOGRAPHS)]
-    return next((known[word.lower()] for word in words if word.lower() in known), None)
-
-
 def photographs_of(document: Document, wanted: str | None = None) -> Int64s:
     """Return the number of the photograph of each vertex, shape (V,); InputError if the file does not say it."""
-    name = photograph_attribute(document, wanted)
+    known = {name.lower(): name for name in document.attributes()}
+    words = [wanted] if wanted else [*_PHOTOGRAPHS, *(f"{name}_id" for name in _PHOTOGRAPHS)]
+    name = next((known[word.lower()] for word in words if word.lower() in known), None)
     if name is None:
         has = ", ".join(document.attributes()) or "none"
         cause = (

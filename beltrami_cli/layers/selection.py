@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -199,6 +200,7 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
     """Take the coloured vertices of a model: on a mesh, on their own, on a grid, or on a level set."""
     from beltrami_cli.layers.guides import noise_of_vertices, vertex_guides
     from beltrami_cli.layers.image_surface import options_of_meshes
+    from beltrami_cli.layers.levelled_charts import photographs_of
     from beltrami_cli.layers.vertex_layer import GridLayer, VertexLayer
 
     painted, grid = document.painted(), document.grid()
@@ -207,7 +209,12 @@ def vertex_layer(document: Document, settings: SmoothSettings, access: Access) -
     if grid is None:
         in_triangles = document.kind == "volume"
         return VertexLayer(
-            painted=painted, settings=settings, guides=guides, noise=noise, in_triangles=in_triangles
+            painted=painted,
+            settings=settings,
+            guides=guides,
+            noise=noise,
+            in_triangles=in_triangles,
+            photographs_of=partial(photographs_of, document),
         )
     if wrong := options_of_meshes(settings):
         cause = f"{', '.join(wrong)}: not on range images, whose vertices lie on a grid; leave it out"

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from beltrami_cli.arrays import Float32s, Int64s
+from beltrami_cli.arrays import Float32s
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
@@ -180,10 +180,9 @@ class TextureLayer(PictureLayer):
         change = layer.Change.joined(changes)
         return layer.Repainted(change, images=images, shared=tuple(shared), notices=tuple(notices))
 
-    def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> TextureLayer:
+    def levelled(self, wanted: LevelSettings) -> TextureLayer:
         from beltrami_cli.layers.levelled_charts import level_charts
 
-        del photographs
         if self.slot not in COLOUR_SLOTS:
             cause = "they are data, which no camera exposed; leave them out of --slots"
             raise UsageError(f"{self.label}: {cause}")

@@ -107,6 +107,8 @@ class VertexLayer(PaintedLayer):
     label = "vertex colours"
 
     fits_surface: bool = True  # to vertices without any triangles
+    # Returns the number of the photograph that each vertex is from, by the attribute that has it.
+    photographs_of: Callable[[str | None], Int64s] | None = None
     levelled_colours: Float32s | None = None  # of the samples without exposure steps, (S, N)
     level_report: LevelReport | None = None
 
@@ -203,10 +205,10 @@ class VertexLayer(PaintedLayer):
     def places(self) -> SampledVertices:
         return SampledVertices(self.joined, self.sampling.sample_of.astype(np.int64))
 
-    def levelled(self, wanted: LevelSettings, photographs: Int64s | None = None) -> VertexLayer:
-        if photographs is None:
+    def levelled(self, wanted: LevelSettings) -> VertexLayer:
+        if self.photographs_of is None:
             raise UsageError(f"{self.label}: nothing says which photograph each vertex is from")
-        surface = self.surface()
+        photographs, surface = self.photographs_of(wanted.photographs), self.surface()
         photograph_of = np.zeros(len(surface.colours), np.int64)
         photograph_of[self.sampling.sample_of] = photographs
         colours, report = level_photographs(self.label, surface, photograph_of, wanted)

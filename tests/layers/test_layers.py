@@ -61,15 +61,15 @@ def test_the_order_of_calls_makes_no_difference(layer):
 @pytest.mark.parametrize("layer", ["mirrored-noisy.obj", "points.npz"], indirect=True)
 def test_levelling_leaves_the_layer_as_it_was(layer):
     before = smooth_layer(layer)
-    photographs = None
     if layer.part == "vertices":
         photographs = (layer.painted.positions[:, 0] > 0).astype(np.int64)
-    other = layer.levelled(LevelSettings(), photographs)
+        layer = replace(layer, photographs_of=lambda _: photographs)
+    other = layer.levelled(LevelSettings())
     assert layer.level_report is None
     assert other.level_report is not None
     darker = replace(other, levelled_colours=unchanged(layer).table() * np.float32(0.9))
     assert not is_equal(smooth_layer(darker).repainted, before.repainted)
-    assert describe_exposure(darker, photographs) == describe_exposure(darker, photographs)
+    assert describe_exposure(darker) == describe_exposure(darker)
     assert is_equal(smooth_layer(layer).repainted, before.repainted)
 
 
@@ -80,7 +80,6 @@ def test_unchanged_colours_change_nothing(layer):
 
 @pytest.mark.parametrize("layer", ["grid.npz", "picture.png"], indirect=True)
 def test_a_layer_without_charts_is_described_without_exposure(layer):
-    photographs = np.arange(24 * 30) % 2  # as an attribute of a range image may number them
     with pytest.raises(UsageError, match="no charts"):
-        layer.levelled(LevelSettings(), photographs)
-    assert describe_exposure(layer, photographs) is None
+        layer.levelled(LevelSettings())
+    assert describe_exposure(layer) is None
