@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import ClassVar, Generic, Self, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -224,10 +224,8 @@ class Painter(ABC, Generic[AnyPainted]):
         """Whether textures that do not touch are painted separately."""
         return False
 
-    def prepared(self, selection: Selection, target: OutputFormat) -> Self:
-        """Return the painter for what is selected; errors if it cannot be painted, before anything is computed."""
-        del selection, target
-        return self
+    def check(self, selection: Selection, target: OutputFormat) -> None:
+        """Raise errors if what is selected cannot be painted, before anything is computed."""
 
     @abstractmethod
     def paint(self, layer: Layer, job: Job) -> AnyPainted:
@@ -244,7 +242,7 @@ def recolour(
         selection = select(document, settings, file.job.access)
         if not painter.changes and kind.suffix is None:
             selection = Selection(document, settings, file.job.access)
-        painter = painter.prepared(selection, kind)
+        painter.check(selection, kind)
         naming = file.reserve(partial(_sidecar_names, selection, kind))
     place = None if file.output is None else target
     with selection.within_memory(place, in_files=painter.works_in_files):
@@ -266,7 +264,7 @@ def recolour_in_memory(
     selection = Selection(document, settings, job.access)
     if painter.changes:
         selection = select(document, settings, job.access)
-    painter = painter.prepared(selection, OutputFormat(document.format, is_patched=True))
+    painter.check(selection, OutputFormat(document.format, is_patched=True))
     with selection.within_memory(in_files=painter.works_in_files):
         painted = paint(selection, painter, job)
     return with_new_colours(document, [each.repainted for each in painted]), painted

@@ -135,14 +135,13 @@ class Smoothing(Painter[Smoothed]):
     def works_in_groups(self) -> bool:
         return self.levelling is None and self.settings.fits_parts
 
-    def prepared(self, selection: Selection, target: OutputFormat) -> Smoothing:
+    def check(self, selection: Selection, target: OutputFormat) -> None:
         if self.changes:
             selection.require_geometry(is_patched=target.is_patched)
         selection.require_scale()
         if self.levelling is not None and selection.image:
             cause = "an image has no charts that could differ in exposure; give a model with textures"
             raise UsageError(f"{selection.document.name}: {cause}")
-        return self
 
     def paint(self, layer: Layer, job: Job) -> Smoothed:
         if self.levelling is not None:
