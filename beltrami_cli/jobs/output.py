@@ -120,8 +120,7 @@ class Output:
             self.files.streams.append(lambda: self._write_stream(written.main))
             return
         files = {self.folder / name: [data] for name, data in written.sidecars.items()}
-        names = {path: self._named(path) for path in files} | {self.path: self.target}
-        self.files.stage(self, {**files, self.path: written.main}, names)
+        self.files.stage(self, {**files, self.path: written.main})
 
     def _write_stream(self, pieces: Iterable[Bytes]) -> None:
         try:
@@ -149,9 +148,6 @@ class Output:
             raise OutputError(name, "is a folder", "name a file")
         if exists and not self.overwrite:
             raise _existing(name)
-        if exists and replacing.is_protected(path):
-            cause = "belongs to another user, and only they may replace a file in this folder"
-            raise OutputError(name, cause, "choose another name")
 
     def _require_own(self, is_own: Callable[[bytes], bool]) -> None:
         try:
@@ -266,7 +262,7 @@ class FileSet:
                     raise _collision(output, name, "a file that this run reads or writes")
                 taken[place] = output.what if name == output.target else f"a sidecar file of {output.what}"
 
-    def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]], names: Mapping[Path, str]) -> None:
+    def stage(self, output: Output, files: Mapping[Path, Iterable[Bytes]]) -> None:
         from beltrami_cli.surface.large_arrays import leave_memory
 
         own = {output.path, *(output.path.parent / name for name in output.replaceable)}
@@ -274,7 +270,7 @@ class FileSet:
         main = min(
             (each for each in self._outputs if each.folder is not None), key=lambda each: not each.is_result
         )
-        self._names |= names
+        self._names |= {path: name for name, path in output.paths()}
         for path, pieces in files.items():
             may_replace = output.overwrite and path in own
             try:

@@ -89,17 +89,17 @@ class Journal:
             file.temporary.chmod(mode)
         return file
 
-    def put_together(self, files: Sequence[TemporaryFile]) -> None:
+    def put_together(self, files: list[TemporaryFile]) -> None:
         """Give all files their names, in this order, or none; OSError names the file that cannot be put in place."""
         if len(files) < 2:  # one rename, which is done or not
             for file in files:
                 _put(file, keep=False)
             return
         done = list[TemporaryFile]()
-        files = [replace(file, identity=_identity_of(file.temporary)) for file in files]
-        files = [replace(file, overwrite=file.overwrite and os.path.lexists(file.path)) for file in files]
-        for file in files:
-            self._list(file)
+        for number, file in enumerate(files):
+            replaces = file.overwrite and os.path.lexists(file.path)
+            files[number] = replace(file, identity=_identity_of(file.temporary), overwrite=replaces)
+            self._list(files[number])
         os.fsync(self._descriptor)
         try:
             for file in files:
@@ -236,12 +236,6 @@ def place_of(path: Path) -> str:
 def is_special(path: Path) -> bool:
     """Whether a path is neither a file nor a folder, such as a device or a pipe."""
     return os.access(path, os.F_OK) and not (path.is_file() or path.is_dir())
-
-
-def is_protected(path: Path) -> bool:
-    """Whether a file is another user's in a sticky folder, where only its owner may rename or remove it."""
-    folder, user = path.parent.stat(), _user()
-    return bool(folder.st_mode & stat.S_ISVTX) and user not in (0, folder.st_uid, path.lstat().st_uid)
 
 
 @contextlib.contextmanager

@@ -155,7 +155,7 @@ def test_a_file_of_another_user_in_a_sticky_folder(name, tmp_path):
         try:
             write_set(folder, overwrite=True)
         except OutputError as error:
-            os._exit(0 if "belongs to another user" in str(error) else 1)
+            os._exit(0 if "cannot be written (Operation not permitted)" in str(error) else 1)
         os._exit(2)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     assert snapshot(folder) == before
