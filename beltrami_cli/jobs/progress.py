@@ -36,9 +36,9 @@ _SECONDS = {
     "packing models": (0.1, 0.5),
 }
 _COUNT = re.compile(r"\d+ of \d+ ")  # before a label: shown, but no part of its name
-_UNANNOUNCED = 1.0  # seconds of a phase that no job has announced; more is left then than has been done
-_FIRST_SHARE = 0.05  # of the whole, that a first phase takes while nothing is announced
-_TRUSTED = 0.1  # share of a phase after which its time left is extrapolated from its own speed
+_EXPECTED = 1.0  # seconds of a phase that no job has announced
+_UNANNOUNCED = 19.0  # seconds that follow it: it takes a twentieth of the whole
+_TRUSTED = 0.1  # share of a phase after which its own speed counts
 _STEPS = 1000  # of the work on one of several items
 _PRIOR = 1.0  # seconds by which expectations count against the times that phases took
 _LEAST_TIME = 0.3  # seconds of processor time after which the load of the machine is known well enough
@@ -55,7 +55,10 @@ class State:
 
 @dataclass
 class Work:
-    """A progress callback that joins the phases of a job to one share of the whole."""
+    """A progress callback that joins the phases of a job to one share of the whole.
+
+    Without news the share comes ever closer to 1, at the pace of the seconds that are left.
+    """
 
     # Whose seconds phases take; of a process that waits for others, the time of day.
     clock: Callable[[], float] = time.process_time
@@ -63,17 +66,22 @@ class Work:
     _ahead: list[tuple[str, float]] = field(
         default_factory=list
     )  # phases to come, and their expected seconds
-    _is_announced: bool = False
+    _unannounced: float = _UNANNOUNCED  # expected seconds of what no job has announced
     _is_timed: bool = False  # whether the announced seconds are more than shares
-    _label: str = ""
-    _is_begun: bool = False
-    _first: float = 0.0  # share of the whole when the current phase began
-    _last: float = 0.0  # largest share that was shown
-    _expected: float = 0.0  # seconds of the current phase
+    _label: str | None = None  # of the current phase
     _began: float = 0.0  # when it did
-    _heard: tuple[float, float] = (0.0, 0.0)  # its share that it last reported, and when
-    _base: float = 0.0  # its share that was shown then
+    _expected: float = 0.0  # its seconds
+    _share: float = 0.0  # of it that is done
     _times: tuple[float, float] = (0.0, 0.0)  # seconds that the phases before took, and were expected to take
+    _first: tuple[float, float] = (
+        0.0,
+        1.0,
+    )  # share of the whole when it began, and the expected seconds left then
+    _shown: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # share of the whole, when, and the seconds left then
     _lock: Any = field(default_factory=threading.RLock, repr=False)  # a terminal is drawn by another thread
 
     def __post_init__(self) -> None:
@@ -82,68 +90,50 @@ class Work:
     def expect(self, phases: Iterable[tuple[str, float]], *, timed: bool = True) -> None:
         """End the current phase, and announce the next, with their seconds, or only their ratios if not `timed`."""
         with self._lock:
-            self._first, self._expected, self._is_begun = self.state().share, 0.0, False
-            self._ahead, self._is_announced, self._is_timed = list(phases), True, timed
+            self._ahead, self._unannounced, self._is_timed, self._label = list(phases), 0.0, timed, None
 
     def __call__(self, label: str, done: int, total: int) -> None:
         """Report work of a phase; one with another label than before ends that."""
         now = self.clock()
         with self._lock:
-            if not self._is_begun or _COUNT.sub("", label) != _COUNT.sub("", self._label):
-                self._start(label, now)
-            self._label, self._is_begun = label, True
-            share = max(self._heard[0], min(1.0, done / max(1, total)))
-            self._base, self._heard = max(share, self._reached(now)), (share, now)
+            shown = self.state().share
+            if self._label is None or _COUNT.sub("", label) != _COUNT.sub("", self._label):
+                self._start(label, now, shown)
+            self._label = label
+            self._share = max(self._share, min(1.0, done / max(1, total)))
+            first, whole = self._first
+            share = first + (1 - first) * (1 - self._left() / whole if whole else 1.0)
+            taken, expected = self._times
+            if self._share >= _TRUSTED:
+                taken, expected = taken + now - self._began, expected + self._expected * self._share
+            slowness = (_PRIOR + taken) / (_PRIOR + expected)
+            self._shown = max(shown, share), now, slowness * self._left()
 
-    def _start(self, label: str, now: float) -> None:
-        if self._is_begun:
+    def _start(self, label: str, now: float, shown: float) -> None:
+        if self._label is not None:
             self._times = self._times[0] + now - self._began, self._times[1] + self._expected
-            self._first = self._at(1.0)
         kind = _COUNT.sub("", label).rpartition(": ")[2]
         known = [number for number, (name, _) in enumerate(self._ahead) if name == kind]
-        self._expected = _UNANNOUNCED
+        self._expected = self._ahead[known[0]][1] if known else _EXPECTED
         if known:
-            self._expected = self._ahead[known[0]][1]
             del self._ahead[: known[0] + 1]
-        self._began, self._base, self._heard = now, 0.0, (0.0, now)
-
-    def _at(self, share: float) -> float:
-        """Return the share of the whole at a share of the current phase."""
-        ahead = sum(seconds for _, seconds in self._ahead)
-        if not self._is_announced:
-            ahead = self._expected * (1 / _FIRST_SHARE - 1)
-        whole = self._expected + ahead
-        return self._first + (1 - self._first) * share * (self._expected / whole if whole else 1.0)
-
-    def _slowness(self) -> float:
-        """Return how many times longer phases take than was expected."""
-        (taken, expected), (heard, when) = self._times, self._heard
-        if heard >= _TRUSTED:
-            taken, expected = taken + when - self._began, expected + self._expected * heard
-        return (_PRIOR + taken) / (_PRIOR + expected)
+        self._began, self._share = now, 0.0
+        self._first = shown, self._left()
 
     def _left(self) -> float:
-        """Return the seconds that the current phase had left when it was heard of last."""
-        heard, when = self._heard
-        if heard >= _TRUSTED:
-            return (when - self._began) * (1 - heard) / heard
-        return self._expected * self._slowness() * (1 - heard)
-
-    def _reached(self, now: float) -> float:
-        """Return the share of the current phase that is shown: without news it comes ever closer to its end."""
-        left = self._left()
-        waited = (now - self._heard[1]) / left if left > 0 else 0.0
-        return 1 - (1 - self._base) * math.exp(-waited)
+        """Return the expected seconds of all that is left."""
+        ahead = sum(seconds for _, seconds in self._ahead)
+        return self._expected * (1 - self._share) + ahead + self._unannounced
 
     def state(self) -> State:
         now = self.clock()
         with self._lock:
-            self._last = min(1.0, max(self._last, self._at(self._reached(now))))
-            ahead = self._slowness() * sum(seconds for _, seconds in self._ahead)
-            rest = max(self._left() - (now - self._heard[1]), 0.0) + ahead
+            share, when, left = self._shown
+            share = 1 - (1 - share) * math.exp((when - now) / left) if left > 0 else share
             computed, passed = now - self._start_times[0], time.monotonic() - self._start_times[1]
-            is_known = computed >= _LEAST_TIME and (self._is_timed or self._heard[0] >= _TRUSTED)
-            return State(self._label, self._last, rest * passed / computed if is_known else None)
+            is_known = computed >= _LEAST_TIME and (self._is_timed or self._share >= _TRUSTED)
+            rest = max(left - (now - when), 0.0)
+            return State(self._label or "", share, rest * passed / computed if is_known else None)
 
 
 @dataclass
