@@ -162,32 +162,22 @@ def _cached(folder: Path) -> int:
 def limited_memory(size: int | None, name: str) -> Iterator[None]:
     """Limit the memory of the process in this context; InputError with the name of the file if more is needed."""
     # Windows and macOS have no such limit: there only the checks before a job apply.
-    try:
-        with _data_limit(size):
+    with contextlib.ExitStack() as restored:
+        if size is not None and sys.platform != "win32":
+            import resource
+
+            before, most = resource.getrlimit(resource.RLIMIT_DATA)
+            restored.callback(resource.setrlimit, resource.RLIMIT_DATA, (before, most))
+            wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
+            known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
+            resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
+            restored.callback(_UNLIMITED.reset, _UNLIMITED.set(before))
+        try:
             yield
-    except MemoryError as error:
-        limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
-        remedy = "raise --max-memory, or give a smaller model"
-        raise InputError(name, f"needs more than {limit}", remedy) from error
-
-
-@contextmanager
-def _data_limit(size: int | None) -> Iterator[None]:
-    if size is None or sys.platform == "win32":
-        yield
-        return
-    import resource
-
-    before, most = resource.getrlimit(resource.RLIMIT_DATA)
-    wanted = size + _PROGRAM + _PER_PROCESSOR * (os.cpu_count() or 1)
-    known = [limit for limit in (before, most) if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_DATA, (min([wanted, *known]), most))
-    token = _UNLIMITED.set(before)
-    try:
-        yield
-    finally:
-        _UNLIMITED.reset(token)
-        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+        except MemoryError as error:
+            limit = "the memory of this machine" if size is None else f"{show_size(size)} of memory"
+            remedy = "raise --max-memory, or give a smaller model"
+            raise InputError(name, f"needs more than {limit}", remedy) from error
 
 
 @contextlib.contextmanager

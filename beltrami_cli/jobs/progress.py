@@ -155,21 +155,15 @@ def one_of(
     if isinstance(progress, Work):
         progress.expect([(noun, float(count))], timed=False)
 
-    def show(number: int, share: float) -> None:
+    def show(number: int, _: str, share: float) -> None:
         if progress is not None:
-            progress(
-                f"{min(number + 1, count)} of {count} {noun}",
-                round(_STEPS * (number + share)),
-                _STEPS * count,
-            )
-
-    def forward(number: int, _: str, share: float) -> None:
-        show(number, share)
+            label = f"{min(number + 1, count)} of {count} {noun}"
+            progress(label, round(_STEPS * (number + share)), _STEPS * count)
 
     for number, item in enumerate(items):
-        show(number, 0.0)
-        yield item, None if progress is None else Share(forward=partial(forward, number))
-    show(count, 0.0)
+        show(number, "", 0.0)
+        yield item, None if progress is None else Share(forward=partial(show, number))
+    show(count, "", 0.0)
 
 
 def phases_of(kinds: Sequence[str], samples: int) -> list[tuple[str, float]]:

@@ -75,7 +75,9 @@ def test_what_is_too_large_to_be_drawn_is_refused_before_it_is_smoothed(tmp_path
     cause = b"0.0415 million texels do not fit into memory to be drawn; raise --max-memory, or leave out --preview\n"
     options = ("--preview", tmp_path / "look.png", "--max-memory", "600K", "-n", "1", "--beta", "20")
     monkeypatch.setattr(smooth, "smooth_layer", None)
-    monkeypatch.setattr(job, "_data_limit", lambda _: nullcontext())  # which is for a process of its own
+    monkeypatch.setattr(
+        "beltrami_cli.cli.options.limited_memory", lambda *_: nullcontext()
+    )  # which is for a process of its own
     for more in ((), ("--unwrap",)):
         run = beltrami("smooth", model, tmp_path / "new.obj", *options, *more, code=3)
         assert run.stderr.endswith(cause)
