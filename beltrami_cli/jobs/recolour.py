@@ -225,7 +225,7 @@ class Painter(ABC, Generic[AnyPainted]):
         return False
 
     def check(self, selection: Selection, target: OutputFormat) -> None:
-        """Raise errors if what is selected cannot be painted, before anything is computed."""
+        """Raise errors if the selection cannot be painted, before anything is computed."""
 
     @abstractmethod
     def paint(self, layer: Layer, job: Job) -> AnyPainted:

@@ -230,7 +230,7 @@ def require_memory(images: Iterable[tuple[str, bytes]], access: Access, work: st
 
 
 def measured(images: Iterable[tuple[str, bytes]]) -> Iterator[tuple[str, ImageSize, int]]:
-    """Measure images and their files; those that fail are left to their decoder, which raises the error."""
+    """Measure images and their files; an image that fails is left to its decoder, which raises the error."""
     for name, data in images:
         size = measure_image(data, name)
         if size is not None:
@@ -312,7 +312,7 @@ def maker_of_manifolds(
     noise: Float32s | None,
     **options: Any,
 ) -> Make:
-    """Return what makes the manifold of the owned cells, of which `colours_of` gives blocks; see `grid_manifold`."""
+    """Return a function that makes the manifold of the owned cells; `colours_of` gives the colours of a block."""
 
     def make(planes: Float32s | None, found: NoiseModel | None) -> GridManifold:
         if planes is None:

@@ -65,7 +65,7 @@ class Selection:
         return [choose_textures(self.document.textured(slot), self.settings.textures) for slot in self.slots]
 
     def images(self) -> Iterator[Iterator[tuple[str, bytes]]]:
-        """Give the names and bytes of the files that are painted together: the image, or those of each slot."""
+        """Give the names and bytes of the files that are painted together: the image, or the textures of each slot."""
         if self.image:
             yield iter([(self.document.name, self.document.data)])
         for surface in self.surfaces():

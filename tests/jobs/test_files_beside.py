@@ -12,8 +12,9 @@ from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.formats.image import read_image
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.inspect import check_files
-from beltrami_cli.jobs.job import BakeSettings, Job
+from beltrami_cli.jobs.job import BakeSettings, Job, NoiseSettings
 from beltrami_cli.jobs.new_texture import bake_file
+from beltrami_cli.jobs.noise import noise_file
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
 from cli.commands import SAMPLES
@@ -28,6 +29,11 @@ def smooth(source, target, **textures):
     target.parent.mkdir(parents=True, exist_ok=True)
     settings = SmoothSettings(kernel=KERNEL, textures=TextureSettings(**textures))
     return smooth_file(source, target, settings, job=Job(overwrite=True))
+
+
+def add_noise(source, target, **textures):
+    target.parent.mkdir(parents=True, exist_ok=True)
+    noise_file(source, target, NoiseSettings(0.1), SmoothSettings(textures=TextureSettings(**textures)))
 
 
 def model(folder, kind, picture):
@@ -195,7 +201,8 @@ def test_an_old_image_that_something_else_shows_is_copied_though(tmp_path):
     assert contents(target.parent)["model_skin.png"] == PICTURE
 
 
-def test_occlusion_and_roughness_of_one_image_stay_one_image(tmp_path):
+@pytest.mark.parametrize("change", [smooth, add_noise])
+def test_occlusion_and_roughness_of_one_image_stay_one_image(change, tmp_path):
     source = model(tmp_path / "a", "gltf", PICTURE)
     tree = json.loads(source.read_text())
     tree["materials"][0] = {
@@ -206,7 +213,7 @@ def test_occlusion_and_roughness_of_one_image_stay_one_image(tmp_path):
     pixels = {}
     for slots in (("occlusion",), ("metallicRoughness",), ("occlusion", "metallicRoughness")):
         target = tmp_path / "-".join(slots) / "model.gltf"
-        smooth(source, target, slots=slots)
+        change(source, target, slots=slots)
         (found,) = open_document(str(target)).textured(slots[0]).textures
         pixels[slots] = read_image(found.data, found.name).pixels
     both = pixels["occlusion", "metallicRoughness"]
