@@ -154,26 +154,19 @@ class GuidedTexels:
     def _of_slot(self, slot: Slot) -> Float32s:
         """Return the values of another slot at each owned texel."""
         guiding = self.document.textured(slot)
-        images = self._images(guiding, slot)
-        width = images[0].shape[2] if images else 1
+        pictures = [read_texture(texture) for texture in guiding.textures]
+        colours = PictureColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
+        width = len(colours.names)
         values = np.empty((len(self.atlas.owned_texels), width), np.float32)
         for index, inside, texels in texels_by_texture(self.atlas.texture_offsets, self.atlas.owned_texels):
             shown = self._shown_with(index, guiding, slot)
             if shown is None:
                 values[inside] = np.resize(_WITHOUT.get(slot, (1.0,)), width)
-            else:
-                size = self.pictures[index].pixels.shape[:2]
-                values[inside] = _at_size(images[shown], size, guiding.textures[shown], texels)
+                continue
+            shape, size = pictures[shown].pixels.shape[:2], self.pictures[index].pixels.shape[:2]
+            image = colours.working(pictures[shown], np.arange(shape[0] * shape[1])).reshape(*shape, width)
+            values[inside] = _at_size(image, size, guiding.textures[shown], texels)
         return values
-
-    def _images(self, guiding: TexturedSurface, slot: Slot) -> list[Float32s]:
-        pictures = [read_texture(texture) for texture in guiding.textures]
-        colours = PictureColours.of(pictures, slot, SmoothSettings(space=self.settings.space))
-        shapes = [picture.pixels.shape[:2] for picture in pictures]
-        return [
-            colours.working(picture, np.arange(rows * columns)).reshape(rows, columns, -1)
-            for picture, (rows, columns) in zip(pictures, shapes, strict=True)
-        ]
 
     def _shown_with(self, index: int, guiding: TexturedSurface, slot: Slot) -> int | None:
         """Return the texture of the guiding slot on the triangles of a smoothed texture; None: none."""

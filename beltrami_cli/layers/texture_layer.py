@@ -158,11 +158,9 @@ class TextureLayer(PictureLayer):
         is_levelled, wanted = self.levelled_colours is not None, self.settings.textures
         gutter = wanted.gutter if is_smoothed or is_levelled else None
         is_dithered = is_levelled and not is_smoothed
-        changes, images, shared = (
-            list[layer.Change](),
-            dict[tuple[Slot, str], ImageFile](),
-            list[layer.SharedImage](),
-        )
+        changes: list[layer.Change] = []
+        images: dict[tuple[Slot, str], ImageFile] = {}
+        shared: list[layer.SharedImage] = []
         for index, (texture, picture) in enumerate(zip(self.surface.textures, self.pictures, strict=True)):
             pixels, change = self.new_pixels(index, new, gutter, is_dithered=is_dithered)
             large_arrays.leave_memory()
