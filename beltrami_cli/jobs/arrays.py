@@ -414,7 +414,8 @@ def _pictures(images: Sequence[Array], encoding: Encoding) -> list[Picture]:
     """Take textures: numbers as for `colour_table`, grey or RGB, with opacity or without."""
     require_choice("encoding", encoding)
     pictures = []
-    for name, image in ((f"image {number}", image) for number, image in enumerate(images)):
+    for number, image in enumerate(images):
+        name = f"image {number}"
         if image.ndim not in (2, 3) or image.size == 0 or image.shape[2:] > (4,):
             wanted = "(H, W), or (H, W, C) with C from 1 to 4"
             raise UsageError(f"{name} must be of shape {wanted}, not {image.shape}")

@@ -21,7 +21,7 @@ from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.formats.document import Document
 from beltrami_cli.formats.image import Picture, read_image
 from beltrami_cli.formats.image.picture import full_scale_one
-from beltrami_cli.formats.image.reading import ImageSize, measure_image
+from beltrami_cli.formats.image.reading import measure_image
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job, Progress
 from beltrami_cli.jobs.progress import phases_of
@@ -211,23 +211,17 @@ def _visible_texels(document: Document) -> dict[bytes, Bools]:
     for slot in document.slots():
         try:
             surface = document.textured(slot)
-            sizes = [(size.width, size.height) for size in map(_size_of, surface.textures)]
-        except InputError:  # Such a texture can be compared, but not be laid out.
+        except InputError:
             continue
-        atlas = build_atlas(surface, sizes, margin=1)
-        for index, inside, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels):
-            del inside
-            width, height = sizes[index]
-            mask = visible.setdefault(surface.textures[index].data, np.zeros((height, width), bool))
-            mask.flat[texels] = True
+        sizes = [measure_image(texture.data, texture.name) for texture in surface.textures]
+        known = [(size.width, size.height) for size in sizes if size is not None]
+        if len(known) < len(sizes):  # Such a texture can be compared, but not be laid out.
+            continue
+        atlas = build_atlas(surface, known, margin=1)
+        for index, _, texels in texels_by_texture(atlas.texture_offsets, atlas.owned_texels):
+            empty = np.zeros(known[index][::-1], bool)
+            visible.setdefault(surface.textures[index].data, empty).flat[texels] = True
     return visible
-
-
-def _size_of(texture: Texture) -> ImageSize:
-    size = measure_image(texture.data, texture.name)
-    if size is None:
-        raise InputError(texture.name, "it is no image that can be read")
-    return size
 
 
 def _between(

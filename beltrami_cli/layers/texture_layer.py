@@ -12,9 +12,9 @@ import numpy as np
 
 from beltrami_cli.arrays import Float32s
 from beltrami_cli.errors import UsageError
-from beltrami_cli.flow.beltrami_flow import FlowResult, Plan, choose_parameters
+from beltrami_cli.flow.beltrami_flow import FlowResult, Plan
 from beltrami_cli.flow.canvas import canvas_margin, colours_at, painted_by
-from beltrami_cli.flow.grid_manifold import GridManifold, grid_manifold
+from beltrami_cli.flow.grid_manifold import GridManifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.records import NewColours
 from beltrami_cli.formats.access import Access
@@ -134,12 +134,12 @@ class TextureLayer(PictureLayer):
     def describe(self) -> dict[str, object]:
         """Return the facts without exposure steps, which may be common to several layers."""
         plan, described = self.plan(), self._facts()
-        plans = [plan] if len(described) == 1 else (_plan_alone(self, i) for i in range(len(described)))
         seams = 0
-        for facts, own in zip(described, plans, strict=True):
-            atlas = own.manifold.geometry.atlas
+        for index, facts in enumerate(described):
+            own = plan.manifold if len(described) == 1 else _manifold_alone(self, index)
+            atlas, noise = own.geometry.atlas, plan.noise if len(described) == 1 else own.noise.of_input
             facts |= {"charts": atlas.charts, "seams": atlas.seams, "overlapped": atlas.overlapped}
-            facts |= {"pitch": own.manifold.geometry.spacing, "noise": layer.named(self.names, own.noise)}
+            facts |= {"pitch": own.geometry.spacing, "noise": layer.named(self.names, noise)}
             seams += atlas.seams
         return {
             "slot": self.slot,
@@ -207,16 +207,13 @@ class TextureLayer(PictureLayer):
         return Cells(sizes, picture, row, column, atlas.chart_of, names)
 
 
-def _plan_alone(textures: TextureLayer, index: int) -> Plan[GridManifold]:
-    """Plan one of several textures, with no parameters chosen."""
-    kernel = dataclasses.replace(textures.settings.kernel, free=())
+def _manifold_alone(textures: TextureLayer, index: int) -> GridManifold:
+    """Return the manifold of one of several textures."""
     surface, pictures = only_textures(textures.surface, [index]), [textures.pictures[index]]
-    atlas = without_transparent(
-        atlas_of(surface, pictures, kernel), textures.colours, pictures, surface.textures
-    )
-    working = partial(texel_colours, textures.colours, pictures, atlas)
-    planes = painted_by(atlas, len(textures.names), working, kernel.thread_count)
-    return choose_parameters(grid_manifold(atlas, planes, kernel), kernel)
+    kernel, colours = dataclasses.replace(textures.settings.kernel, free=()), textures.colours
+    atlas = without_transparent(atlas_of(surface, pictures, kernel), colours, pictures, surface.textures)
+    colours_of = partial(texel_colours, colours, pictures, atlas)
+    return maker_of_manifolds(atlas, kernel, len(textures.names), colours_of, None)(None, None)
 
 
 def atlas_of(surface: TexturedSurface, pictures: Sequence[Picture], kernel: KernelParameters) -> Atlas:
