@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import click
 import pytest
 
-from beltrami_cli.cli.main import main
+from beltrami_cli.cli.main import group, main
 from beltrami_cli.errors import unhandled_endings
 from hostile.folders import snapshot
 
@@ -45,6 +48,26 @@ def beltrami(*arguments, code=0, stdin=b"", cwd=None, env=None, text=False):
     assert code in (None, ended.value.code), said[1]
     assert "Traceback" not in str(said[1]) or "-vv" in arguments
     return subprocess.CompletedProcess(arguments, ended.value.code, *said)
+
+
+def command(name):
+    """Return a command of the group, as click has it."""
+    return group.get_command(click.Context(group), name)
+
+
+def copy_samples(folder, *patterns):
+    """Copy samples whose names match into a folder; return it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for pattern in patterns:
+        for path in SAMPLES.glob(pattern):
+            shutil.copy(path, folder)
+    return folder
+
+
+def colours_in(report):
+    """Return what a report of smoothing says of the colours of a file: of its vertices, image or first texture."""
+    said = json.loads(report.read_text())
+    return said["vertices"] or said["image"] or said["textures"][0]
 
 
 def refused(folder, *arguments, code, said="", env=None):

@@ -13,16 +13,12 @@ import pytest
 from beltrami_cli.cli.commands import DAILY, options_by_name, values_for
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.cli.manual import manual
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, command
 
 
 def shown(*arguments):
     run = beltrami(*arguments, env={"COLUMNS": 80}, text=True)
     return run.stdout
-
-
-def command(name):
-    return group.get_command(click.Context(group), name)
 
 
 def groups_of(name):

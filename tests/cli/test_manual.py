@@ -10,8 +10,9 @@ import sys
 import click
 import pytest
 
-from beltrami_cli.cli.main import COMMANDS, group
+from beltrami_cli.cli.main import COMMANDS
 from beltrami_cli.cli.manual import main, manual
+from cli.commands import command
 
 PAGES = dict(manual("1.2.3"))
 
@@ -24,8 +25,7 @@ def test_there_is_a_page_for_every_command_and_one_for_all():
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_on_the_page_with_the_name_that_is_typed(name):
-    command = group.get_command(click.Context(group), name)
-    shown = [each for each in command.params if isinstance(each, click.Option) and not each.hidden]
+    shown = [each for each in command(name).params if isinstance(each, click.Option) and not each.hidden]
     options = [text for each in shown for text in each.opts]
     page = PAGES[f"beltrami-{name}.1"].replace("\\-", "-")
     assert [text for text in options if not re.search(rf"^\.B .*{text}\b", page, re.MULTILINE)] == []

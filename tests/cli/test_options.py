@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 import os
 import subprocess
+from functools import partial
 
-import click
 import pytest
 
 from beltrami_cli.cli import options
-from beltrami_cli.cli.main import group
 from beltrami_cli.errors import UsageError
 from beltrami_cli.fields import override, parameters
 from beltrami_cli.jobs.job import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
-from cli.commands import COMMAND, SAMPLES, beltrami
+from cli.commands import COMMAND, SAMPLES, beltrami, command
 
 NOISY = SAMPLES / "terrain-noisy.ply"
 RECORDS = {
@@ -33,8 +32,7 @@ ARGUMENTS = {"smooth": ["a", "b"], "bake": ["a", "b", "--to", "texture"], "noise
 
 def values_of(name, *arguments):
     """The values of a command's options, and the context in which they were found."""
-    command = group.get_command(click.Context(group), name)
-    return command.make_context(name, [*ARGUMENTS.get(name, ["a", "b"]), *arguments])
+    return command(name).make_context(name, [*ARGUMENTS.get(name, ["a", "b"]), *arguments])
 
 
 @pytest.mark.parametrize("option", ["--slots", "--channels", "--metric-channels"])
@@ -47,13 +45,8 @@ def test_of_a_list_in_parts_none_is_dropped(option):
 
 
 def option_for(name, declared):
-    command = group.get_command(click.Context(group), name)
-    found = [
-        each
-        for each in command.params
-        if isinstance(each, options.ParameterOption) and each.declared.name == declared.name
-    ]
-    return found[0] if found else None
+    of_parameters = (each for each in command(name).params if isinstance(each, options.ParameterOption))
+    return next((each for each in of_parameters if each.declared.name == declared.name), None)
 
 
 def beyond(declared):
@@ -95,13 +88,9 @@ def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared
 )
 def test_options_that_are_not_given_make_the_record_as_it_is_by_default(record):
     name = next(name for name, made in RECORDS.items() if isinstance(made, record))
+    make = options.settings_from if record is SmoothSettings else partial(options.record_from, record)
     context = values_of(name)
     with context.scope():
-        make = (
-            options.settings_from
-            if record is SmoothSettings
-            else lambda given: options.record_from(record, given)
-        )
         assert make(context.params) == record()
 
 

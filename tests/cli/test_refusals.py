@@ -59,6 +59,13 @@ def folder(tmp_path_factory):
 
 # Of each command: the words, in which @ stands for the folder of samples; the exit code; what the line says.
 REFUSED = [
+    # commands
+    ("smooth scan.ply clean.ply --config a.toml", 2, "--config goes before the command: beltrami --config FILE smooth"),
+    ("info scan.ply -V", 2, "-V goes before the command: beltrami -V\n"),
+    ("smoth clean.ply", 2, "Did you mean smooth?"),
+    ("scan.ply clean.ply", 2, "beltrami smooth scan.ply OUTPUT"),
+    ("frob clean.ply", 2, "'frob'.\n"),
+    ("docs tunning", 2, "'tuning'"),
     # inputs
     ("smooth missing.ply out.ply", 3, "missing.ply"),
     ("smooth . out.ply", 3, "it is a folder"),
@@ -102,6 +109,10 @@ REFUSED = [
     ("smooth @terrain-noisy.ply out.ply --slots ''", 2, "--slots names nothing"),
     ("smooth @terrain-noisy.ply out.ply --slots paint", 2, "one of --slots is paint, but must be baseColor"),
     ("smooth @terrain-noisy.ply out.ply --texture-format gif", 2, "--texture-format is .gif, but must be .png"),
+    ("smooth @terrain-noisy.ply out.ply --strength weak", 2, "--strength is 'weak'"),
+    ("smooth @terrain-noisy.ply out.ply --strength 0.69", 2, "--strength is 0.69"),
+    ("smooth @terrain-noisy.ply out.ply --strength 1.51", 2, "--strength is 1.51"),
+    ("smooth @terrain-noisy.ply out.ply --strength nan", 2, "--strength is nan"),
     ("smooth @terrain-noisy.ply out.ply --patches some", 2, "'auto', 'on', 'off'"),
     ("smooth @terrain-noisy.ply out.ply --max-memory lots", 2, "no size"),
     ("smooth @terrain-noisy.ply out.ply --max-memory 0", 2, "no memory"),

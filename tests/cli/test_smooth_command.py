@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.registry import open_document
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, colours_in
 from formats.image_files import encode
 from small_models import COLOURED, ply, textured_squares
 
@@ -21,15 +21,12 @@ def colours(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("space", ["srgb", "linear", "oklab", "data"])
-def test_noise_goes_without_any_option_and_in_every_space(space, tmp_path):
+@pytest.mark.parametrize("space", ["linear", "oklab"])
+def test_noise_goes_in_spaces_that_are_not_that_of_the_file(space, tmp_path):
     beltrami("smooth", NOISY, tmp_path / "out.ply", "--space", space)
     truth = colours(SAMPLES / "terrain-clean.ply")
     before, after = (np.mean((colours(path) - truth) ** 2) for path in (NOISY, tmp_path / "out.ply"))
     assert after < before / 4
-    if space in ("srgb", "data"):  # PLY colours are sRGB already, and that is the default
-        beltrami("smooth", NOISY, tmp_path / "default.ply")
-        assert (tmp_path / "default.ply").read_bytes() == (tmp_path / "out.ply").read_bytes()
 
 
 def test_the_report_holds_parameters_counts_times_memory_and_changes(tmp_path):
@@ -75,25 +72,6 @@ def test_the_guard_on_samples_warns_when_it_bites(tmp_path):
     assert b"--max-samples" in run.stderr
 
 
-def test_options_of_the_program_are_said_to_go_before_the_command():
-    run = beltrami("smooth", "scan.ply", "clean.ply", "--config", "mine.toml", code=2)
-    assert b"--config goes before the command: beltrami --config FILE smooth ...\n" in run.stderr
-    assert b"-V goes before the command: beltrami -V\n" in beltrami("info", "scan.ply", "-V", code=2).stderr
-
-
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [
-        ("smoth", b"Did you mean smooth?"),
-        ("scan.ply", b"beltrami smooth scan.ply OUTPUT"),
-        ("frob", b"'frob'.\n"),
-    ],
-)
-def test_a_command_that_is_none_is_answered_with_those_like_it(word, said):
-    run = beltrami(word, "clean.ply", code=2)
-    assert said in run.stderr
-
-
 @pytest.mark.parametrize("source", ["a.jpg", "a.webp", "model.obj"])
 def test_an_image_kept_as_coding_it_again_would_be_worse_has_no_change(source, tmp_path):
     noise = np.random.default_rng(0).normal(0, 8, (64, 64, 3))
@@ -106,8 +84,7 @@ def test_an_image_kept_as_coding_it_again_would_be_worse_has_no_change(source, t
     # The coarsest steps of JPEG, many times as large as the noise.
     options = ("-n", 1, "--jpeg-quality", 1, "--report", report)
     run = beltrami("smooth", tmp_path / source, target, *options, text=True)
-    written = json.loads(report.read_text())
     assert " stays as it is: " in run.stderr
-    assert (written["image"] or written["textures"][0])["change"] == {"mean": 0, "rms": 0, "largest": 0}
+    assert colours_in(report)["change"] == {"mean": 0, "rms": 0, "largest": 0}
     (image,) = (path for path in target.parent.iterdir() if path.suffix in (".jpg", ".webp"))
     assert image.read_bytes() == (tmp_path / f"a{image.suffix}").read_bytes()

@@ -12,7 +12,7 @@ from beltrami_cli.cli.commands import long_name
 from beltrami_cli.cli.config import load, may_be_found
 from beltrami_cli.cli.main import COMMANDS, group
 from beltrami_cli.errors import UsageError
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, command
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 QUICK = ("-n", "1", "--fast")
@@ -35,9 +35,7 @@ def run(folder, *arguments, **variables):
 
 
 def options_of(name):
-    command = group.get_command(click.Context(group), name)
-    assert command is not None
-    return [each for each in command.params if isinstance(each, click.Option) and not each.is_eager]
+    return [each for each in command(name).params if isinstance(each, click.Option) and not each.is_eager]
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))

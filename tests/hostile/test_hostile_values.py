@@ -14,8 +14,7 @@ import pytest
 from batch.batches import without_workers
 from beltrami_cli.cli.batch import SHARED_WITH_SMOOTH
 from beltrami_cli.cli.main import COMMANDS as ALL
-from beltrami_cli.cli.main import LazyGroup, group
-from cli.commands import beltrami
+from cli.commands import beltrami, command
 from small_models import COLOURED, ply
 
 pytestmark = pytest.mark.slow
@@ -67,12 +66,6 @@ ARGUMENTS = {
 }
 
 
-def command_of(name):
-    command = LazyGroup.get_command(group, click.Context(group), name)  # type: ignore[arg-type]
-    assert command is not None
-    return command
-
-
 def hostile(folder, *arguments):
     """Run a command; whatever it is, it ends with a documented code and in lines without a mistake of ours."""
     (folder / "mesh.ply").write_bytes(MESH)
@@ -92,8 +85,8 @@ def cases(name, chance):
     given = list(ARGUMENTS[name])
     # Workers take long to start, and do with the options of `smooth` what that does.
     left_out = {"scheduler", *(SHARED_WITH_SMOOTH if name == "batch" else ())}
-    arguments = [each.name for each in command_of(name).params if isinstance(each, click.Argument)]
-    for option in command_of(name).params:
+    arguments = [each.name for each in command(name).params if isinstance(each, click.Argument)]
+    for option in command(name).params:
         value = chance.choice(NUMBERS if chance.random() < 0.5 else TEXTS)
         if isinstance(option, click.Argument):
             at = arguments.index(option.name)
@@ -164,21 +157,21 @@ def test_texts_of_manifests(suffix, tmp_path):
         assert hostile(tmp_path, "batch", f"jobs{suffix}", "--out-dir", "out") in (2, 3)
 
 
-ADDRESSES = [
-    "",
-    "x",
-    "tcp://",
-    "tcp://x:99999999",
-    "tcp://[::",
-    "no.json",
-    "run.json",
-    "a\nb",
-    "\udcff",
-    "inproc://x",
-]
-
-
-@pytest.mark.parametrize("address", ADDRESSES)
+@pytest.mark.parametrize(
+    "address",
+    [
+        "",
+        "x",
+        "tcp://",
+        "tcp://x:99999999",
+        "tcp://[::",
+        "no.json",
+        "run.json",
+        "a\nb",
+        "\udcff",
+        "inproc://x",
+    ],
+)
 def test_addresses_of_schedulers(address, tmp_path):
     (tmp_path / "run.json").write_text("[1]")
     assert hostile(tmp_path, "batch", *ARGUMENTS["batch"], "--scheduler", address) == 1
