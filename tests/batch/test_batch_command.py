@@ -27,6 +27,7 @@ from batch.batches import (
 )
 from beltrami_cli.formats.registry import open_document
 from cli.commands import COMMAND, SAMPLES, beltrami, refused
+from processes import children, described, wait_for
 
 SAMPLE_OF = {
     "a.ply": "terrain-noisy.ply",
@@ -151,13 +152,6 @@ def test_resume_does_again_what_changed_and_nothing_else(change, finished):
         assert files_in(out) == files_in(finished / "fresh")
 
 
-def test_a_report_with_a_line_of_something_else_is_refused(finished):
-    record = finished / "out" / "batch.jsonl"
-    record.write_text("{}\n" + record.read_text())
-    words = ("scans", "--out-dir", "out", "--resume")
-    assert "line 1 is not of a report" in batch(*words, *QUICK, cwd=finished, code=3)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_run_that_is_killed_leaves_no_half_files_and_is_picked_up(number, tmp_path):
@@ -203,24 +197,9 @@ def test_a_worker_that_is_killed_fails_only_its_file_which_is_tried_again(tmp_pa
     assert len(set(files_in(out).values())) == 1
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def workers_of(process):
     """Return the processes of a batch that smooth files, by their numbers."""
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return [int(child) for child in children if b"spawn_main" in command_line(child)]
-
-
-def command_line(process):
-    try:
-        return Path(f"/proc/{process}/cmdline").read_bytes()
-    except OSError:
-        return b""
+    return [child for child in children(process.pid) if b"spawn_main" in described(child, "cmdline")]
 
 
 MANIFESTS = {

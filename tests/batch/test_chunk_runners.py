@@ -23,7 +23,7 @@ from beltrami_cli.batch.workers import Channel, Processes
 from beltrami_cli.errors import InputError, OutputError, ProcessingError, UnpaintedError
 from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import Chunk, Work
-from cli.commands import SAMPLES
+from cli.commands import copy_samples
 
 CUT = [Chunk(part, kept=slice(None)) for part in range(5)]
 
@@ -102,9 +102,7 @@ def test_arrays_of_messages_are_exchanged_and_can_be_changed(tmp_path):
 @pytest.mark.slow
 def test_a_file_in_pieces_is_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(chunks, "LEAST_CELLS", 1)
-    (tmp_path / "in").mkdir()
-    for kind in ("obj", "mtl", "png"):
-        os.link(SAMPLES / f"mirrored-noisy.{kind}", tmp_path / "in" / f"mirrored-noisy.{kind}")
+    copy_samples(tmp_path / "in", "mirrored-noisy.*")
     said = []
     for name, options in (("whole", ()), ("pieces", ("--pieces", 4, "-j", 2))):
         options = *options, "-n", 2, "--patches", "on", "-v"

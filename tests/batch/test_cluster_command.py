@@ -26,7 +26,7 @@ from beltrami_cli.flow import chunks
 from beltrami_cli.flow.chunks import in_chunks
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.layers.settings import SmoothSettings
-from cli.commands import COMMAND, SAMPLES
+from cli.commands import COMMAND, SAMPLES, copy_samples
 from flow.split_surfaces import FIXED, SURFACE, smooth_mesh
 
 pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra cluster")
@@ -49,11 +49,8 @@ def cluster(running):
 @pytest.fixture
 def scans(tmp_path):
     """A mesh, and a texture."""
-    folder = tmp_path / "scans"
-    (folder / "deep").mkdir(parents=True)
-    shutil.copy(SAMPLES / "knot-noisy.ply", folder / "knot.ply")
-    for kind in ("obj", "mtl", "png"):
-        shutil.copy(SAMPLES / f"mirrored-noisy.{kind}", folder / "deep")
+    folder = copies("knot-noisy.ply", ["knot.ply"], tmp_path / "scans")
+    copy_samples(folder / "deep", "mirrored-noisy.*")
     return folder
 
 

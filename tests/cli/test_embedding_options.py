@@ -14,7 +14,7 @@ from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.layers.texture_layer import TextureLayer
 from beltrami_cli.surface.records import MeshContents
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, copy_samples
 from oracles import surfaces
 
 NOISY = SAMPLES / "terrain-noisy.ply"
@@ -39,9 +39,7 @@ def psnr(path, truth=CLEAN):
 @pytest.fixture(scope="module")
 def textured(tmp_path_factory):
     """Make a folder with a noisy texture whose material has the clean one as its normal map, and half as large."""
-    folder = tmp_path_factory.mktemp("textured")
-    for suffix in ("obj", "mtl", "png"):
-        shutil.copy(SAMPLES / f"head-tex-noisy.{suffix}", folder)
+    folder = copy_samples(tmp_path_factory.mktemp("textured"), "head-tex-noisy.*")
     shutil.copy(SAMPLES / "head-tex-clean.png", folder / "clean.png")
     with (folder / "head-tex-noisy.mtl").open("a") as file:
         file.write("norm clean.png\n")

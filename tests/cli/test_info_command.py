@@ -12,7 +12,7 @@ import pytest
 from beltrami_cli import SmoothSettings, inspect_file
 from beltrami_cli.cli.commands import notes_on
 from beltrami_cli.fields import override
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, colours_in, copy_samples
 from formats.image_files import encode
 from oracles.paintings import photograph
 from small_models import COLOURED, ply, textured_squares
@@ -54,8 +54,7 @@ def test_a_range_image_has_no_triangles_in_the_short_text(tmp_path):
 
 
 def test_each_of_several_textures_has_its_own_noise_charts_and_pitch(tmp_path):
-    for name in ("torus-two-noisy.gltf", "torus-two-noisy.bin", "torus-two-noisy-icing.png"):
-        shutil.copy(SAMPLES / name, tmp_path)
+    copy_samples(tmp_path, "torus-two-noisy*")
     shutil.copy(SAMPLES / "torus-two-clean-dough.png", tmp_path / "torus-two-noisy-dough.png")
     facts = info(tmp_path / "torus-two-noisy.gltf", "--fast")
     (slot,) = facts["textures"]
@@ -84,15 +83,14 @@ def test_overlap_is_counted_for_the_texture_that_has_it(tmp_path):
 def test_textures_in_other_slots_are_named(tmp_path):
     model = json.loads((SAMPLES / "torus-two-noisy.gltf").read_text())
     model["materials"][0]["emissiveTexture"] = {"index": 0}
-    for name in ("torus-two-noisy.bin", "torus-two-noisy-icing.png", "torus-two-noisy-dough.png"):
-        shutil.copy(SAMPLES / name, tmp_path)
+    copy_samples(tmp_path, "torus-two-noisy*")
     (tmp_path / "both.gltf").write_text(json.dumps(model))
     assert "--slots emissive shows" in info(tmp_path / "both.gltf", "--fast")["notices"][-1]
     assert info(tmp_path / "both.gltf", "--fast", "--slots", "baseColor,emissive")["notices"] == []
 
 
 def test_vertex_colours_beside_textures_are_described_and_said_to_stay(tmp_path):
-    shutil.copy(SAMPLES / "scan-noisy.jpg", tmp_path)
+    copy_samples(tmp_path, "scan-noisy.jpg")
     rows = [[x, y, 0, 60 * x, 90, 200 * y, x, y] for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
     model = ply(f"{COLOURED}, float s t", rows, [range(4)], comments=["TextureFile scan-noisy.jpg"])
     (tmp_path / "both.ply").write_bytes(model)
@@ -129,10 +127,7 @@ def test_facts_are_of_json_types_alone_and_can_be_shown(name, options):
 
 @pytest.mark.slow
 def test_many_files_make_a_table_with_a_line_for_each_part(tmp_path):
-    for name in ("knot-noisy.ply", "torus-two-noisy.gltf", "torus-two-noisy.bin", "scan-noisy.jpg"):
-        shutil.copy(SAMPLES / name, tmp_path / name)
-    for name in ("icing", "dough"):
-        shutil.copy(SAMPLES / f"torus-two-noisy-{name}.png", tmp_path)
+    copy_samples(tmp_path, "knot-noisy.ply", "torus-two-noisy*", "scan-noisy.jpg")
     run = beltrami("info", tmp_path, tmp_path / "*.jpg", tmp_path / "knot-noisy.ply", "--fast", text=True)
     head, *lines = run.stdout.splitlines()
     assert head.split() == ["file", "format", "part", "samples", "noise", "n", "t", "beta"]
@@ -173,7 +168,7 @@ def test_noise_that_samples_share_is_that_which_smooth_finds(tmp_path):
 @pytest.mark.parametrize(
     ("name", "at", "options"),
     [
-        ("nonmanifold-noisy.ply", "100", ("--strength", "strong", "-n", 1)),
+        ("nonmanifold-noisy.ply", "100", ("--strength", "strong", "-n", 1, "--patches", "on")),
         ("mirrored-noisy.obj", "0.4,0.4", ("--fast",)),
         ("torus-two-noisy-dough.png", "90,70", ()),
     ],
@@ -183,12 +178,11 @@ def test_kernel_info_and_smooth_say_the_same_parameters_of_a_file(name, at, opti
     source, record = SAMPLES / name, tmp_path / "run.json"
     smooth = beltrami("smooth", source, tmp_path / name, "--dry-run", "--report", record, *options)
     shown = beltrami("kernel", source, tmp_path / "kernel.csv", "--at", at, *options, text=True).stderr
-    done = json.loads(record.read_text())
-    done = done["vertices"] or done["image"] or done["textures"][0]
-    info = json.loads(beltrami("info", source, "--json", *options).stdout)
+    done, info = colours_in(record), json.loads(beltrami("info", source, "--json", *options).stdout)
     planned = info["smooth"] if "smooth" in info else info["textures"][0]["smooth"]
     for key in ("beta", "iterations"):
         assert done[key] == planned[key]
+    assert planned["patches"] == ("off" if done["patches"] is None else "on")
     if planned["iterations"] == 1:  # of the first iteration, from some of the kernels
         assert planned["samples_per_kernel"] == pytest.approx(done["counts"]["samples_per_kernel"], rel=0.05)
     assert f"in iteration 1 of {planned['iterations']}," in shown

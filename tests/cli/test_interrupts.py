@@ -17,6 +17,7 @@ from cli.commands import interrupted
 from cli.pictures import painted_file
 from formats.image_files import encode
 from oracles import surfaces
+from processes import children, is_running, wait_for
 
 # Runs the command, and says when it begins a step: a function of a module or class.
 REPORTING = """
@@ -86,20 +87,3 @@ def test_an_interruption_ends_soon_and_leaves_no_file_and_no_process(step, numbe
         wait_for(lambda: not any(map(is_running, workers)))
     assert not any(map(is_running, workers))
     assert {path.name for path in tmp_path.iterdir()} <= {source, "r.jsonl"}
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def is_running(pid):
-    status = Path(f"/proc/{pid}/stat")
-    return status.exists() and status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
-
-
-def children(pid):
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(each) for task in tasks for each in task.read_text().split()]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
 import pytest
 
-from cli.commands import beltrami
+from cli.commands import beltrami, colours_in
 from cli.pictures import painted_file
 from formats.image_files import encode
 from oracles import surfaces
@@ -35,9 +34,7 @@ def smoothed(source, *options):
     """Smooth a file into its folder; return the messages, the report on its colours, and the result."""
     target, report = source.with_stem("result"), source.with_name("report.json")
     run = beltrami("smooth", source, target, "-v", "--report", report, "--overwrite", *options, text=True)
-    reported = json.loads(report.read_text())
-    (part,) = (reported[name] for name in ("vertices", "image") if reported.get(name))
-    return run.stderr, part, target.read_bytes()
+    return run.stderr, colours_in(report), target.read_bytes()
 
 
 @pytest.mark.parametrize("kind", ["picture", "mesh"])
@@ -53,19 +50,3 @@ def test_the_share_of_patches_is_said_and_reported(kind, request):
     assert " patches " not in said
     assert part["patches"] is None
     assert kernel != result
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "has_patches"),
-    [((), True), (("--patches", "off"), False), (("--fast",), False), (("-n", 3), False), (("--beta", 5), False),
-     (("--beta", 5, "--patches", "on"), True)],
-)  # fmt: skip
-def test_by_default_there_are_none_where_the_kernel_is_set_by_hand_and_info_says_so(
-    options, has_patches, mesh
-):
-    _, part, result = smoothed(mesh, *options)
-    assert (part["patches"] is not None) == has_patches
-    assert (smoothed(mesh, *options, "--patches", "off")[2] != result) == has_patches
-    planned = json.loads(beltrami("info", mesh, "--json", *options).stdout)["smooth"]["patches"]
-    assert planned == ("on" if has_patches else "off")

@@ -15,7 +15,7 @@ from beltrami_cli.jobs.compare.figures import ComparedColours, measure
 from beltrami_cli.view import report
 from beltrami_cli.view.parameters import used_parameters
 from beltrami_cli.view.report import histogram
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, colours_in
 from cli.pictures import encode, textured_square
 
 
@@ -72,9 +72,7 @@ def parameters_shown(source, tmp_path, *options):
     beltrami("report", source, target, page, "--parameters", record, "--overwrite")
     section = page.read_text().partition("<h2>Parameters</h2>")[2].partition("<script>")[0]
     rows = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", section)]
-    found = {row[0]: tuple(row[1:]) for row in rows if row}
-    done = json.loads(record.read_text())
-    return found, done["vertices"] or done["image"] or done["textures"][0]
+    return {row[0]: tuple(row[1:]) for row in rows if row}, colours_in(record)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from batch.batches import without_workers
 from beltrami_cli.jobs.compare.files import is_map
 from beltrami_cli.jobs.smooth import is_report
 from beltrami_cli.view.render import is_preview
-from cli.commands import SAMPLES, beltrami, refused
+from cli.commands import SAMPLES, beltrami, copy_samples, refused
 
 NOISY = SAMPLES / "nonmanifold-noisy.ply"
 PHOTO = SAMPLES / "mirrored-noisy.png"
@@ -23,11 +23,7 @@ FULL = Path("/dev/full")
 @pytest.fixture
 def textured(tmp_path):
     """Return a folder with a model of three files."""
-    folder = tmp_path / "textured"
-    folder.mkdir()
-    for path in SAMPLES.glob("mirrored-noisy*"):
-        shutil.copy(path, folder)
-    return folder
+    return copy_samples(tmp_path / "textured", "mirrored-noisy*")
 
 
 # With a preview 3 s, as it is drawn at its full size.

@@ -16,7 +16,7 @@ from beltrami_cli.errors import InputError, UsageError
 from beltrami_cli.formats.document import Naming
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.inspect import check_files
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, copy_samples
 from formats.ply_files import ENCODINGS, Table, build, coloured
 from hostile.textured_models import OTHER, PICTURE, write_model
 
@@ -116,9 +116,7 @@ def sample_as_text(name, folder):
         document = open_document(str(SAMPLES / f"{name}-noisy.glb"))
         saved(document.patch(None, Naming("x", keeps=True), form="gltf"), before)
     else:
-        for path in SAMPLES.glob("torus-two-noisy*"):
-            shutil.copy(path, folder)
-        (folder / name).rename(before)
+        (copy_samples(folder, "torus-two-noisy*") / name).rename(before)
     return before
 
 

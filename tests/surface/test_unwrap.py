@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,6 +9,7 @@ from beltrami_cli.errors import InputError, ProcessingError
 from beltrami_cli.surface import unwrap as unwrapping
 from beltrami_cli.surface.unwrap import require_few_faces, unwrap
 from oracles import surfaces
+from processes import children
 
 
 def unwrapped(positions, faces, size=256, padding=4, **options):
@@ -147,33 +145,20 @@ def test_a_texture_too_small_for_the_charts_is_refused():
         unwrapped(positions, np.arange(300).reshape(-1, 3), 32)
 
 
-def children():
-    """Numbers of the living processes that unwrap for this one."""
-    mine = []
-    for status in Path("/proc").glob("[0-9]*/status"):
-        try:
-            fields = dict(line.split(":\t", 1) for line in status.read_text().splitlines() if ":\t" in line)
-        except OSError:
-            continue
-        if fields.get("PPid") == str(os.getpid()) and not fields["State"].startswith("Z"):
-            mine.append(int(status.parent.name))
-    return set(mine)
-
-
 def test_stopping_ends_the_process_and_leaves_nothing_behind(monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    before = children()
+    before = children("self")
     seen = []
 
     def stop(done, total):
-        seen.extend(children() - before)
+        seen.extend(set(children("self")) - set(before))
         raise KeyboardInterrupt
 
     positions, faces = surfaces.icosphere(4)
     with pytest.raises(KeyboardInterrupt):
         unwrapped(positions, faces, progress=stop)
     assert seen
-    assert children() == before
+    assert children("self") == before
     assert not list(tmp_path.iterdir())
 
 
@@ -183,14 +168,14 @@ def test_more_is_sent_than_a_pipe_holds():
 
 
 def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
-    before = children()
+    before = children("self")
     (tmp_path / "endless.py").write_text("while True: pass")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(unwrapping, "LEAST_PATIENCE", 0.2)
     monkeypatch.setattr(unwrapping, "WORKER", "endless")
     with pytest.raises(ProcessingError, match="did not end within"):
         unwrapped(np.eye(3), [[0, 1, 2]])
-    assert children() == before
+    assert children("self") == before
 
 
 def test_what_the_process_dies_of_is_reported_in_one_line(monkeypatch):
