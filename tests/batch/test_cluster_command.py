@@ -220,60 +220,32 @@ def test_nothing_is_uploaded_over_what_is_there(tmp_path):
     memory.rm("/there", recursive=True)
 
 
-TLS = "DASK_DISTRIBUTED__COMM__TLS__"
-
-
 @pytest.fixture
 def certificates(tmp_path):
-    """Variables for a certificate that signs itself, and is everybody's."""
-    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    """Dask's configuration of a certificate that signs itself, and is everybody's."""
+    key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "certificate.pem")
     subprocess.run(
         ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=beltrami",
          "-keyout", key, "-out", certificate],
         check=True, capture_output=True,
     )  # fmt: skip
-    roles = {f"{TLS}{role}__{what}": str(path) for role in ("SCHEDULER", "WORKER", "CLIENT")
-             for what, path in (("KEY", key), ("CERT", certificate))}  # fmt: skip
-    return {f"{TLS}CA_FILE": str(certificate), **roles}
+    files = {f"{role}.{what}": path for role in ("scheduler", "worker", "client")
+             for what, path in (("key", key), ("cert", certificate))}  # fmt: skip
+    return {f"distributed.comm.tls.{name}": path for name, path in {"ca-file": certificate, **files}.items()}
 
 
-# 6 s: a scheduler, a worker and three commands that load Dask each.
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
-def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path, monkeypatch):
-    for name, value in certificates.items():
-        monkeypatch.setenv(name, value)
-    (tmp_path / "cluster").mkdir()
-    cluster = Cluster(tmp_path / "cluster", "--protocol", "tls")
-    shutil.copy(SAMPLES / "nonmanifold-noisy.ply", tmp_path / "a.ply")
-    arguments = ("--out-dir", tmp_path / "out", "--overwrite", "--scheduler", cluster.address, *QUICK)
+def test_an_encrypted_scheduler_does_the_files(certificates, tmp_path):
+    import dask
+    from distributed import LocalCluster, Security
 
-    def said(code):
-        # Dask reads the variables as it is loaded, so each run is a process of its own.
-        run = subprocess.run(
-            [*COMMAND, "batch", tmp_path / "a.ply", *arguments], check=False, capture_output=True, text=True
-        )
-        assert run.returncode == code, run.stderr
-        assert "Traceback" not in run.stderr
-        return run.stderr
-
-    try:
-        deadline = time.monotonic() + 60
-        while not cluster.address.exists() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert '"tls://' in cluster.address.read_text()
-        refused_without(certificates, monkeypatch, said)
-        cluster.start_worker()
-        assert "1 done" in said(0)
-        cluster.address.write_text(cluster.address.read_text().replace("tls://", "tcp://"))
-        monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
-        assert "encryption required" in said(1)
-    finally:
-        cluster.close()
-
-
-def refused_without(certificates, monkeypatch, said):
-    with monkeypatch.context() as without:
-        for name in certificates:
-            without.delenv(name)
-        assert "TLS" in said(1)
+    words = (SAMPLES / "nonmanifold-noisy.ply", "--out-dir", tmp_path / "out", *QUICK, "--scheduler")
+    with dask.config.set(certificates):
+        options = {"protocol": "tls", "security": Security(), "processes": False, "dashboard_address": ":0"}
+    with LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
+        address = cluster.scheduler_address
+        assert "TLS" in batch(*words, address, code=1)
+        with dask.config.set(certificates | {"distributed.comm.require-encryption": True}):
+            assert "1 done" in batch(*words, address)
+            assert "encryption required" in batch(*words, address.replace("tls://", "tcp://"), code=1)
