@@ -1,5 +1,7 @@
 """Averages of noise that was cut off at 0 and full scale come out right, and nothing else changes."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -18,13 +20,8 @@ SIGMA = 0.08
 
 # Given, so that they are not chosen from the data.
 FIXED = {
-    "iterations": 5,
-    "t": 2.4,
-    "beta": 0.8 / SIGMA,
-    "beta_growth": 2.0,
-    "metric_steps": 2,
-    "metric_scale": 0.5,
-}
+    "iterations": 5, "t": 2.4, "beta": 0.8 / SIGMA, "beta_growth": 2.0, "metric_steps": 2, "metric_scale": 0.5,
+}  # fmt: skip
 
 
 def flat(level, size=64, seed=3):
@@ -44,14 +41,10 @@ def marks_of(clipped, channels, threads=1):
 @pytest.mark.parametrize("on", ["image", "mesh"])
 def test_the_mean_of_clipped_noise_is_restored(level, on):
     image = flat(level)
-    if on == "image":
-        kept, restored = (smooth_image(image, **FIXED, clipping=way).colours for way in ("keep", "restore"))
-    else:
-        positions, faces = surfaces.plane(len(image), len(image))
-        colours = image.reshape(-1, 1)
-        kept, restored = (
-            smooth(positions, faces, colours, **FIXED, clipping=way).colours for way in ("keep", "restore")
-        )
+    smoothed = partial(smooth_image, image)
+    if on == "mesh":
+        smoothed = partial(smooth, *surfaces.plane(*image.shape[:2]), image.reshape(-1, 1))
+    kept, restored = (smoothed(**FIXED, clipping=way).colours for way in ("keep", "restore"))
     bias_kept, bias = abs(kept.mean() - level), abs(restored.mean() - level)
     # The bias at the limit is sigma phi(0) = 0.4 sigma, and 0.26 sigma at a distance of 0.3 sigma (Tobin 1958). What is
     # left comes from the scatter of shares of few samples, and from noise that is estimated too low in such an image.
@@ -147,13 +140,6 @@ def test_a_flat_that_merely_lies_near_the_limit_is_not_moved():
     image[:, 32:] = 0.97 + 0.0005 * (flat(0.5)[:, 32:] - 0.5) / SIGMA
     restored = smooth_image(image, **{**FIXED, "metric_steps": 0}, clipping="restore").colours
     np.testing.assert_allclose(restored[:, 40:], 0.97, atol=0.002)
-
-
-@pytest.mark.parametrize("level", [0.02, 0.98])
-def test_restored_colours_stay_within_full_scale(level):
-    restored = smooth_image(flat(level), iterations=1, t=0.5).colours
-    assert restored.min() >= 0
-    assert restored.max() <= 1
 
 
 def test_the_variance_that_a_limit_leaves_follows_from_the_share_there():

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import OpenImageIO
 import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.haar_noise import draw_haar_noise, sigma_of_covariances
-from beltrami_cli.flow.noise.model import NoiseModel
-from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.records import Step
 from beltrami_cli.flow.tuning.sure import RiskEstimate
-from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import NoiseTargets, seen_by_camera
-from beltrami_cli.surface.baking import Cells
+from flow.noisy_surfaces import by_camera, in_8_bits, noise_of_image
 from flow.test_choice import Blur
 from formats.image_files import encode
 from oracles.paintings import shapes
@@ -43,10 +40,7 @@ def jpeg(pixels, quality, subsampling, tmp_path):
     return OpenImageIO.ImageBuf(str(path)).get_pixels("float")
 
 
-def found(image) -> NoiseModel:
-    """Return the noise of an image of shape (R, C, N)."""
-    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
-    return read_noise(planes, Grid(np.ones(planes.shape[1:], bool)), varies=False)
+found = partial(noise_of_image, varies=False)
 
 
 def details(noise):
@@ -124,28 +118,20 @@ def test_the_noise_that_jpeg_left_in_rich_colours_and_small_pictures_is_found(
     assert read == pytest.approx(np.sqrt(np.mean((image - clean) ** 2)), rel=tolerance)
 
 
-def soft_noise(sigma, seed=3):
-    """Return noise, 256 x 256, that some 2 x 2 cells share."""
-    noise = gaussian_filter(np.random.default_rng(seed).standard_normal((256, 256, 3)), (1, 1, 0))
-    return noise / noise.std(axis=(0, 1)) * sigma
-
-
 def test_the_channel_with_more_of_the_noise_is_known():
     """To a fifth, as of a blue sky with a camera; differences alone would give red and blue the same."""
     sigma = np.array([11, 8, 5]) / 255
     sky = np.array([0.3, 0.45, 0.6]) + 0.1 * np.linspace(0, 1, 256)[:, None, None]
-    assert found(sky + soft_noise(sigma)).sigma == pytest.approx(sigma, rel=0.2)
+    soft = gaussian_filter(np.random.default_rng(3).standard_normal((256, 256, 3)), (1, 1, 0))
+    assert found(sky + soft / soft.std(axis=(0, 1)) * sigma).sigma == pytest.approx(sigma, rel=0.2)
 
 
 @pytest.mark.parametrize("colour", [(0.4, 0.4, 0.4), (0.6, 0.2, 0.3)])
 def test_the_noise_of_a_camera_in_plain_pictures_is_known_to_a_fifth(colour):
     """In each channel: what is missing is left in them, and what is too much takes detail."""
     plain = np.broadcast_to(np.float32(colour), (256, 256, 3))
-    row, column = np.indices(plain.shape[:2]).reshape(2, -1)
-    grains = NoiseTargets(plain.reshape(-1, 3), np.arange(row.size))
-    cells = Cells([plain.shape[:2]], np.zeros_like(row), row, column, np.zeros_like(row))
-    noisy = seen_by_camera(grains, cells, NoiseSettings(kind="camera", shot=0.01, read=0.01))
-    ratio = found(noisy.reshape(plain.shape)).sigma / (noisy - grains.colours).std(axis=0)
+    noisy = by_camera(plain)
+    ratio = found(noisy).sigma / (noisy - plain).std(axis=(0, 1))
     assert ratio == pytest.approx(1, abs=0.2)
 
 
@@ -162,8 +148,7 @@ def test_noise_that_cells_share_makes_black_no_brighter_and_white_no_darker(dark
     clean[:, :64] = dark
     noise = gaussian_filter(np.random.default_rng(7).standard_normal(clean.shape), (0.8, 0.8, 0))
     sigma = 12 / 255
-    noisy = np.float32(np.rint(255 * np.clip(clean + sigma / noise.std() * noise, 0, 1)) / 255)
-    smooth = beltrami_cli.smooth_image(noisy)
+    smooth = beltrami_cli.smooth_image(in_8_bits(clean + sigma / noise.std() * noise))
     assert smooth.choice.correlated
     off = np.abs(smooth.colours[:, :62] - dark)
     assert off.mean() < 0.13 * sigma

@@ -17,9 +17,8 @@ SIDE = 48
 POSITIONS, FACES = surfaces.plane(SIDE, SIDE)
 MASK = ((POSITIONS[:, 0] + 0.4 * POSITIONS[:, 1]) % 16 > 8).astype(float)
 # Stripes of 8 samples that differ by 30 of 255, in noise of 60.
-STEP = 0.12 * np.array([1.0, 0.3, -0.6])
-TRUTH = 0.5 + MASK[:, None] * STEP
-NOISY = TRUTH + np.random.default_rng(2).normal(0, 60 / 255, TRUTH.shape)
+STRIPES = 0.5 + 0.12 * MASK[:, None] * np.array([1.0, 0.3, -0.6])
+NOISY = STRIPES + np.random.default_rng(2).normal(0, 60 / 255, STRIPES.shape)
 
 
 # Given, so that they are not chosen from the data, which differ between the two sides of a comparison.
@@ -37,27 +36,7 @@ def on_image(colours=NOISY, guide=None, **parameters):
     return smoothed.reshape(colours.shape)
 
 
-def psnr(colours):
-    return -10 * np.log10(np.mean((colours - TRUTH) ** 2))
-
-
-def contrast(colours):
-    """How much is left of the difference between the stripes."""
-    step = colours[MASK == 1].mean(axis=0) - colours[MASK == 0].mean(axis=0)
-    return step @ STEP / (STEP @ STEP)
-
-
 both = pytest.mark.parametrize("smooth", [on_mesh, on_image])
-
-
-@both
-def test_a_clean_guide_recovers_an_edge_that_noise_buries(smooth):
-    plain, guided = smooth(iterations=10), smooth(iterations=10, guide=MASK, metric_channels=[])
-    assert psnr(guided) > psnr(plain) + 3
-    assert contrast(guided) > 0.95
-    assert contrast(plain) < 0.75
-    # Beside colours that count little, the guide keeps the edges too.
-    assert psnr(smooth(beta=2.0, guide=MASK)) > psnr(smooth(beta=2.0)) + 1
 
 
 @both

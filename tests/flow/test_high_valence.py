@@ -5,10 +5,9 @@ import time
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.jobs.arrays import smooth
-from beltrami_cli.surface.records import SampledSurface
+from flow.noisy_surfaces import manifold_of
 from oracles import surfaces
 from oracles.geodesics import Manifold
 from properties.manifolds import image_manifold, segment_manifold
@@ -41,10 +40,6 @@ def tangle(count, size):
 
 def noisy(count):
     return (0.5 + 0.08 * np.random.default_rng(2).standard_normal((count, 3))).astype(np.float32)
-
-
-def core_of(positions, faces, beta=0.0, make=segment_manifold):
-    return make(positions, faces, noisy(len(positions)), beta)
 
 
 # Up to 3 s: unbounded work shows on large tangles only.
@@ -82,7 +77,8 @@ def test_fast_marching_past_a_hub_finds_the_distances_of_a_textbook_march(mesh):
 )
 def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
     positions, faces = mesh
-    core, colours = core_of(positions, faces, 4.0), noisy(len(positions))
+    colours = noisy(len(positions))
+    core = segment_manifold(positions, faces, colours, 4.0)
     one = core.smooth(colours, None, 2.4, 6.6, 100, 1, None)
     several = core.smooth(colours, None, 2.4, 6.6, 100, 3, None)
     assert np.array_equal(one[0], several[0])
@@ -101,7 +97,5 @@ def test_threads_change_nothing_where_kernels_are_cut_short(mesh):
     ids=["plane", "small fan", "fan", "book", "tangle"],
 )
 def test_parameters_are_tried_on_surfaces_only(mesh, expected):
-    positions, faces = mesh
-    none = np.zeros((0, 3), np.int32)
-    surface = SampledSurface(positions, faces, none, noisy(len(positions)))
-    assert mesh_manifold(surface, KernelParameters()).geometry.work(1.0).is_surface is expected
+    manifold = manifold_of(*mesh, noisy(len(mesh[0])), KernelParameters())
+    assert manifold.geometry.work(1.0).is_surface is expected

@@ -20,10 +20,9 @@ from beltrami_cli.flow.coded_picture import (
     noise_after,
     sigma_before,
 )
-from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.formats.image.metadata import read_jpeg_tables
 from cli.commands import beltrami
+from flow.noisy_surfaces import noise_of_image
 from flow.test_correlated_noise import painting, stored
 from formats.image_files import encode
 from oracles.paintings import psnr
@@ -61,8 +60,7 @@ def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
 )
 def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_path):
     own = picture(stored(CLEAN, sigma), quality, subsampling, tmp_path)
-    planes = np.ascontiguousarray(np.moveaxis(own.pixels / np.float32(255), 2, 0), np.float32)
-    found = sigma_before([own], read_noise(planes, Grid(own.used)))
+    found = sigma_before([own], noise_of_image(own.pixels / 255))
     assert found is not None
     assert 255 * found == pytest.approx(sigma, rel=0.3)
 
@@ -70,8 +68,7 @@ def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_p
 def test_noise_that_neighbours_shared_is_not_white_before(tmp_path):
     grain = gaussian_filter(np.random.default_rng(2).standard_normal(CLEAN.shape), (2, 2, 0))
     own = picture(stored(CLEAN + 10 / 255 * grain / grain.std(), 0), 92, "4:2:0", tmp_path)
-    planes = np.ascontiguousarray(np.moveaxis(own.pixels / np.float32(255), 2, 0), np.float32)
-    assert sigma_before([own], read_noise(planes, Grid(own.used))) is None
+    assert sigma_before([own], noise_of_image(own.pixels / 255)) is None
 
 
 def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
@@ -85,15 +82,6 @@ def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
     np.testing.assert_allclose(found[near], truncnorm.mean(low, high, mean, sigma)[near], atol=1e-4)
     far = _mean_within(np.array([0.0, 0.0]), 0.1, np.array([1000.0, -1000.0]), np.array([5.0, 5.0]))
     np.testing.assert_allclose(far, [995, -995], atol=0.01)
-
-
-def test_decoding_with_the_noise_known_comes_closer_to_the_truth(tmp_path):
-    own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
-    pilot = gaussian_filter(own.pixels / 255, (1, 1, 0)).astype(np.float32)
-    result = pilot.copy()
-    decode(own, result, 10 / 255)
-    # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
-    assert psnr(result, CLEAN) > psnr(own.pixels / 255, CLEAN) + 1.5
 
 
 @pytest.mark.parametrize("limit", [0.0, 1.0])

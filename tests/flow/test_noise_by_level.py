@@ -13,12 +13,11 @@ import beltrami_cli
 from beltrami_cli._native import add_enlarged, means_of_squares, sort_squares
 from beltrami_cli.errors import UsageError
 from beltrami_cli.flow.noise.given import given_noise
-from beltrami_cli.flow.noise.grid_squares import Grid
 from beltrami_cli.flow.noise.model import VarianceStabiliser
-from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.jobs.inspect import inspect_file
 from beltrami_cli.surface.atlas import EMPTY, HALO, OWNED
 from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
+from flow.noisy_surfaces import noise_of_image
 from oracles.paintings import photograph
 
 SHOT, READ = 0.004, 0.005
@@ -36,11 +35,6 @@ def shot(clean, seed=0):
     light = srgb_to_linear(np.asarray(clean)).astype(float)
     noise = np.random.default_rng(seed).standard_normal(clean.shape) * np.sqrt(SHOT * light + READ**2)
     return linear_to_srgb(np.clip(light + noise, 0, 1)).astype(np.float32)
-
-
-def found(image, *, varies=True):
-    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
-    return read_noise(planes, Grid(np.ones(planes.shape[1:], bool)), varies=varies)
 
 
 def test_stabilised_colours_come_back_and_limits_stay():
@@ -72,13 +66,15 @@ def test_noise_by_level_is_found_where_there_is_such_and_only_there():
     """The ratio between levels of 0.2 and 0.7 is no larger than that of the camera, but for a tenth."""
     clean = 0.05 + 1.2 * (scene(256) - 0.15)
     truth = given_noise(f"shot:{SHOT},read:{READ}").stabiliser()
-    seen = found(shot(clean)).stabiliser
+    seen = noise_of_image(shot(clean)).stabiliser
     ratio = seen.sigma_at(0.2, 1) / seen.sigma_at(0.7, 1)
     assert 1.05 < ratio < 1.1 * truth.sigma_at(0.2, 1) / truth.sigma_at(0.7, 1)
-    white = clean + 0.04 * np.random.default_rng(1).standard_normal(clean.shape)
-    assert found(white).stabiliser is None
-    assert found(shot(clean), varies=False).stabiliser is None
-    assert found(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
+    white = np.random.default_rng(1).standard_normal(clean.shape)
+    assert noise_of_image(clean + 0.04 * white).stabiliser is None
+    growing = noise_of_image(clean * (1 + 0.1 * white)).stabiliser  # 3.5 times as much at 0.7 in truth
+    assert 1.3 < growing.sigma_at(0.7, 1) / growing.sigma_at(0.2, 1) < 4.5
+    assert noise_of_image(shot(clean), varies=False).stabiliser is None
+    assert noise_of_image(shot(clean) - 0.5).stabiliser is None  # numbers below 0 are no levels
 
 
 @pytest.mark.parametrize(

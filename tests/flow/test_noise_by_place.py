@@ -6,28 +6,19 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
-from beltrami_cli.flow.noise.grid_squares import Grid
-from beltrami_cli.flow.noise.reading import read_noise
-from beltrami_cli.flow.parameters import TUNABLE, KernelParameters
-from beltrami_cli.surface.records import SampledSurface, linear_to_srgb, srgb_to_linear
-from oracles.paintings import flat_paint, line_art, photograph
+from beltrami_cli.surface.records import linear_to_srgb, srgb_to_linear
+from flow.noisy_surfaces import manifold_of, noise_of_image
+from oracles.paintings import flat_paint, line_art, photograph, with_noise
 from oracles.surfaces import icosphere
 
 SIZE, QUIET, LOUD = 256, 5 / 255, 20 / 255
 
 
-def relative(image):
-    planes = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
-    found = read_noise(planes, Grid(np.ones(planes.shape[1:], bool)))
-    return None if found.relative is None else found.relative[0]
-
-
 def test_the_noise_of_both_halves_is_found_in_one_channel():
     """Within 20 % in the loud half; textures of one channel make the quiet one louder."""
     sigma = np.where(np.arange(SIZE) < SIZE // 2, QUIET, LOUD)[:, None, None]
-    noise = sigma * np.random.default_rng(0).standard_normal((SIZE, SIZE, 1))
-    found = relative(np.clip(photograph(SIZE, contrast=0.05)[..., :1] + noise, 0, 1))
+    found = noise_of_image(with_noise(photograph(SIZE, contrast=0.05)[..., :1], sigma)).relative[0]
+    assert found.mean() == pytest.approx(1, rel=1e-5)
     below = np.sqrt(np.median(found[: SIZE // 2 - 8])), np.sqrt(np.median(found[SIZE // 2 + 8 :]))
     assert below[1] == pytest.approx(LOUD / np.sqrt((QUIET**2 + LOUD**2) / 2), rel=0.2)
     assert below[0] < 0.6 * below[1]
@@ -38,12 +29,8 @@ def test_the_noise_of_both_halves_is_found_in_one_channel():
     [(photograph, 5, 1), (flat_paint, 20, 1), (line_art, 0, 1), (photograph, 0, 3), (photograph, 20, 3)],
 )
 def test_textures_and_even_noise_are_the_same_everywhere(scene, sigma, channels):
-    clean = scene(SIZE)[..., :channels]
-    noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
-    assert relative(np.clip(noisy, 0, 1).astype(np.float32)) is None
-
-
-CHOSEN = KernelParameters(free=TUNABLE)
+    noisy = with_noise(scene(SIZE)[..., :channels], sigma / 255, seed=1)
+    assert noise_of_image(noisy).relative is None
 
 
 def scene(channels=3, contrast=0.12):
@@ -55,24 +42,13 @@ def scene(channels=3, contrast=0.12):
     return positions, faces, clean, np.where(positions[:, :1] < 0, QUIET, LOUD)
 
 
-def noisy(clean, sigma, seed=0):
-    return np.clip(clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape), 0, 1).astype(
-        np.float32
-    )
-
-
-def manifold(positions, faces, colours):
-    return mesh_manifold(SampledSurface(positions, faces, faces, colours), CHOSEN)
-
-
 @pytest.mark.parametrize(("channels", "contrast"), [(3, 0.12), (1, 0.05)])
 def test_the_noise_of_both_halves_is_found(channels, contrast):
     """Within 40 % of its standard deviation, away from where it changes; to the quiet half, textures add."""
     positions, faces, clean, sigma = scene(channels, contrast)
-    found = manifold(positions, faces, noisy(clean, sigma))
-    local = found.geometry.in_order(np.sqrt(found.noise.relative))[:, 0] * np.sqrt(
-        np.mean(found.noise.of_input**2)
-    )
+    found = manifold_of(positions, faces, with_noise(clean, sigma))
+    local = found.geometry.in_order(np.sqrt(found.noise.relative))[:, 0]
+    local *= np.sqrt(np.mean(found.noise.of_input**2))
     assert np.median(local[positions[:, 0] > 0.2]) == pytest.approx(LOUD, rel=0.4)
     quiet = np.median(local[positions[:, 0] < -0.2])
     assert QUIET * 0.8 < quiet < 0.7 * LOUD
@@ -81,7 +57,7 @@ def test_the_noise_of_both_halves_is_found(channels, contrast):
 @pytest.mark.parametrize(("channels", "sigma"), [(1, 20), (3, 0), (3, 5)])
 def test_textures_and_even_noise_of_vertices_are_the_same_everywhere(channels, sigma):
     positions, faces, clean, _ = scene(channels)
-    assert manifold(positions, faces, noisy(clean, sigma / 255)).noise.relative is None
+    assert manifold_of(positions, faces, with_noise(clean, sigma / 255)).noise.relative is None
 
 
 def test_noise_by_level_is_no_noise_by_place():
@@ -89,6 +65,6 @@ def test_noise_by_level_is_no_noise_by_place():
     levels = np.repeat(0.5 + 0.4 * np.sin(9 * positions[:, :1]), 3, axis=1)
     light = srgb_to_linear(levels).astype(float)
     seen = light + np.sqrt(0.004 * light + 0.005**2) * np.random.default_rng(0).standard_normal(light.shape)
-    found = manifold(positions, faces, linear_to_srgb(np.clip(seen, 0, 1)).astype(np.float32))
+    found = manifold_of(positions, faces, linear_to_srgb(np.clip(seen, 0, 1)))
     assert found.noise.relative is None
     assert found.noise.stabiliser is not None

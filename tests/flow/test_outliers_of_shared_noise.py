@@ -8,12 +8,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 import beltrami_cli
 from beltrami_cli.flow.coarse_levels import replace_outliers
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
-from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import NoiseTargets, add_grain, seen_by_camera
-from beltrami_cli.surface.baking import Cells
-from beltrami_cli.surface.records import SampledSurface
+from flow.noisy_surfaces import by_camera, in_8_bits, manifold_of, with_grain
 from oracles import surfaces
 from oracles.paintings import psnr
 
@@ -29,14 +24,9 @@ def sky():
     return np.tile(np.float32(DEEP_BLUE) * brightness[:, None, None], (1, SIDE, 1))
 
 
-def photographed(image, shot=0.01, read=0.01):
+def photographed(image):
     """Return what a camera makes of an image, in 8 bit."""
-    row, column = np.indices(image.shape[:2]).reshape(2, -1)
-    none = np.zeros_like(row)
-    cells = Cells([image.shape[:2]], none, row, column, none)
-    settings = NoiseSettings(kind="camera", shot=shot, read=read, seed=3)
-    noisy = seen_by_camera(NoiseTargets(image.reshape(-1, 3), np.arange(row.size)), cells, settings)
-    return (np.rint(255 * noisy.reshape(image.shape).clip(0, 1)) / 255).astype(np.float32)
+    return in_8_bits(by_camera(image))
 
 
 def dots(image, depth):
@@ -75,13 +65,8 @@ def test_details_that_are_no_outliers_stay(kind):
 def test_vertices_far_out_are_replaced_on_surfaces():
     """And noise of grain itself, which is normal, has hardly any vertex that is."""
     positions, faces = surfaces.icosphere(5)
-    spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
-    grey = NoiseTargets(np.full((len(positions), 3), 0.5, np.float32), np.arange(len(positions)))
-    noise = NoiseSettings(kind="grain", sigma=SIGMA, size=2.0)
-    colours = add_grain(grey, positions, spacing, noise).astype(np.float32)
-
-    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
-    manifold = mesh_manifold(surface, parameters_with({"threads": 1}))
+    grey = np.full((len(positions), 3), 0.5)
+    manifold = manifold_of(positions, faces, with_grain(positions, grey, SIGMA))
     struck = np.argmax(positions @ np.concatenate([np.eye(3), -np.eye(3)]).T, axis=0)
     outliers = manifold.colours.copy()
     outliers[struck] -= np.float32(0.3)

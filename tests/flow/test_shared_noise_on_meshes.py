@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 from beltrami_cli import smooth
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.noise.haar_noise import draw_noise_of_clusters, sigma_of_covariances
-from beltrami_cli.flow.parameters import parameters_with
 from beltrami_cli.flow.vertex_graph import levels_of
-from beltrami_cli.jobs.job import NoiseSettings
-from beltrami_cli.jobs.noise import NoiseTargets, add_grain
-from beltrami_cli.surface.records import SampledSurface
+from flow.noisy_surfaces import manifold_of, with_grain
 from oracles import surfaces
 from oracles.paintings import psnr
 
@@ -32,23 +28,10 @@ def painted(positions):
     return 0.5 + 0.15 * grey[:, :1] + 0.05 * tint
 
 
-def with_grain(positions, clean, size):
-    """Return colours with noise that vertices share over some of them."""
-    spacing = np.full(len(positions), np.sqrt(4 * np.pi / len(positions)))
-    grains = NoiseTargets(clean.astype(np.float32), np.arange(len(positions)))
-    wanted = NoiseSettings(kind="grain", sigma=SIGMA, size=size)
-    return add_grain(grains, positions, spacing, wanted).astype(np.float32)
-
-
-def manifold_of(positions, faces, colours):
-    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
-    return mesh_manifold(surface, parameters_with({"threads": 1}))
-
-
 def test_noise_that_vertices_share_is_found(sphere):
     """To a quarter."""
     positions, faces = sphere
-    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), 2.0))
+    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), SIGMA))
     assert manifold.noise.is_shared
     assert manifold.noise.of_input == pytest.approx(SIGMA, rel=0.25)
     assert manifold.noise.grain > 1.5
@@ -58,8 +41,8 @@ def test_the_channel_with_more_of_the_noise_that_vertices_share_is_known(sphere)
     """To a fifth; by differences of channels alone, red and blue would have the same."""
     positions, faces = sphere
     plain = np.full(positions.shape, 0.5)
-    noise = (with_grain(positions, plain, 2.0) - 0.5) * [1.4, 1.0, 0.6]
-    manifold = manifold_of(positions, faces, (0.5 + noise).astype(np.float32))
+    noise = (with_grain(positions, plain, SIGMA) - 0.5) * [1.4, 1.0, 0.6]
+    manifold = manifold_of(positions, faces, 0.5 + noise)
     assert manifold.noise.is_shared
     assert manifold.noise.of_input == pytest.approx(noise.std(axis=0), rel=0.2)
 
@@ -68,13 +51,13 @@ def test_independent_noise_of_vertices_is_not_taken_for_shared_noise(sphere):
     positions, faces = sphere
     clean = painted(positions)
     noisy = clean + 5 / 255 * np.random.default_rng(2).standard_normal(clean.shape)
-    assert not manifold_of(positions, faces, noisy.astype(np.float32)).noise.is_shared
+    assert not manifold_of(positions, faces, noisy).noise.is_shared
 
 
 def test_drawn_noise_has_the_details_of_what_was_found(sphere):
     """At single vertices and two levels, to four standard errors of a variance and what it varies in size."""
     positions, faces = sphere
-    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), 2.0))
+    manifold = manifold_of(positions, faces, with_grain(positions, painted(positions), SIGMA))
     covariances = manifold.noise.covariances
     levels = list(islice(levels_of(manifold.geometry.graph(manifold.colours)), len(covariances) + 1))
     random = np.random.default_rng(5)
@@ -92,7 +75,7 @@ def test_drawn_noise_has_the_details_of_what_was_found(sphere):
 def test_noise_that_vertices_share_is_removed_and_the_psnr_is_told(sphere):
     positions, faces = sphere
     clean = painted(positions)
-    noisy = with_grain(positions, clean, 2.0)
+    noisy = with_grain(positions, clean, SIGMA)
     result = smooth(positions, faces, noisy)
     reached = psnr(result.colours, clean)
     assert reached > psnr(noisy, clean) + 5
@@ -107,5 +90,5 @@ def test_black_stays_black_where_vertices_share_noise(sphere):
     """To a fifth of the 0.4 standard deviations by which noise that is cut off at 0 makes it brighter."""
     positions, faces = sphere
     clean = np.where(positions[:, 2:] > 0, painted(positions), 0)
-    result = smooth(positions, faces, with_grain(positions, clean, 2.0))
+    result = smooth(positions, faces, with_grain(positions, clean, SIGMA))
     assert result.colours[positions[:, 2] < -0.2].mean() < 0.4 * SIGMA / 5

@@ -5,12 +5,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import beltrami_cli
-from beltrami_cli.arrays import Float32s
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
-from beltrami_cli.flow.parameters import parameters_with
-from beltrami_cli.surface.records import SampledSurface
+from flow.noisy_surfaces import manifold_of
+from flow.test_correlated_noise import stored
 from oracles import surfaces
-from oracles.paintings import psnr
+from oracles.paintings import psnr, with_noise
 
 SIDE = 320
 GRASS = np.array([0.6, 0.78, 0.12])
@@ -24,11 +22,6 @@ def texture(hue, deviation=0.17, growth=1.5):
         total += growth**scale * layer / layer.std()
     total *= deviation / total.std()
     return np.clip(0.45 + total[..., None] * hue / np.linalg.norm(hue) * np.sqrt(3), 0.02, 0.98)
-
-
-def stored(clean, sigma):
-    noisy = clean + sigma / 255 * np.random.default_rng(1).standard_normal(clean.shape)
-    return np.rint(255 * noisy.clip(0, 1)).astype(np.uint8)
 
 
 def read(image):
@@ -52,10 +45,6 @@ def test_vertices_with_a_texture_of_one_hue_show_their_noise():
     positions, faces = surfaces.icosphere(6)
     at = ((positions[:, :2] + 1) / 2 * (SIDE - 1)).astype(int)
     clean = texture(GRASS)[at[:, 0], at[:, 1]]
-    noisy: Float32s = (clean + 12 / 255 * np.random.default_rng(3).standard_normal(clean.shape)).astype(
-        np.float32
-    )
-    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), noisy)
-    manifold = mesh_manifold(surface, parameters_with({"threads": 1}))
+    manifold = manifold_of(positions, faces, with_noise(clean, 12 / 255, seed=3, cut_off=False))
     assert not manifold.noise.is_shared
     assert 255 * manifold.noise.of_input == pytest.approx(12, rel=0.3)

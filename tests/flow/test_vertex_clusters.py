@@ -7,11 +7,10 @@ import pickle
 import numpy as np
 import pytest
 
-from beltrami_cli.flow.mesh_manifold import mesh_manifold
 from beltrami_cli.flow.parameters import KernelParameters
 from beltrami_cli.flow.vertex_clusters import clusters_for
 from beltrami_cli.flow.vertex_graph import Graph
-from beltrami_cli.surface.records import SampledSurface
+from flow.noisy_surfaces import manifold_of
 from oracles import surfaces
 
 RANDOM = np.random.default_rng(11)
@@ -70,9 +69,9 @@ def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
 
 def test_parts_do_not_carry_the_graph_of_the_whole():
     positions, faces = surfaces.icosphere(5)
-    colours = RANDOM.random((len(positions), 3)).astype(np.float32)
-    surface = SampledSurface(positions, faces.astype(np.int32), np.zeros((0, 3), np.int32), colours)
-    manifold = mesh_manifold(surface, KernelParameters(iterations=1))
+    manifold = manifold_of(
+        positions, faces, RANDOM.random((len(positions), 3)), KernelParameters(iterations=1)
+    )
     part = np.arange(50)
     before = len(pickle.dumps(manifold.cut(part)))
     manifold.perturbation()

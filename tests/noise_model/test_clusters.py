@@ -123,8 +123,3 @@ def test_vertices_without_noise_have_none(colours):
     graph = lattice(70, 70)
     clean = painted(graph) if colours == "painted" else colours((3, graph.size))
     assert not read(graph, clean).covariances.any()
-
-
-def test_few_vertices_are_paint():
-    graph = lattice(10, 10)
-    assert not read(graph, np.random.default_rng(0).random((3, graph.size))).covariances.any()
