@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from beltrami_cli import InputError, SmoothSettings
+from beltrami_cli import InputError, SmoothSettings, smooth
 from beltrami_cli.formats.access import EVERYTHING_INSIDE, Access
 from beltrami_cli.jobs.recolour import open_input
 from beltrami_cli.layers.settings import LevelSetSettings
@@ -27,7 +27,7 @@ def opened(path, settings=DEFAULTS, access=EVERYTHING_INSIDE):
 
 @pytest.mark.parametrize("source", ["points", "nrrd", "ply"])
 def test_colours_come_from_another_file_alike(source, tmp_path):
-    values, steps, origin = sphere(0.1)
+    values, steps, origin = sphere(np.array([0.1, 0.08, 0.1]))
     volume = write(tmp_path / "values.npz", npz(values=values, spacing=steps, origin=origin))
     points = CENTRE + directions(RANDOM.standard_normal((20000, 3)), 0)
     if source == "nrrd":  # on a grid of its own, twice as fine and turned
@@ -66,6 +66,21 @@ def test_archives_and_nrrd_files_give_the_same_mesh(tmp_path):
         np.testing.assert_array_equal(getattr(first.painted(), field), getattr(second.painted(), field))
     assert first.painted().stored == second.painted().stored == "uint8"
     assert first.facts() == second.facts()
+
+
+def test_vertices_without_a_colour_stay_white_and_do_not_count(tmp_path):
+    def partly(at):
+        return np.where(at[..., :1] > 0.3, np.nan, 0.2 + 0.1 * RANDOM.random((*at.shape[:3], 3)))
+
+    document = opened(sphere_file(tmp_path, 0.2, partly))
+    painted = document.painted()
+    bare = (painted.colours == 1).all(axis=1)
+    assert f"{bare.sum()} of {len(bare)} vertices have no colour" in document.notices[0]
+    assert painted.positions[bare, 0].min() > 0.1
+    after = smooth(painted.positions, painted.faces, painted.colours).colours
+    assert (after[bare] == 1).all()
+    assert after[~bare].max() <= 0.3
+    assert len(document.contents().offsets) - 1 > len(painted.faces)  # the surface itself has no hole
 
 
 def outward(document):

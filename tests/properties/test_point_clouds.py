@@ -10,28 +10,15 @@ from beltrami_cli.errors import UsageError
 from oracles import surfaces
 
 
-def noisy(count, seed=0, channels=3):
-    return 0.5 + 0.1 * np.random.default_rng(seed).standard_normal((count, channels))
-
-
-def strips(positions, width, seed=1):
-    """Stripes of two colours across x, with noise."""
-    return np.where(np.floor(positions[:, :1] / width) % 2 > 0, [0.8, 0.4, 0.3], [0.2, 0.5, 0.6]) + 0.05 * (
-        np.random.default_rng(seed).standard_normal((len(positions), 3))
-    )
-
-
-def scattered(count, side, seed=2):
-    """Points at random in a square."""
-    flat = np.random.default_rng(seed).uniform(0, side, (count, 2))
-    return np.column_stack([flat, np.zeros(count)])
+def noisy(count):
+    return 0.5 + 0.1 * np.random.default_rng(0).standard_normal((count, 3))
 
 
 @pytest.mark.slow
 def test_the_vertices_of_a_sphere_are_smoothed_as_with_its_faces():
     """Its triangles are found again, so only the order of sums may differ."""
     positions, faces = surfaces.icosphere(4)
-    colours = strips(positions, 0.3)
+    colours = noisy(len(positions)) + 0.2 * np.sign(np.sin(10 * positions))
     cloud = beltrami_cli.smooth(positions, None, colours)
     mesh = beltrami_cli.smooth(positions, faces, colours)
     assert cloud.cloud.triangles == len(faces)
@@ -43,7 +30,7 @@ def test_the_vertices_of_a_sphere_are_smoothed_as_with_its_faces():
 
 @pytest.mark.slow
 def test_outliers_are_counted_and_keep_their_colours():
-    surface = scattered(2000, 40)
+    surface = np.pad(np.random.default_rng(2).uniform(0, 40, (2000, 2)), ((0, 0), (0, 1)))
     strewn = np.random.default_rng(14).uniform(-300, 300, (60, 3))
     strewn[:, 2] += np.sign(strewn[:, 2]) * 20
     colours = noisy(2060)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import beltrami_cli
 from beltrami_cli._native import halo_repeats
 from beltrami_cli.flow.parameters import PRESETS, KernelParameters
 from oracles import surfaces
@@ -68,24 +67,6 @@ def test_a_cylinder_is_smoothed_across_its_seam_like_the_periodic_plane():
     difference = np.abs(cylinder - plane[:, side : 2 * side])
     assert difference.mean() < 3e-4
     assert difference.max() < 0.02
-
-
-def test_texture_and_vertex_colours_of_one_surface_agree_to_first_order():
-    texels = 64
-    positions, faces = surfaces.plane(texels, texels)
-    corner = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float) * texels - 0.5
-    corner[:, 2] = 0
-    square = textured(corner, [[0, 1, 2], [0, 2, 3]], [[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]])
-    picture = painting(texels)
-    # The window holds the whole kernel: its radius is sqrt(-4 t ln 0.01) = 4.3 texels.
-    parameters = {"metric_steps": 0, "beta": 5.0, "t": 1.0, "iterations": 2}
-    image, _ = smooth_image(square, picture, window=11, **parameters)
-    # Mean spacing of the triangulated plane is that of its edges, two of length 1 to one diagonal.
-    vertices = beltrami_cli.smooth(
-        positions, faces, picture.reshape(-1, 3), units="world", space="data", **parameters
-    ).colours.reshape(picture.shape)
-    change = np.sqrt(np.mean((image - picture) ** 2))
-    assert np.sqrt(np.mean((image - vertices) ** 2)) < 0.12 * change
 
 
 def two_charts(jump, pattern=0.0):
