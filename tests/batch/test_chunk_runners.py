@@ -10,6 +10,7 @@ import re
 import signal
 import time
 from concurrent.futures import Future
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_a_chunk_that_every_process_dies_with_fails(runner, monkeypatch):
 @pytest.mark.slow
 def test_work_that_is_given_up_ends_at_once(runner):
     answers = runner.run(CUT, Work(sleep, ()), lambda chunk: [])
-    start, before = time.monotonic(), signal.signal(signal.SIGALRM, interrupt)
+    start, before = time.monotonic(), signal.signal(signal.SIGALRM, Mock(side_effect=KeyboardInterrupt))
     signal.setitimer(signal.ITIMER_REAL, 2)
     with pytest.raises(KeyboardInterrupt):
         next(answers)
@@ -70,16 +71,10 @@ def test_work_that_is_given_up_ends_at_once(runner):
     assert time.monotonic() - start < 30
 
 
-def interrupt(*_):
-    raise KeyboardInterrupt
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="only POSIX says so before pages are written")
 def test_storage_that_is_full_is_reported(runner, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+    full = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(ProcessingError, match=r"no room for a piece in work \(No space left"):
         done(runner, Work(add, ()))
@@ -158,11 +153,8 @@ def test_the_message_names_what_failed_on_dask():
     with pytest.raises(ProcessingError, match="ModuleNotFoundError"):
         done_on_dask(Client(ModuleNotFoundError("beltrami_cli")))
 
-    def no_scheduler():
-        raise OSError("timed out")
-
     with pytest.raises(ProcessingError, match="scheduler"):
-        done_on_dask(Client(None, nthreads=no_scheduler))
+        done_on_dask(Client(None, nthreads=Mock(side_effect=OSError("timed out"))))
 
 
 @pytest.mark.parametrize("kind", [InputError, OutputError, UnpaintedError])

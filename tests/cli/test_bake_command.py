@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from beltrami_cli.formats.image import read_image, write_image
 from beltrami_cli.formats.image.picture import new_picture
 from beltrami_cli.formats.registry import open_document
-from cli.commands import SAMPLES, beltrami
+from cli.commands import SAMPLES, beltrami, copy_samples
 from cli.pictures import painted_file
 from formats.volume_files import sphere_file
 from oracles import surfaces
@@ -58,10 +58,7 @@ def test_linear_colours_of_gltf_make_the_texture_that_those_of_ply_make(sphere, 
     assert open_document(str(glb)).painted().encoding == "linear"
     seen = []
     for source in (sphere, glb):
-        textured, back = (
-            tmp_path / f"from-{source.suffix[1:]}.obj",
-            tmp_path / f"back-{source.suffix[1:]}.ply",
-        )
+        textured, back = tmp_path / f"from{source.suffix}.obj", tmp_path / f"back{source.suffix}.ply"
         beltrami("bake", source, textured, "--to", "texture")
         pixels = read_image(textured.with_suffix(".png").read_bytes(), "a.png").pixels
         assert pixels.dtype == np.uint8  # linear light has 16 bits in the file, but came from 8
@@ -93,13 +90,8 @@ def test_vertices_stay_split_only_where_a_seam_is_a_real_edge(tmp_path):
 
 
 def test_texture_coordinates_can_be_kept_if_every_texel_has_one_place(tmp_path):
-    both = tmp_path / "both.obj"
-    lines = (SAMPLES / "head-tex-clean.obj").read_text().splitlines()
-    both.write_text(
-        "\n".join(f"{line} 0.2 0.4 0.6" if line.startswith("v ") else line for line in lines) + "\n"
-    )
-    for name in ("head-tex-clean.mtl", "head-tex-clean.png"):
-        (tmp_path / name).write_bytes((SAMPLES / name).read_bytes())
+    both = copy_samples(tmp_path, "head-tex-clean.*") / "head-tex-clean.obj"
+    both.write_text(re.sub(r"(?m)^(v .*)$", r"\1 0.2 0.4 0.6", both.read_text()))
     beltrami("bake", both, tmp_path / "kept.obj", "--to", "texture", "--keep-uv")
     one = open_document(str(both)).textured("baseColor")
     other = open_document(str(tmp_path / "kept.obj")).textured("baseColor")

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.image.reading import read_image
-from beltrami_cli.formats.ply.writer import write_ply
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.layers.settings import DEFAULTS
 from beltrami_cli.layers.texture_layer import TextureLayer
-from beltrami_cli.surface.records import MeshContents
 from cli.commands import SAMPLES, beltrami, copy_samples
 from oracles import surfaces
+from small_models import ply
 
 NOISY = SAMPLES / "terrain-noisy.ply"
 CLEAN = SAMPLES / "terrain-clean.ply"
@@ -64,9 +63,8 @@ def test_the_normal_map_of_a_material_guides_its_base_colour(textured):
         errors[name] = np.mean((covered(textured, f"{name}.png") - clean) ** 2)
     assert errors["slot"] < 0.5 * errors["none"]
     # Colours as a guide are the same in a slot and in a file, but for seams: a normal map has frames of its own there.
-    assert (
-        np.mean((covered(textured, "slot.png") - covered(textured, "file.png")) ** 2) < 0.01 * errors["none"]
-    )
+    apart = covered(textured, "slot.png") - covered(textured, "file.png")
+    assert np.mean(apart**2) < 0.01 * errors["none"]
     assert (textured / "clean.png").read_bytes() == (SAMPLES / "head-tex-clean.png").read_bytes()
 
 
@@ -87,13 +85,12 @@ def test_a_property_of_the_vertices_guides_and_stays(tmp_path):
     positions, faces = surfaces.plane(24, 24)
     side = (positions[:, 0] > 12).astype(np.float32)
     colours = 0.5 + 0.1 * side[:, None] + np.random.default_rng(1).normal(0, 0.15, (len(positions), 3))
-    offsets = np.arange(0, 3 * len(faces) + 1, 3)
-    normals = np.column_stack([side, 0 * side, 1 - side]).astype(np.float32)
-    contents = MeshContents(
-        positions, faces.reshape(-1), offsets, colours.astype(np.float32), "srgb", "float32", normals=normals
-    )
+    normals = np.column_stack([side, 0 * side, 1 - side])
+    rows = np.column_stack([positions, normals, colours]).tolist()
     source, target = tmp_path / "source.ply", tmp_path / "target.ply"
-    source.write_bytes(b"".join(write_ply(contents, "source").main))
+    source.write_bytes(
+        ply("float x y z nx ny nz red green blue", rows, faces.tolist(), "binary_little_endian")
+    )
     run("smooth", source, target, "--guide", "normal", "--metric-channels", "none", "-n", 10)
     smoothed, document = painted(target).colours, open_document(str(target))
     step = smoothed[side == 1].mean(axis=0) - smoothed[side == 0].mean(axis=0)
@@ -103,12 +100,8 @@ def test_a_property_of_the_vertices_guides_and_stays(tmp_path):
 
 
 def test_channels_change_and_metric_channels_count(tmp_path):
-    names = {
-        "all": [],
-        "one": ["--channels", "r", "--metric-channels", "r,g,b"],
-        "alone": ["--channels", "r"],
-    }
-    colours = {}
+    one = ["--channels", "r"]
+    names, colours = {"all": [], "one": [*one, "--metric-channels", "r,g,b"], "alone": one}, {}
     for name, options in names.items():
         run("smooth", NOISY, tmp_path / "out.ply", *options)
         colours[name] = painted(tmp_path / "out.ply").colours
@@ -120,11 +113,8 @@ def test_channels_change_and_metric_channels_count(tmp_path):
 
 @pytest.mark.parametrize("extension", ["ply", "obj", "glb"])
 def test_vertices_move_if_that_is_asked_for_and_the_report_says_how_far(extension, tmp_path):
-    source, target, report = (
-        NOISY.with_suffix(f".{extension}"),
-        tmp_path / f"out.{extension}",
-        tmp_path / "run.json",
-    )
+    source, target = NOISY.with_suffix(f".{extension}"), tmp_path / f"out.{extension}"
+    report = tmp_path / "run.json"
     options = ("--guide", CLEAN, "--guide-beta", 5)
     run("smooth", source, target, *options)
     before = painted(source)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,16 +20,12 @@ from beltrami_cli.layers.texel_colours import dithered
 from cli.commands import SAMPLES
 from cli.commands import beltrami as run_beltrami
 from levelling.exposure_scene import ExposureScene, stored_colours
+from oracles import surfaces
 from small_models import COLOURED, ply
 
 HEAD = SAMPLES / "head-tex-clean.glb"
-
-
 PLAIN = beltrami_cli.SmoothSettings(kernel=beltrami_cli.KernelParameters())
-
-
-def beltrami(*arguments, code=0):
-    return run_beltrami(*arguments, text=True, code=code)
+beltrami = partial(run_beltrami, text=True)
 
 
 class Exposing(Painter):
@@ -117,18 +114,13 @@ def test_no_strength_is_not_said_of_the_steps(exposed, tmp_path):
 
 def photographed(path, *, exposed):
     """Write a plane of vertices with a smooth painting, of three photographs."""
-    side = 40
-    row, column = np.mgrid[:side, :side].reshape(2, -1)
+    positions, faces = surfaces.plane(40, 40)
+    column, row, _ = positions.T
     photograph = (column > 12).astype(int) + (column + row // 3 > 32)
     colours = 130 + 30 * np.sin(row / 6)[:, None] + 30 * np.cos(column / 5 + row / 9)[:, None] * [1, 0.8, 0.6]
     if exposed:
         colours = colours * np.array([[0.9, 1, 1], [1.1, 1, 0.85], [1, 0.9, 1.1]])[photograph]
-    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
-    faces = np.concatenate([
-        np.column_stack([corner, corner + 1, corner + side]),
-        np.column_stack([corner + 1, corner + side + 1, corner + side]),
-    ])  # fmt: skip
-    table = np.column_stack([row, column, 0 * row, np.rint(colours), photograph]).astype(int)
+    table = np.column_stack([positions, np.rint(colours), photograph]).astype(int)
     path.write_bytes(ply(f"{COLOURED}, int camera", table.tolist(), faces.tolist()))
     return open_document(str(path)).painted().colours
 

@@ -29,12 +29,9 @@ def scan():
     return np.concatenate([sheet, stray]), np.concatenate([colours, colours[:STRAY]]), clean
 
 
-def as_text(path, positions, colours, style="{0} {1}"):
-    lines = [
-        style.format(" ".join(map(repr, place)), " ".join(map(str, shade)))
-        for place, shade in zip(positions.tolist(), colours.tolist(), strict=True)
-    ]
-    path.write_text("".join(f"{line}\n" for line in lines))
+def as_text(path, positions, colours):
+    rows = zip(positions.tolist(), colours.tolist(), strict=True)
+    path.write_text("".join(" ".join(map(repr, [*place, *shade])) + "\n" for place, shade in rows))
     return path
 
 

@@ -13,17 +13,13 @@ from cli.pictures import painted_square, pixels, plain_image
 pytest.importorskip("embreex")
 
 
-def rendered(*arguments):
-    beltrami("render", *arguments)
-
-
 def test_colours_come_out_as_they_are_shown_whatever_the_file_stores(tmp_path):
     srgb = np.array([200, 100, 30]) / 255
     light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     ply, glb = painted_square(tmp_path / "a.ply", srgb), painted_square(tmp_path / "a.glb", light)
     png = plain_image(tmp_path / "a.png", [200, 100, 30])
     out = tmp_path / "out.png"
-    rendered(ply, glb, png, out, "--size", 50, "--no-labels")
+    beltrami("render", ply, glb, png, out, "--size", 50, "--no-labels")
     image = pixels(out)
     assert image.shape == (50, 154, 3)
     for left in (0, 52, 104):
@@ -34,8 +30,8 @@ def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     files = [SAMPLES / f"nonmanifold-{kind}.ply" for kind in ("noisy", "clean")]
     both, one = tmp_path / "both.png", tmp_path / "one.png"
     looks = ("--size", "160x120", "--view", "three-quarter", "--lit")
-    rendered(*files, both, *looks, "--crop", "auto", "--crop", "0.5,0.5,0.3")
-    rendered(files[1], one, *looks)
+    beltrami("render", *files, both, *looks, "--crop", "auto", "--crop", "0.5,0.5,0.3")
+    beltrami("render", files[1], one, *looks)
     image, alone = pixels(both), pixels(one)
     assert alone.shape == (120, 160, 3)
     strip, detail, gap = round(1.8 * 11), 79, 2
@@ -45,15 +41,15 @@ def test_views_stand_side_by_side_with_labels_details_and_one_camera(tmp_path):
     framed = (image[strip : strip + 120, 162:] != alone).any(axis=2)
     assert 0 < framed.mean() < 0.1  # nothing but the frames of the details
     stacked = tmp_path / "stacked.png"
-    rendered(*files, stacked, *looks, "--stacked", "--no-labels")
+    beltrami("render", *files, stacked, *looks, "--stacked", "--no-labels")
     assert (pixels(stacked)[122:] == alone).all()
 
 
 def test_a_turntable_goes_all_around(tmp_path):
     around, back = tmp_path / "around.png", tmp_path / "back.png"
     sample = SAMPLES / "head-clean.ply"
-    rendered(sample, around, "--turntable", 4, "--size", 64)
-    rendered(sample, back, "--view", "back", "--size", 64)
+    beltrami("render", sample, around, "--turntable", 4, "--size", 64)
+    beltrami("render", sample, back, "--view", "back", "--size", 64)
     assert (pixels(around)[:, 2 * 66 : 2 * 66 + 64] == pixels(back)).all()
     assert (pixels(around)[:, :64] != pixels(back)).any()
 

@@ -19,26 +19,15 @@ from cli.commands import SAMPLES, beltrami, colours_in
 from cli.pictures import encode, textured_square
 
 
-def reported(before, after, page):
-    beltrami("report", before, after, page)
-    return page
-
-
 @pytest.mark.parametrize("largest", [5, 40, 70, 130, 200])
 def test_changes_by_whole_numbers_are_counted_evenly(largest):
     """Each number of 255ths between two bounds occurs once: all bins within them are equally high."""
     change = np.arange(-largest, largest + 1)[:, None]
     before = np.where(change < 0, 250, 5)
     one, other = [(values / np.float32(255)).astype(np.float32) for values in (before, before + change)]
-    part = ComparedColours(
-        name="x",
-        kind="vertices",
-        index=np.arange(len(change)),
-        read=lambda rows: (one[rows], other[rows]),
-        space="data",
-    )
-    drawn = histogram([measure(part)], largest)
-    (line,) = drawn["lines"]
+    about = {"name": "x", "kind": "vertices", "index": np.arange(len(change)), "space": "data"}
+    part = ComparedColours(**about, read=lambda rows: (one[rows], other[rows]))
+    (line,) = histogram([measure(part)], largest)["lines"]
     heights = [float(point.split(",")[1]) for point in line["points"].split()]
     assert len(set(heights[2:-2])) == 1
 
@@ -47,8 +36,8 @@ def test_changes_by_whole_numbers_are_counted_evenly(largest):
 def test_a_name_that_is_no_text_is_shown_as_far_as_it_goes(tmp_path):
     knot = tmp_path / os.fsdecode(b"kn\xfft.ply")
     shutil.copy(SAMPLES / "knot-clean.ply", knot)
-    page = reported(knot, knot, tmp_path / "page.html")
-    assert "kn?t.ply" in page.read_text(encoding="utf-8")
+    beltrami("report", knot, knot, tmp_path / "page.html")
+    assert "kn?t.ply" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

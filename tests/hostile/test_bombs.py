@@ -54,10 +54,8 @@ for line in sys.stdin:
     seconds = used.ru_utime + used.ru_stime
     print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_maxrss << 10, seconds]), flush=True)
 """
-VERTICES = "\n".join(
-    [f"property float {axis}" for axis in "xyz"]
-    + [f"property uchar {name}" for name in ("red", "green", "blue")]
-)
+COLOURS = (f"property uchar {name}" for name in ("red", "green", "blue"))
+VERTICES = "\n".join([*(f"property float {axis}" for axis in "xyz"), *COLOURS])
 
 
 def ply(*lines, body=b""):
@@ -67,8 +65,8 @@ def ply(*lines, body=b""):
 
 def png(width, height, data, *chunks, colour=2):
     header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, colour, 0, 0, 0))
-    return b"".join(
-        [b"\x89PNG\r\n\x1a\n", header, *chunks, png_chunk(b"IDAT", data), png_chunk(b"IEND", b"")]
+    return (
+        b"\x89PNG\r\n\x1a\n" + header + b"".join(chunks) + png_chunk(b"IDAT", data) + png_chunk(b"IEND", b"")
     )
 
 
@@ -102,13 +100,8 @@ def primitive(**more):
 
 def painted(position, colour, *others, primitives=None, **more):
     """A glTF whose primitives are of two accessors, and maybe of others."""
-    return gltf(
-        {
-            "accessors": [position, colour, *others],
-            "meshes": [{"primitives": primitives or [primitive()]}],
-            **more,
-        }
-    )
+    meshes = [{"primitives": primitives or [primitive()]}]
+    return gltf({"accessors": [position, colour, *others], "meshes": meshes, **more})
 
 
 def buffer_of(size):
@@ -122,14 +115,8 @@ def packed_elements(count):
     tree, length = buffer_of(8), 12 * count
     packed = {"buffer": 0, "byteLength": 8, "byteStride": 12, "count": count, "mode": "ATTRIBUTES"}
     tree["buffers"].append({"byteLength": length})
-    tree["bufferViews"] = [
-        {
-            "buffer": 1,
-            "byteLength": length,
-            "byteStride": 12,
-            "extensions": {"EXT_meshopt_compression": packed},
-        }
-    ]
+    view = {"buffer": 1, "byteLength": length, "byteStride": 12}
+    tree["bufferViews"] = [{**view, "extensions": {"EXT_meshopt_compression": packed}}]
     return painted(*[accessor(count, bufferView=0)] * 2, extensionsUsed=["EXT_meshopt_compression"], **tree)
 
 
@@ -168,11 +155,9 @@ def equal_points(count):
     """A small archive of many points in one place."""
 
     def make(folder):
-        path = folder / "a.npz"
-        np.savez_compressed(
-            path, positions=np.zeros((count, 3), np.float32), intensity=np.zeros(count, np.uint8)
-        )
-        return path
+        arrays = {"positions": np.zeros((count, 3), np.float32), "intensity": np.zeros(count, np.uint8)}
+        np.savez_compressed(folder / "a.npz", **arrays)
+        return folder / "a.npz"
 
     return make
 

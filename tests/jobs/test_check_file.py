@@ -42,44 +42,25 @@ def everything(encoding):
     return build(tables, encoding, comments=["made by hand", "TextureFile a.png"]).data + b"\ntrailing"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("encoding", ENCODINGS)
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_every_other_byte_of_a_ply_file_counts(encoding, data, tmp_path):
-    before = tmp_path / "before.ply"
-    before.write_bytes(everything(encoding))
-    (tmp_path / "a.png").write_bytes(PICTURE)
-    after = halved(before, tmp_path / "after.ply")
-    assert check_files(before, after).faithful
-    assert_damage_is_found(before, after, data)
-
-
-OBJ = (
-    "# text\nmtllib m.mtl\nv 0 0 0 1 0 0\nv 1 0 0 .5 .25 1\nv 0 1 0 0 0 1 # note\nvt 0 0\n"
-    "usemtl m\ng a\nf 1/1 2/1 3/1\nl 1 2\n"
-)
+FILES = {
+    **{f"{encoding}.ply": everything(encoding) for encoding in ENCODINGS},
+    "colours.obj": b"# text\nmtllib m.mtl\nv 0 0 0 1 0 0\nv 1 0 0 .5 .25 1\nv 0 1 0 0 0 1 # note\nvt 0 0\n"
+    b"usemtl m\ng a\nf 1/1 2/1 3/1\nl 1 2\n",
+    "polypaint.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\n#MRGB ff102030ff405060ff7080a0\nf 1 2 3\n",
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("paint", ["", "polypaint"])
+@pytest.mark.parametrize("name", FILES)
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_every_other_byte_of_an_obj_file_counts(paint, data, tmp_path):
-    before = tmp_path / "before.obj"
-    text = OBJ
-    if paint:
-        text = "v 0 0 0\nv 1 0 0\nv 0 1 0\n#MRGB ff102030ff405060ff7080a0\nf 1 2 3\n"
-    before.write_text(text)
+def test_every_byte_counts_unless_it_makes_another_colour_or_spells_it_otherwise(name, data, tmp_path):
+    before = tmp_path / name
+    before.write_bytes(FILES[name])
     (tmp_path / "m.mtl").write_text("newmtl m\nmap_Kd a.png\nmap_Ks none.png\n")
     (tmp_path / "a.png").write_bytes(PICTURE)
-    after = halved(before, tmp_path / "after.obj")
+    after = halved(before, tmp_path / f"after{before.suffix}")
     assert check_files(before, after).faithful
-    assert_damage_is_found(before, after, data)
-
-
-def assert_damage_is_found(before, after, data):
-    """Damage a byte: that must be found, unless it made another colour of a colour, or spelled it otherwise."""
     good = after.read_bytes()
     at = data.draw(st.integers(0, len(good) - 1))
     new = data.draw(st.binary(max_size=2).filter(lambda new: new != good[at : at + 1]))

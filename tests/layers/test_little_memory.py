@@ -7,6 +7,7 @@ import errno
 import os
 import tracemalloc
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from beltrami_cli.formats.access import Access
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.image_surface import ImageSurface, plan_on_image
-from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings, TextureSettings
 from beltrami_cli.surface import large_arrays
 from beltrami_cli.surface.atlas import build_atlas
 from beltrami_cli.surface.records import Texture, TexturedSurface
@@ -31,11 +32,11 @@ from oracles.paintings import photograph, with_noise
 SAMPLES = Path(__file__).parents[2] / "sample_data"
 
 
-def smoothed(model, folder, memory, **options):
-    """Smooth a model into a folder; return the content of all files there, by their names."""
+def smoothed(model, folder, memory, settings=DEFAULTS):
+    """Smooth a model into a folder; return the content of all files there, by their names, and the report."""
     folder.mkdir()
-    smooth_file(model, folder / model.name, job=Job(access=Access(memory=memory)), **options)
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    report = smooth_file(model, folder / model.name, settings, Job(access=Access(memory=memory)))
+    return {path.name: path.read_bytes() for path in folder.iterdir()}, report.textures
 
 
 @pytest.fixture
@@ -69,10 +70,10 @@ def photograph_as_jpeg(tmp_path_factory):
 )
 def test_the_result_is_the_same(model, photograph_as_jpeg, tmp_path, monkeypatch, on_disk):
     source = photograph_as_jpeg if model == photograph_as_jpeg.name else SAMPLES / model
-    in_memory = smoothed(source, tmp_path / "memory", None)
+    in_memory, _ = smoothed(source, tmp_path / "memory", None)
     assert not on_disk
     monkeypatch.setattr(large_arrays, "BLOCK", 1000)
-    files = smoothed(source, tmp_path / "disk", 1 << 30)
+    files, _ = smoothed(source, tmp_path / "disk", 1 << 30)
     assert sum(on_disk) > 1 << 19  # at least the colours of 160 x 160 texels, old and new
     assert files == in_memory
 
@@ -99,15 +100,6 @@ def test_even_less_memory_is_refused_by_name(tmp_path, on_disk):
 SIDE = 4  # tiles
 
 
-def tiles_of(model, folder, memory, settings):
-    """Smooth tiles; return all files by their names, and the report."""
-    folder.mkdir()
-    report = smooth_file(model, folder / "new.obj", settings, Job(access=Access(memory=memory)))
-    files = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert len([name for name in files if name.startswith("new_skin.10")]) == SIDE * SIDE
-    return files, report.textures
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel", "noise"),
@@ -120,10 +112,11 @@ def tiles_of(model, folder, memory, settings):
 def test_many_tiles_have_the_same_result(tmp_path, monkeypatch, on_disk, kernel, noise):
     model = tiled_model(tmp_path / "in", size=SIDE)
     settings = SmoothSettings(dataclasses.replace(kernel, noise=noise))
-    whole = tiles_of(model, tmp_path / "whole", None, settings)
+    whole = smoothed(model, tmp_path / "whole", None, settings)
+    assert len([name for name in whole[0] if "skin.10" in name]) == SIDE * SIDE
     assert not on_disk
     memory = 120_000  # bytes, for 37,000 texels
-    assert tiles_of(model, tmp_path / "little", memory, settings) == whole
+    assert smoothed(model, tmp_path / "little", memory, settings) == whole
     assert sum(on_disk) > memory
 
 
@@ -133,30 +126,23 @@ def test_a_map_of_noise_is_for_one_tile_whose_result_memory_does_not_change(tmp_
     noise.write_bytes(encode(deviations.astype(np.uint8), "png"))
     settings = dataclasses.replace(GIVEN, kernel=dataclasses.replace(GIVEN.kernel, noise=str(noise)))
     with pytest.raises(UsageError, match=r"is the noise of one of 16 textures; choose it by --texture"):
-        tiles_of(model, tmp_path / "all", None, settings)
+        smoothed(model, tmp_path / "all", None, settings)
     monkeypatch.setattr(large_arrays, "SMALLEST", 1)
     one = dataclasses.replace(settings, textures=TextureSettings(names=("skin.1023.png",)))
-    results = []
-    for memory in (None, 50_000):
-        folder = tmp_path / f"one{memory}"
-        folder.mkdir()
-        smooth_file(model, folder / "new.obj", one, Job(access=Access(memory=memory)))
-        results.append({path.name: path.read_bytes() for path in folder.iterdir()})
-    assert results[0] == results[1]
-    assert results[0]["new_skin.1023.png"] != (tmp_path / "in" / "skin.1023.png").read_bytes()
+    files, report = smoothed(model, tmp_path / "one", None, one)
+    assert smoothed(model, tmp_path / "little", 50_000, one) == (files, report)
+    assert files["model_skin.1023.png"] != (tmp_path / "in" / "skin.1023.png").read_bytes()
 
 
 def test_tiles_that_do_not_fit_are_refused_by_name(tmp_path):
     model = tiled_model(tmp_path / "in", size=3)
     with pytest.raises(InputError, match=r"^skin.10\d\d.png: its 48 x 48 pixels .* raise --max-memory$"):
-        tiles_of(model, tmp_path / "out", 30_000, GIVEN)
+        smoothed(model, tmp_path / "out", 30_000, GIVEN)
     assert not list((tmp_path / "out").iterdir())
 
 
 def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, on_disk):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
+    full = Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(
         ProcessingError, match=r"no room for \d+ MB of working space \(No space left on device\)"

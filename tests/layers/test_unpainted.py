@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import re
+from functools import partial
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from beltrami_cli.errors import InputError, UnpaintedError
 from beltrami_cli.formats.registry import open_bytes, open_document
 from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.smooth import smooth_file
-from beltrami_cli.layers.settings import SmoothSettings, TextureSettings
+from beltrami_cli.layers.settings import SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
 from beltrami_cli.view.views import view_of
+from formats.image_files import encode
 from hostile.textured_models import PICTURE, write_model
 from small_models import COLOURED, ply
 
@@ -50,11 +50,8 @@ def test_vertex_colours_are_not_denied_where_textures_are_asked_for(tmp_path):
 def test_slots_that_are_asked_for_and_empty_are_mentioned(tmp_path):
     model = write_model(tmp_path, "gltf", "skin.png")
     (tmp_path / "skin.png").write_bytes(PICTURE)
-    settings = SmoothSettings(textures=TextureSettings(slots=("baseColor", "normal")))
-    assert (
-        "it has no normal textures"
-        in smooth_file(model, tmp_path / "o" / "m.gltf", settings, job=Job(dry_run=True)).warnings
-    )
+    done = smooth_file(model, tmp_path / "o.gltf", job=Job(dry_run=True), slots=("baseColor", "normal"))
+    assert "it has no normal textures" in done.warnings
 
 
 def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe():
@@ -62,31 +59,19 @@ def test_what_is_known_by_its_name_only_does_not_come_through_a_pipe():
         open_bytes(OBJ.encode(), "<stdin>", None)
 
 
-def encoded(pixels, mode=None):
-    buffer = io.BytesIO()
-    picture = Image.fromarray(pixels)
-    (picture if mode is None else picture.convert(mode)).save(buffer, "PNG")
-    return buffer.getvalue()
-
-
 def test_a_texture_that_cannot_be_seen_is_distinguished_from_one_that_is_not_covered(tmp_path):
     model = write_model(tmp_path, "obj", "skin.png")
     noise = np.random.default_rng(1).integers(0, 256, (32, 32, 4), np.uint8)
     noise[..., 3] = 0
-    (tmp_path / "skin.png").write_bytes(encoded(noise))
-    (reported,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
+    (tmp_path / "skin.png").write_bytes(encode(noise, "png"))
+    dry = partial(smooth_file, model, tmp_path / "o.obj", job=Job(dry_run=True))
+    (reported,) = dry().warnings
     assert reported.endswith("nothing was changed; --alpha smooth counts them, too")
-    smoothed = smooth_file(
-        model,
-        tmp_path / "o.obj",
-        SmoothSettings(textures=TextureSettings(alpha="smooth")),
-        job=Job(dry_run=True),
-    )
-    assert not any("--alpha smooth" in warning for warning in smoothed.warnings)
+    assert not any("--alpha smooth" in warning for warning in dry(alpha="smooth").warnings)
     noise[..., 3] = 255
-    (tmp_path / "skin.png").write_bytes(encoded(noise))
+    (tmp_path / "skin.png").write_bytes(encode(noise, "png"))
     model.write_text(re.sub(r"vt .*", "vt 0.5 0.5", model.read_text()))
-    (reported,) = smooth_file(model, tmp_path / "o.obj", job=Job(dry_run=True)).warnings
+    (reported,) = dry().warnings
     assert reported.endswith("`smooth --unwrap` makes a new atlas")
 
 

@@ -21,12 +21,10 @@ from beltrami_cli.levelling.steps import ChartPlaces, Steps, steps_over_seams, w
 from cli.commands import SAMPLES
 from levelling.exposure_scene import ExposureScene, fall
 
-HEAD, SPHERE = SAMPLES / "head-tex-clean.glb", SAMPLES / "sphere-exr-clean.obj"
-
 
 @pytest.fixture(scope="module")
 def head():
-    return ExposureScene.of(HEAD)
+    return ExposureScene.of(SAMPLES / "head-tex-clean.glb")
 
 
 @pytest.mark.slow
@@ -44,21 +42,16 @@ def test_known_exposures_are_taken_out_by_half_or_whole_and_the_mean_stays(head)
     [
         ("head-tex-clean.glb", {"clipped": True}, 8),
         ("head-tex-clean.glb", {"fall_off": True}, 8),
+        ("head-tex-clean.glb", {"in_light": True}, 20),
         ("torus-two-clean.gltf", {}, 12),  # two charts are enough
+        # A fall-off that channels share: what charts with noise, or six charts, show of it in each is too little.
+        ("head-tex-noisy.glb", {"fall_off": True}, 10),
+        ("sphere-exr-clean.obj", {"fall_off": True}, 9),
     ],
 )
 def test_known_exposures_of_each_kind_are_taken_out(name, kind, least):
     scene = ExposureScene.of(SAMPLES / name)
     truth, exposed = scene.exposed(1, **kind)
-    assert fall(exposed, scene.levelled(exposed)[0], truth) >= least
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "least"), [("head-tex-noisy.glb", 10), ("sphere-exr-clean.obj", 9)])
-def test_a_fall_off_that_channels_share_is_found_in_noise_and_on_few_charts(name, least):
-    """What charts with noise of 20/255, or six charts, show of it in each channel is too little by itself."""
-    scene = ExposureScene.of(SAMPLES / name)
-    truth, exposed = scene.exposed(1, fall_off=True)
     assert fall(exposed, scene.levelled(exposed)[0], truth) >= least
 
 
@@ -267,16 +260,9 @@ def test_white_beside_what_was_brighter_than_full_scale_becomes_as_bright():
     assert np.abs(found[:, 1] - found[:, 0]).max() < 2 / 255
 
 
-@pytest.mark.slow
-def test_gains_of_light_are_taken_out_of_display_values(head):
-    truth, exposed = head.exposed(1, in_light=True)
-    assert fall(exposed, head.levelled(exposed)[0], truth) >= 20
-
-
 def test_steps_are_measured_at_the_seam_without_the_slope_of_the_colours(head):
     # The head's painting is continuous, and slopes on both sides of its seams.
     atlas = head.samples.atlas
     steps = steps_over_seams(atlas, painted(atlas, head.truth.astype(np.float32), 1), ChartPlaces.of(atlas))
-    assert (
-        weighted_median(np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1), steps.counts) < 1 / 255
-    )
+    sizes = np.abs(steps.colours[:, 1] - steps.colours[:, 0]).max(axis=1)
+    assert weighted_median(sizes, steps.counts) < 1 / 255
