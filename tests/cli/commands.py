@@ -50,6 +50,11 @@ def beltrami(*arguments, code=0, stdin=b"", cwd=None, env=None, text=False):
     return subprocess.CompletedProcess(arguments, ended.value.code, *said)
 
 
+def run_command(*arguments, **options):
+    """Run a command in a process of its own; return how it ended and what it said."""
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, check=False, **options)
+
+
 def command(name):
     """Return a command of the group, as click has it."""
     return group.get_command(click.Context(group), name)

@@ -11,7 +11,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import OpenImageIO
 import pytest
 
 from beltrami_cli.errors import InputError, UsageError
@@ -22,7 +21,7 @@ from beltrami_cli.jobs.compare.files import compare_files
 from beltrami_cli.jobs.job import Limits, NoiseSettings
 from beltrami_cli.jobs.noise import noise_file
 from cli.commands import COMMAND, SAMPLES, beltrami
-from formats.image_files import encode
+from formats.image_files import encode, stored
 from formats.volume_files import sphere_file
 from jobs.cut_boards import CHART, SIDE, painted, write_board
 
@@ -76,8 +75,7 @@ def test_one_wrong_vertex_is_found_and_counts_by_its_area(tmp_path):
 
 def test_texels_that_faces_look_up_around_charts_have_figures_of_their_own(tmp_path):
     one, other = board(tmp_path / "a.obj"), board(tmp_path / "b.obj")
-    file = OpenImageIO.ImageInput.open(str(one.with_suffix(".png")))
-    pixels = file.read_image("uint16")
+    pixels = stored(one.with_suffix(".png"))
     equal = compare_files(one, other).overall["around_charts"]
     assert equal["psnr"] is None
     assert equal["worst"] == 0
@@ -113,9 +111,8 @@ def test_the_exit_code_and_each_broken_limit_are_reported():
     kept = beltrami("compare", CLEAN, NOISY, "--min-psnr", 20, "--max-seam-jump", 40)
     assert kept.stdout.startswith(b"part ")
     assert b"worst sample" in kept.stdout
-    broken = beltrami(
-        "compare", CLEAN, NOISY, "--min-psnr", 25, "--max-delta-e", 50, "--max-seam-jump", 2, "-q", code=1
-    )
+    limits = ("--min-psnr", 25, "--max-delta-e", 50, "--max-seam-jump", 2)
+    broken = beltrami("compare", CLEAN, NOISY, *limits, "-q", code=1)
     assert broken.stdout == b""
     assert [line.split()[3] for line in broken.stderr.splitlines()[:1]] == [b"skin:"]
     assert len(broken.stderr.splitlines()) == 2
@@ -123,18 +120,13 @@ def test_the_exit_code_and_each_broken_limit_are_reported():
 
 def test_json_and_map(tmp_path):
     drawn = tmp_path / "map.png"
-    run = beltrami(
-        "compare", CLEAN, NOISY, "--json", "--map", drawn, "--max-delta-e", 1, "--min-ssim", 0.1, code=1
-    )
+    limits = ("--max-delta-e", 1, "--min-ssim", 0.1)
+    run = beltrami("compare", CLEAN, NOISY, "--json", "--map", drawn, *limits, code=1)
     compared = json.loads(run.stdout)
     assert set(compared["parts"][0]) == {"name", "kind", "identical", *compared["overall"]}
-    assert [(limit["limit"], limit["kept"]) for limit in compared["limits"]] == [
-        ("min_ssim", True),
-        ("max_delta_e", False),
-        ("max_move", True),
-    ]
-    file = OpenImageIO.ImageInput.open(str(drawn))
-    pixels = file.read_image("uint8").astype(int)
+    kept = {limit["limit"]: limit["kept"] for limit in compared["limits"]}
+    assert kept == {"min_ssim": True, "max_delta_e": False, "max_move": True}
+    pixels = stored(drawn).astype(int)
     assert pixels.shape == (416, 416, 3)
     coloured = np.ptp(pixels, axis=2) > 0
     assert np.count_nonzero(coloured) == pytest.approx(compared["overall"]["samples"], rel=0.01)
@@ -170,10 +162,9 @@ def test_where_no_seam_is_nothing_jumps_and_a_seam_that_cannot_be_measured_is_no
 def test_the_makefile_of_the_page_passes_good_results_and_fails_on_bad_ones(tmp_path):
     (block,) = re.findall(r"```make\n(.*?)```", (DOCS / "ci.md").read_text(), re.DOTALL)
     (tmp_path / "Makefile").write_text(block)
-    for folder in ("incoming", "reference"):
+    for folder, kind in (("incoming", "noisy"), ("reference", "clean")):
         (tmp_path / folder).mkdir()
-    shutil.copy(SAMPLES / "knot-clean.ply", tmp_path / "reference" / "knot.ply")
-    shutil.copy(SAMPLES / "knot-noisy.ply", tmp_path / "incoming" / "knot.ply")
+        shutil.copy(SAMPLES / f"knot-{kind}.ply", tmp_path / folder / "knot.ply")
 
     def make(limits):
         variables = [f"BELTRAMI={shlex.join(COMMAND)}", f"LIMITS={limits}"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import resource
-import subprocess
 from contextlib import nullcontext
 
 import numpy as np
@@ -15,7 +14,7 @@ from beltrami_cli.errors import InputError
 from beltrami_cli.fields import show_size, size_in
 from beltrami_cli.jobs import job, smooth
 from beltrami_cli.jobs.job import default_memory, limited_memory
-from cli.commands import COMMAND, beltrami
+from cli.commands import beltrami, run_command
 from formats.tile_files import tiled_model
 from formats.volume_files import npz
 
@@ -98,10 +97,7 @@ def test_a_surface_too_large_for_the_memory_is_refused_and_does_not_end_the_proc
 @pytest.mark.slow
 def test_models_are_drawn_in_little_memory(tmp_path):
     """Not so little that Embree cannot start its threads, at which it crashes."""
-    model = tiled_model(tmp_path / "in", size=1)
-    picture = tmp_path / "look.png"
-    run = subprocess.run(
-        [*COMMAND, "render", model, picture, "--max-memory", "64M"], capture_output=True, check=False
-    )
+    model, picture = tiled_model(tmp_path / "in", size=1), tmp_path / "look.png"
+    run = run_command("render", model, picture, "--max-memory", "64M")
     assert run.returncode == 0, run.stderr
     assert picture.exists()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import subprocess
 from functools import partial
 
 import pytest
@@ -15,7 +14,7 @@ from beltrami_cli.fields import override, parameters
 from beltrami_cli.jobs.job import BakeSettings, Limits, NoiseSettings
 from beltrami_cli.layers.settings import DEFAULTS, SmoothSettings
 from beltrami_cli.view.settings import RenderSettings
-from cli.commands import COMMAND, SAMPLES, beltrami, command
+from cli.commands import SAMPLES, beltrami, command, run_command
 
 NOISY = SAMPLES / "terrain-noisy.ply"
 RECORDS = {
@@ -136,10 +135,8 @@ def test_overrides_reach_the_records_within_and_leave_the_rest_to_be_chosen():
 @pytest.mark.slow
 @pytest.mark.parametrize(("flags", "traceback"), [(["-v"], False), (["-v", "--verbose"], True)])
 def test_an_unexpected_error_ends_in_one_line_and_the_traceback_on_demand(flags, traceback, tmp_path):
-    arguments = [*COMMAND, "smooth", str(SAMPLES / "mirrored-noisy.obj"), str(tmp_path / "out.obj"), *flags]
-    run = subprocess.run(
-        arguments, env={**os.environ, "BELTRAMI_SIMD": "foo"}, capture_output=True, check=False
-    )
+    words = ("smooth", SAMPLES / "mirrored-noisy.obj", tmp_path / "out.obj", *flags)
+    run = run_command(*words, env={**os.environ, "BELTRAMI_SIMD": "foo"})
     assert run.returncode == 1
     *before, last = run.stderr.decode().splitlines()
     assert last.startswith("beltrami: unexpected error: ")

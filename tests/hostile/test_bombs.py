@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from beltrami_cli.formats.usd.layers import layer_from
-from cli.commands import COMMAND, refused
+from cli.commands import refused, run_command
 from formats.image_files import encode, png_chunk
 from hostile.textured_models import PICTURE, write_model
 
@@ -297,8 +297,7 @@ def test_bombs_are_refused_in_one_line_and_little_memory(bomb, measured, tmp_pat
 @pytest.mark.slow
 def test_a_large_image_is_smoothed_where_there_is_room(tmp_path):
     model = with_texture(PICTURE)(tmp_path)
-    arguments = [*COMMAND, "smooth", str(model), str(tmp_path / "out.ply"), "--max-memory", LIMIT]
-    assert subprocess.run(arguments, check=False).returncode == 0
+    assert run_command("smooth", model, tmp_path / "out.ply", "--max-memory", LIMIT).returncode == 0
 
 
 # The largest that is read; there are no pixels behind the header, so decoding would say "damaged".

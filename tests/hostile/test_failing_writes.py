@@ -16,7 +16,7 @@ from beltrami_cli.errors import OutputError
 from beltrami_cli.formats.document import Written
 from beltrami_cli.jobs import replacing
 from beltrami_cli.jobs.output import Output
-from cli.commands import COMMAND, SAMPLES, refused
+from cli.commands import COMMAND, SAMPLES, refused, run_command
 from formats.image_files import encode
 from hostile.folders import snapshot
 from small_models import COLOURED, ply
@@ -88,9 +88,8 @@ CODES = (errno.EACCES, errno.EIO, errno.ENOSPC)
     [(call, old, CODES[(n + old) % 3]) for n, call in enumerate(CALLS) for old in (False, True)],
 )
 def test_a_system_call_that_fails_once(call, has_old, code, tmp_path, monkeypatch, caplog):
-    for folder, expected, finished in attempts(
-        tmp_path, monkeypatch, call, code, has_old=has_old, for_good=False
-    ):
+    runs = attempts(tmp_path, monkeypatch, call, code, has_old=has_old, for_good=False)
+    for folder, expected, finished in runs:
         after, stay = snapshot(folder), temporary_files(folder)
         assert {path: content for path, content in after.items() if path not in stay} == expected, folder
         assert call == "unlink" or not stay
@@ -167,8 +166,7 @@ def run_with_small_files(most, folder, *arguments):
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
-    command = [*COMMAND, *map(str, arguments)]
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, preexec_fn=limit)
+    run = run_command(*arguments, cwd=folder, text=True, preexec_fn=limit)
     assert run.stderr.count("\n") == 1, run.stderr
     assert "cannot be written" in run.stderr
     return run.returncode
@@ -226,16 +224,10 @@ def test_a_folder_that_must_not_be_written_to(tmp_path):
     ],
 )
 def test_without_a_folder_for_temporary_files(words, tmp_path, monkeypatch):
-    (tmp_path / "model.ply").write_bytes(
-        ply(COLOURED, [[0, 0, 0, 9, 9, 9], [1, 0, 0, 9, 8, 7], [0, 1, 0, 1, 2, 3]], [[0, 1, 2]])
-    )
-    (tmp_path / "photo.png").write_bytes(
-        encode(np.random.default_rng(1).integers(0, 256, (300, 300, 3), np.uint8), "png")
-    )
+    rows = [[0, 0, 0, 9, 9, 9], [1, 0, 0, 9, 8, 7], [0, 1, 0, 1, 2, 3]]
+    (tmp_path / "model.ply").write_bytes(ply(COLOURED, rows, [[0, 1, 2]]))
+    photo = np.random.default_rng(1).integers(0, 256, (300, 300, 3), np.uint8)
+    (tmp_path / "photo.png").write_bytes(encode(photo, "png"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
-    refused(
-        tmp_path,
-        *words.split(),
-        code=1,
-        said="temporary files cannot be written (No such file or directory); ",
-    )
+    said = "temporary files cannot be written (No such file or directory); "
+    refused(tmp_path, *words.split(), code=1, said=said)

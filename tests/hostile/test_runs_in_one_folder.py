@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from unittest.mock import Mock
 
 import pytest
 
@@ -62,10 +63,8 @@ except OutputError as error:
 
 def end_together(processes):
     for process in processes:
-        assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
     for process in processes:
-        assert process.stdin is not None
         process.stdin.write("go\n")
         process.stdin.flush()
     errors = [process.communicate(timeout=60)[1] for process in processes]
@@ -136,11 +135,8 @@ def test_of_two_batches_one_says_done(tmp_path):
 @pytest.mark.parametrize("links", [True, False])
 def test_a_name_that_is_taken_at_the_last_moment_is_left_alone(links, tmp_path, monkeypatch):
     if not links:
-
-        def link(*_, **__):
-            raise OSError(errno.EOPNOTSUPP, "Operation not supported")
-
-        monkeypatch.setattr(os, "link", link)
+        unsupported = OSError(errno.EOPNOTSUPP, "Operation not supported")
+        monkeypatch.setattr(os, "link", Mock(side_effect=unsupported))
     output = Output(str(tmp_path / "out.obj"), overwrite=False)
     (tmp_path / "out.obj").write_text("precious")
     with pytest.raises(OutputError, match=r"out\.obj: exists already"):
@@ -172,7 +168,6 @@ def test_the_next_run_removes_what_a_killed_one_left_and_not_what_a_live_one_use
     with subprocess.Popen(
         [sys.executable, "-P", "-c", STAGING, str(target)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
         used = leftovers(tmp_path)
         assert len(used) == 4  # a journal, and a file for each of three
@@ -198,13 +193,8 @@ def test_a_journal_of_another_user_is_left_alone(tmp_path):
 
 
 def test_files_that_only_look_like_temporary_ones_stay(tmp_path):
-    names = {
-        ".out.ply.mine.tmp",
-        ".beltrami-mine.tmp",
-        ".beltrami-0123456789ab.0.tmp",
-        "beltrami-0123456789ab.tmp",
-    }
-    for name in names:
+    stem = "beltrami-0123456789ab"
+    for name in (".out.ply.mine.tmp", ".beltrami-mine.tmp", f".{stem}.0.tmp", f"{stem}.tmp"):
         (tmp_path / name).touch()
     (tmp_path / ".beltrami-00000000000a.tmp").mkdir()
     (tmp_path / ".beltrami-00000000000b.tmp").symlink_to(".out.ply.mine.tmp")
