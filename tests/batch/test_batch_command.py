@@ -261,10 +261,8 @@ def test_noise_is_added_as_alone_and_another_kind_is_another_job(scans, tmp_path
 def test_files_in_manifests_lie_beside_them(scans, tmp_path):
     count = len(open_document(str(scans / "a.ply")).painted().positions)
     np.save(scans / "sigma.npy", np.full(count, 0.05, np.float32))
-    (scans / "jobs.toml").write_text(
-        '[[files]]\ninput = "a.ply"\nnoise = "sigma.npy"\nn = 1\nt = 0.5\nbeta = 8\n'
-    )
-    batch(scans / "jobs.toml", "--out-dir", tmp_path / "out", cwd=tmp_path)
+    (scans / "jobs.toml").write_text('[[files]]\ninput = "a.ply"\nnoise = "sigma.npy"\n')
+    batch(scans / "jobs.toml", "--out-dir", tmp_path / "out", *QUICK, cwd=tmp_path)
     (line,) = lines_of(tmp_path / "out" / "batch.jsonl")
     assert line["report"]["vertices"]["noise"]["red"] == pytest.approx(0.05)
     assert str(scans / "sigma.npy") in line["read"]

@@ -137,17 +137,13 @@ def test_files_at_urls_are_made_with_what_lies_beside_them(tmp_path):
             group.main(list(map(str, words)), standalone_mode=False)
             assert [line["status"] for line in lines_of(report)] == [status] * 2
         found = {name: memory.cat_file(name) for name in memory.find("/beltrami/out")}
-        assert found == {
-            f"/beltrami/out/deep/{name}": data for name, data in files_in(tmp_path / "out").items()
-        }
+        expected = files_in(tmp_path / "out")
+        assert found == {f"/beltrami/out/deep/{name}": data for name, data in expected.items()}
 
         memory.pipe_file("/beltrami/in/deep/skin.png", (SAMPLES / "mirrored-clean.png").read_bytes())
         group.main(list(map(str, words)), standalone_mode=False)
         lines = {line["input"].rsplit("/", 1)[1]: line for line in lines_of(report)}
-        assert {name: line["status"] for name, line in lines.items()} == {
-            "a.ply": "skipped",
-            "model.obj": "done",
-        }
+        assert (lines["a.ply"]["status"], lines["model.obj"]["status"]) == ("skipped", "done")
         assert "memory:///beltrami/in/deep/skin.png" in lines["model.obj"]["read"]
     memory.rm("/beltrami", recursive=True)
 

@@ -15,12 +15,8 @@ import pytest
 from cli.commands import COMMAND, SAMPLES
 from hostile.textured_models import write_model
 
-PAGE = Path(__file__).parents[2] / "docs" / "batch.md"
-SECTION = (
-    PAGE.read_text(encoding="utf-8")
-    .partition("\n## From the shell, and with make\n")[2]
-    .partition("\n## ")[0]
-)
+PAGE = (Path(__file__).parents[2] / "docs" / "batch.md").read_text(encoding="utf-8")
+SECTION = PAGE.partition("\n## From the shell, and with make\n")[2].partition("\n## ")[0]
 [SHELL], [MAKEFILE] = (re.findall(rf"```{kind}\n(.*?)```", SECTION, re.DOTALL) for kind in ("sh", "make"))
 # Variables of the environment make it quick; on the command line nothing is changed.
 QUICK = {"ITERATIONS": "1", "TIME_STEP": "0.5", "BETA_GROWTH": "1", "METRIC_STEPS": "0"}

@@ -41,9 +41,7 @@ def plain_image(path, colour, size=40):
 
 
 def painted_file(path, positions, faces, colours, alpha=None, stored="uint8"):
-    offsets = np.arange(0, 3 * len(faces) + 1, 3)
-    contents = MeshContents(
-        positions, faces.ravel(), offsets, colours.astype(np.float32), "srgb", stored, alpha
-    )
+    offsets, colours = np.arange(0, 3 * len(faces) + 1, 3), colours.astype(np.float32)
+    contents = MeshContents(positions, faces.ravel(), offsets, colours, "srgb", stored, alpha)
     path.write_bytes(b"".join(bytes(piece) for piece in write_ply(contents, path.stem).main))
     return path

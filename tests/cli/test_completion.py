@@ -29,9 +29,7 @@ def test_shells_complete_what_is_typed(shell, typed, offered):
     asked = {"COMP_WORDS": f"beltrami {typed}", "COMP_CWORD": last}
     answer = beltrami(env={"_BELTRAMI_COMPLETE": f"{shell}_complete", **asked}, text=True).stdout
     assert offered in answer
-    assert (
-        len(re.findall(r"^plain\b", answer, re.MULTILINE)) == 1
-    )  # of other kinds the shell itself offers more
+    assert len(re.findall(r"^plain\b", answer, re.MULTILINE)) == 1  # to other kinds shells add files
 
 
 @pytest.mark.parametrize("shell", SHELLS)

@@ -88,9 +88,7 @@ def test_a_property_of_the_vertices_guides_and_stays(tmp_path):
     normals = np.column_stack([side, 0 * side, 1 - side])
     rows = np.column_stack([positions, normals, colours]).tolist()
     source, target = tmp_path / "source.ply", tmp_path / "target.ply"
-    source.write_bytes(
-        ply("float x y z nx ny nz red green blue", rows, faces.tolist(), "binary_little_endian")
-    )
+    source.write_bytes(ply("float x y z nx ny nz red green blue", rows, faces.tolist()))
     run("smooth", source, target, "--guide", "normal", "--metric-channels", "none", "-n", 10)
     smoothed, document = painted(target).colours, open_document(str(target))
     step = smoothed[side == 1].mean(axis=0) - smoothed[side == 0].mean(axis=0)

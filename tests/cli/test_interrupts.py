@@ -68,9 +68,7 @@ def inputs(tmp_path_factory):
 # Up to 3 s: a command starts, loads its modules, and starts processes that load theirs.
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="/proc lists the processes")
-@pytest.mark.parametrize(
-    ("step", "number"), list(zip(STEPS, itertools.cycle([signal.SIGINT, signal.SIGTERM])))
-)
+@pytest.mark.parametrize(("step", "number"), [*zip(STEPS, itertools.cycle([signal.SIGINT, signal.SIGTERM]))])
 def test_an_interruption_ends_soon_and_leaves_no_file_and_no_process(step, number, inputs, tmp_path):
     words, place, expected = STEPS[step]
     (source,) = (word for word in words if word.startswith("in."))

@@ -39,7 +39,7 @@ def test_of_a_list_in_parts_none_is_dropped(option):
     with pytest.raises(UsageError, match=f"{option} is given 2 times; give one list, with commas"):
         values_of("smooth", option, "normal", f"{option}=emissive")
     values_of(
-        "smooth", option, "normal,emissive", "--beta", "2", "--beta", "3", "--guide", "a", "--guide", "b"
+        "smooth", option, "normal,emissive", *["--beta", "2", "--beta", "3", "--guide", "a", "--guide", "b"]
     )
 
 
@@ -82,9 +82,7 @@ def test_files_that_parameters_name_are_guarded_and_named_by_users_only(declared
     assert declared.is_deliberate(str(path))
 
 
-@pytest.mark.parametrize(
-    "record", [SmoothSettings, BakeSettings, RenderSettings, Limits], ids=lambda each: each.__name__
-)
+@pytest.mark.parametrize("record", [SmoothSettings, BakeSettings, RenderSettings, Limits])
 def test_options_that_are_not_given_make_the_record_as_it_is_by_default(record):
     name = next(name for name, made in RECORDS.items() if isinstance(made, record))
     make = options.settings_from if record is SmoothSettings else partial(options.record_from, record)

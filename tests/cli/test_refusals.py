@@ -27,15 +27,9 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("inputs")
     hollow = np.zeros(VERTICES)
     hollow[7] = np.inf
-    arrays = {
-        "odd": np.zeros((3, 3)),
-        "hollow": hollow,
-        "words": np.array(["a"] * VERTICES),
-        "damaged": hollow,
-    }
-    for name, array in arrays.items():
+    for name, array in {"odd": np.zeros((3, 3)), "hollow": hollow, "words": np.full(VERTICES, "a")}.items():
         np.save(path / f"{name}.npy", array)
-    (path / "damaged.npy").write_bytes((path / "damaged.npy").read_bytes()[:-9])
+    (path / "damaged.npy").write_bytes((path / "hollow.npy").read_bytes()[:-9])
     np.savez(path / "many.npz", one=np.zeros(VERTICES), two=np.zeros(VERTICES))
     painted_file(path / "points.ply", np.eye(3), np.zeros((0, 3), int), np.eye(3))
     numbers = np.random.default_rng(0).integers(0, 256, (9, 7))

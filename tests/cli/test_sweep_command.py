@@ -23,9 +23,8 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
     text = page.read_text()
     trials = json.loads(re.search(r'id="trials">(.*?)</script>', text, re.DOTALL)[1])
     assert trials[0]["parameters"] == {}
-    swept = [
-        tuple(trial["parameters"].get(name) for name in ("beta", "n", "metric steps")) for trial in trials
-    ]
+    names = ("beta", "n", "metric steps")
+    swept = [tuple(trial["parameters"].get(name) for name in names) for trial in trials]
     assert sorted(swept[1:]) == [(4, 1, 1), (4, 3, 1), (12, 1, 1), (12, 3, 1)]
     assert text.count("data:image/png;base64,") == 7  # with the reference, the input and the default
     assert not re.search(r'(src|href)="(?!data:)', text)  # nothing is fetched
@@ -44,13 +43,12 @@ def test_a_page_has_all_combinations_with_the_figures_of_smooth_and_compare(tmp_
 def test_figures_alone_are_those_of_compare_without_files_in_between(name, tmp_path):
     table, source = tmp_path / "table.csv", SAMPLES / name
     reference = SAMPLES / name.replace("noisy", "clean")
-    beltrami(
-        "sweep", source, table, "--format", "csv", "-n", "1,2", "-t", 1, "--beta", 5, "--reference", reference
-    )
+    fixed = ("-t", 1, "--beta", 5)
+    beltrami("sweep", source, table, "--format", "csv", "-n", "1,2", *fixed, "--reference", reference)
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["n"] for row in rows] == ["", "1", "2"]
     smooth = tmp_path / name
-    beltrami("smooth", source, smooth, "-n", 2, "-t", 1, "--beta", 5)
+    beltrami("smooth", source, smooth, "-n", 2, *fixed)
     overall = json.loads(beltrami("compare", reference, smooth, "--json").stdout)["overall"]
     assert float(rows[2]["psnr"]) == pytest.approx(overall["psnr"])
     assert float(rows[2]["delta_e"]) == pytest.approx(overall["delta_e"]["mean"])

@@ -53,9 +53,8 @@ def wavy_surface(side, seed=0):
     """Vertices in an order without meaning, with edges of many lengths, walls, and a fin of three sheets."""
     random = np.random.default_rng(seed)
     flat, faces = surfaces.lattice(side, side)
-    positions = np.column_stack(
-        [flat[:, :2] + 0.2 * random.standard_normal((len(flat), 2)), 3 * np.sin(flat[:, 0] / 7)]
-    )
+    shaken = flat[:, :2] + 0.2 * random.standard_normal((len(flat), 2))
+    positions = np.column_stack([shaken, 3 * np.sin(flat[:, 0] / 7)])
     positions[:, 0] *= np.exp(flat[:, 1] / side)
     colours = 0.5 + 0.5 * (flat[:, :1] > side / 2) + 20 / 255 * random.standard_normal((len(flat), 3))
     last = len(positions)
@@ -70,12 +69,8 @@ def wavy_surface(side, seed=0):
     colours = np.vstack([colours, colours[foot[doubles, 0]] + 0.3])
     order = random.permutation(len(positions))
     rank = np.argsort(order).astype(np.int32)
-    return SampledSurface(
-        np.ascontiguousarray(positions[order]),
-        rank[np.vstack([faces, fin])],
-        rank[walls],
-        colours[order].clip(0, 1).astype(np.float32),
-    )
+    colours = colours[order].clip(0, 1).astype(np.float32)
+    return SampledSurface(positions[order], rank[np.vstack([faces, fin])], rank[walls], colours)
 
 
 SURFACE = wavy_surface(94)

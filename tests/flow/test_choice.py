@@ -172,24 +172,15 @@ def test_samples_hold_their_share_of_rare_detail():
     for seed in range(8):
         colours = np.full((len(positions), 3), 0.5)
         colours[rare] += 0.3 * np.sign(np.sin(40 * positions[rare]))
-        colours = (colours + 0.02 * np.random.default_rng(seed).standard_normal(colours.shape)).astype(
-            np.float32
-        )
+        colours = with_noise(colours, 0.02, seed, cut_off=False)
         chosen = mesh_trial.choose_patches(colours, mesh_trial.fingerprints(colours, edges), edges)
         assert 0.4 * rare.mean() < rare[chosen.samples[chosen.scored]].mean() < 1.8 * rare.mean()
 
 
-@pytest.mark.parametrize(
-    ("fast", "given"),
-    [
-        *(
-            (True, given)
-            for given in ({}, {"t": 3.0}, {"beta": 9.0}, {"beta_growth": 1.3}, {"metric_steps": 2})
-        ),
-        (True, {"iterations": 2}),
-        (False, {"iterations": 2}),
-    ],
-)
+GIVEN = {}, {"t": 3.0}, {"beta": 9.0}, {"beta_growth": 1.3}, {"metric_steps": 2}, {"iterations": 2}
+
+
+@pytest.mark.parametrize(("fast", "given"), [*((True, given) for given in GIVEN), (False, {"iterations": 2})])
 def test_what_is_given_is_kept_and_what_is_reported_was_used(fast, given):
     """The flow gives the same when it is given all that was chosen."""
     image = noisy(shapes(48))
@@ -231,10 +222,6 @@ def noise(width, shape, seed=0):
     return drawn / drawn.std()
 
 
-def rms(change):
-    return float(np.sqrt(np.mean(np.square(change))))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "sigma", "channels", "fast"), [(0, 8, 1, False), (0, 20, 3, True), (1.0, 12, 3, False)]
@@ -243,9 +230,8 @@ def test_stronger_changes_images_more(width, sigma, channels, fast):
     clean = photograph(SIZE, contrast=0.08)[..., :channels]
     noisy = np.clip(clean + sigma / 255 * noise(width, clean.shape), 0, 1).astype(np.float32)
     strengths = sorted({**STRENGTHS, "less": 0.85, "more": 1.25}.values())
-    changes = [
-        rms(beltrami_cli.smooth_image(noisy, strength=each, fast=fast).colours - noisy) for each in strengths
-    ]
+    smoothed = [beltrami_cli.smooth_image(noisy, strength=each, fast=fast).colours for each in strengths]
+    changes = [float(np.sqrt(np.mean(np.square(colours - noisy)))) for colours in smoothed]
     assert changes == sorted(changes)
     normal = changes[strengths.index(1)]
     assert changes[0] < normal
@@ -268,7 +254,6 @@ def test_the_command_takes_words_and_numbers(tmp_path):
     made = {}
     for strength in ("gentle", 0.7, 0.85):
         made[strength] = tmp_path / f"{strength}.ply"
-        beltrami(
-            "smooth", SAMPLES / "nonmanifold-noisy.ply", made[strength], "--strength", strength, "--fast"
-        )
+        words = (SAMPLES / "nonmanifold-noisy.ply", made[strength], "--fast")
+        beltrami("smooth", *words, "--strength", strength)
     assert made["gentle"].read_bytes() == made[0.7].read_bytes() != made[0.85].read_bytes()

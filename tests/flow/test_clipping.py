@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from beltrami_cli import _native, smooth, smooth_image
-from beltrami_cli.flow.clipping import (
-    ClippedChannels,
-    find_clipped,
-    variance_of_clipped,
-)
+from beltrami_cli.flow.clipping import ClippedChannels, find_clipped, variance_of_clipped
 from oracles import surfaces
 
 SIGMA = 0.08
@@ -66,10 +62,8 @@ def test_the_true_value_follows_from_mean_and_share_of_a_censored_normal():
 
 @pytest.mark.parametrize("in_rows", [False, True])
 def test_what_was_cut_off_is_told_by_the_formulas_in_any_layout_on_any_number_of_threads(in_rows):
-    random, found = (
-        np.random.default_rng(4),
-        ClippedChannels((True, False), (True, True), np.array([0.1, 0.05])),
-    )
+    random = np.random.default_rng(4)
+    found = ClippedChannels((True, False), (True, True), np.array([0.1, 0.05]))
     shape = (20_000, 2) if in_rows else (2, 20_000)
     noisy, means, estimate, share = random.uniform(-0.2, 1.2, (4, *shape)).astype(np.float32).clip(0, 1)
     relative = random.uniform(0.3, 3, 20_000).astype(np.float32)
@@ -105,10 +99,8 @@ def test_one_row_is_restored_as_it_is_among_others():
     """As of the last block of rows; NumPy sets steps along an axis of one sample to anything."""
     random = np.random.default_rng(5)
     colours = random.uniform(0, 0.1, (1, 7, 40)).astype(np.float32)
-    marks, relative = (
-        random.random((1, 7, 40), np.float32),
-        random.uniform(0.5, 2, (7, 40)).astype(np.float32),
-    )
+    marks = random.random((1, 7, 40), np.float32)
+    relative = random.uniform(0.5, 2, (7, 40)).astype(np.float32)
     clipped = ClippedChannels((True,), (False,), np.array([0.05]))
     whole, row = colours.copy(), colours[:, 6:].copy()
     clipped.restore(whole, marks, relative)
@@ -153,9 +145,8 @@ def test_the_variance_that_a_limit_leaves_follows_from_the_share_there():
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 300))
 @settings(max_examples=100, deadline=None)
 def test_limits_are_those_of_all_rows(seed, channels, count):
-    colours = (
-        np.random.default_rng(seed).choice([0, 0.25, 1, 1.5, -0.5], (count, channels)).astype(np.float32)
-    )
+    values = np.float32([0, 0.25, 1, 1.5, -0.5])
+    colours = np.random.default_rng(seed).choice(values, (count, channels))
     for channel, (least, most, at_0, at_1) in zip(colours.T, _native.find_limits(colours), strict=True):
         assert (least, most) == (channel.min(), channel.max())
         assert (at_0, at_1) == ((channel == 0).sum(), (channel == 1).sum())

@@ -41,9 +41,8 @@ def test_one_sample_changes_nothing_far_from_it(on, encoding, value):
     single[5, 6, 1] = value
     far = np.ones((SIDE, SIDE), bool)
     far[:24, :24] = False  # beyond kernels, patches and means of light around the sample
-    errors = [
-        np.sqrt(np.mean(np.square((smoothed(own, on, encoding) - truth)[far]))) for own in (noisy, single)
-    ]
+    off = (smoothed(own, on, encoding) - truth for own in (noisy, single))
+    errors = [np.sqrt(np.mean(np.square(each[far]))) for each in off]
     assert errors[0] < SIGMA / 2
     assert errors[1] < 1.5 * errors[0]  # the hue of a large one may take part
 

@@ -68,9 +68,8 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
     noisy, probe, *estimates = RANDOM.uniform(-0.2, 1.2, (6, 3, count)).astype(np.float32)
     relative = RANDOM.uniform(0.3, 3, (1, count)).astype(np.float32)
     sigma = clipped.sigma[:, None] * np.sqrt(relative.astype(np.float64))
-    p, q, near_p, near_q = (
-        clipped_mean_and_share(own.astype(np.float64), sigma, clipped)[0] for own in estimates
-    )
+    estimates64 = [own.astype(np.float64) for own in estimates]
+    p, q, near_p, near_q = (clipped_mean_and_share(own, sigma, clipped)[0] for own in estimates64)
     within = clipped_mean_and_share((estimates[0] + estimates[1]) / 2.0, sigma, clipped)[1]
     z = noisy.copy()
     z[[0, 2]] = np.maximum(z[[0, 2]], 0)
@@ -94,9 +93,8 @@ def test_terms_of_the_blend_are_those_of_the_closed_form(in_rows):
     # in units of sigma; each term is a sum of a dozen such values and their roundings, times differences below 2.
     np.testing.assert_allclose(found[0][0], slope.sum(axis=0), atol=2e-5)
     np.testing.assert_allclose(found[0][1], np.square(change).sum(axis=0), atol=2e-5)
-    np.testing.assert_allclose(
-        shares[0], clipped_mean_and_share(estimates[0].astype(np.float64), sigma, clipped)[1], atol=2e-5
-    )
+    _, expected = clipped_mean_and_share(estimates64[0], sigma, clipped)
+    np.testing.assert_allclose(shares[0], expected, atol=2e-5)
 
 
 @pytest.mark.slow
@@ -114,9 +112,8 @@ def test_channels_without_noise_stay_and_do_not_stop_the_others():
     clean = photograph(64)
     constant = np.full((64, 64, 1), 0.37)
     stripes = (np.arange(64) // 8 % 2 * np.ones((64, 1)))[..., None]
-    noisy = np.dstack([with_noise(clean, SIGMA), constant, stripes, np.ones_like(constant)]).astype(
-        np.float32
-    )
+    others = (constant, stripes, np.ones_like(constant))
+    noisy = np.dstack([with_noise(clean, SIGMA), *others]).astype(np.float32)
     result = smooth_image(noisy)
     # What float32 needs on the diagonal of a system is noise of this order, a fortieth of a step of 8 bits.
     np.testing.assert_allclose(result.colours[..., 3:], noisy[..., 3:], atol=1e-4)

@@ -47,9 +47,8 @@ def test_clusters_are_joined_where_their_samples_are(sphere):
     found = sphere.clustered(members, centres)
     wanted = {(min(a, b), max(a, b)) for a, b in members[sphere.edges].tolist() if a != b}
     assert {tuple(pair) for pair in found.edges.tolist()} == wanted
-    np.testing.assert_allclose(
-        found.positions[members[0]], sphere.positions[members == members[0]].mean(axis=0)
-    )
+    mean = sphere.positions[members == members[0]].mean(axis=0)
+    np.testing.assert_allclose(found.positions[members[0]], mean)
 
 
 def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
@@ -69,9 +68,8 @@ def test_a_change_of_all_clusters_is_that_of_all_samples(sphere):
 
 def test_parts_do_not_carry_the_graph_of_the_whole():
     positions, faces = surfaces.icosphere(5)
-    manifold = manifold_of(
-        positions, faces, RANDOM.random((len(positions), 3)), KernelParameters(iterations=1)
-    )
+    colours = RANDOM.random((len(positions), 3))
+    manifold = manifold_of(positions, faces, colours, KernelParameters(iterations=1))
     part = np.arange(50)
     before = len(pickle.dumps(manifold.cut(part)))
     manifold.perturbation()

@@ -32,9 +32,8 @@ class Ending:
         self.at, self.number, self.steps = at, number, 0
 
     def __call__(self, event, arguments):
-        writes = (
-            event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)
-        )
+        flags = arguments[2] if event == "open" and isinstance(arguments[2], int) else 0
+        writes = flags & (os.O_WRONLY | os.O_RDWR)
         if event in STEPS or (writes and str(arguments[0]) != os.devnull):
             self.steps += 1
             if self.steps == self.at:
@@ -116,10 +115,8 @@ def load(modules):
 
 def comparable(folder):
     """Return a snapshot without what reports say, in which times differ from run to run."""
-    return {
-        path: (mode, "report.json" not in path and content)
-        for path, (mode, content) in snapshot(folder).items()
-    }
+    found = snapshot(folder)
+    return {path: (mode, "report.json" not in path and content) for path, (mode, content) in found.items()}
 
 
 def main(source, target, number, arguments):

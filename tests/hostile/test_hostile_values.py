@@ -157,21 +157,12 @@ def test_texts_of_manifests(suffix, tmp_path):
         assert hostile(tmp_path, "batch", f"jobs{suffix}", "--out-dir", "out") in (2, 3)
 
 
-@pytest.mark.parametrize(
-    "address",
-    [
-        "",
-        "x",
-        "tcp://",
-        "tcp://x:99999999",
-        "tcp://[::",
-        "no.json",
-        "run.json",
-        "a\nb",
-        "\udcff",
-        "inproc://x",
-    ],
-)
+ADDRESSES = [
+    "", "x", "tcp://", "tcp://x:99999999", "tcp://[::", "no.json", "run.json", "a\nb", "\udcff", "inproc://x",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("address", ADDRESSES)
 def test_addresses_of_schedulers(address, tmp_path):
     (tmp_path / "run.json").write_text("[1]")
     assert hostile(tmp_path, "batch", *ARGUMENTS["batch"], "--scheduler", address) == 1

@@ -75,6 +75,11 @@ def test_a_run_after_one_that_was_killed_writes_the_same_files_under_the_same_na
     assert ended_at_every_step(folder, signal.SIGKILL, target, [*command, "-n", "1"]) >= 7
 
 
+def run_python(program, *arguments):
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
 def ended_at_every_step(folder, number, target, command=()):
     """Check what a signal leaves at each step of a command, and return how many there are."""
     script = Path(__file__).with_name("interrupting.py")
@@ -132,13 +137,7 @@ for at in range(1, 500):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_signal_at_any_line_of_the_command(number):
-    run = subprocess.run(
-        [sys.executable, "-c", AT_A_LINE, str(int(number))],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
+    run = run_python(AT_A_LINE, str(int(number)))
     codes = [int(code) for code in run.stdout.split()]
     assert len(codes) > 30
     assert set(codes) <= {0, 128 + number, -number}
@@ -179,9 +178,7 @@ command.group.main = work
 sys.argv = ["beltrami"]
 command.main()
 """
-    run = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=10
-    )
+    run = run_python(program)
     assert run.returncode == 128 + signal.SIGTERM
     assert run.stderr == "beltrami: interrupted; files are as they were, or complete\n"
 
@@ -227,8 +224,7 @@ for number in sorted(signal.valid_signals() - {signal.SIGKILL, *stops, *faults})
 
 @pytest.mark.slow
 def test_every_signal_that_ends_a_process_and_can_be_caught_ends_the_command_in_one_line():
-    run = subprocess.run([sys.executable, "-c", EVERY_SIGNAL], capture_output=True, check=True, timeout=120)
-    found = run.stdout.decode().splitlines()
+    found = run_python(EVERY_SIGNAL).stdout.splitlines()
     numbers = [int(line.partition(" ")[0]) for line in found]
     said = b"beltrami: interrupted; files are as they were, or complete\n"
     assert found == [f"{number} {(128 + number, said)} {(0, b'')}" for number in numbers]

@@ -70,9 +70,8 @@ def test_a_model_of_any_name_is_whole_and_finds_its_files(stem, tmp_path):
         (tmp_path / kind / "skin.png").write_bytes(PICTURE)
         _smoothed(source, tmp_path / f"{kind} out" / f"{stem}.{kind}")
     _smoothed(tmp_path / "mesh.ply", tmp_path / "converted" / f"{stem}.gltf")
-    _smoothed(
-        tmp_path / "mesh.ply", tmp_path / "laid out" / f"{stem}.obj", "--unwrap", "--texture-size", "64"
-    )
+    unwrapped = ("--unwrap", "--texture-size", "64")
+    _smoothed(tmp_path / "mesh.ply", tmp_path / "laid out" / f"{stem}.obj", *unwrapped)
 
 
 def _smoothed(source, target, *options):

@@ -15,9 +15,7 @@ from beltrami_cli.fields import parameters
 from beltrami_cli.flow.parameters import KernelParameters
 
 # What Blender's Python has; os, shutil and subprocess run the program and nothing else.
-MAY_IMPORT = {
-    "bpy", "json", "numpy", "os", "pathlib", "re", "shutil", "subprocess", "tempfile",
-}  # fmt: skip
+MAY_IMPORT = {"bpy", "json", "numpy", "os", "pathlib", "re", "shutil", "subprocess", "tempfile"}
 
 
 @pytest.fixture
@@ -56,11 +54,9 @@ def test_parameters_are_those_that_the_program_declares(archive):
     found = {each["name"]: each for each in about["parameters"]}
     for declared in parameters(KernelParameters):
         if declared.flags:
-            assert found[declared.name]["help"].startswith(declared.help)
-            assert (found[declared.name]["low"], found[declared.name]["high"]) == (
-                declared.low,
-                declared.high,
-            )
+            own = found[declared.name]
+            assert own["help"].startswith(declared.help)
+            assert (own["low"], own["high"]) == (declared.low, declared.high)
     assert {"space", "alpha", "gutter"} <= found.keys()
     assert not {"on", "image_suffix", "height", "guides"} & found.keys()
 

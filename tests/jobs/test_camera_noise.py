@@ -59,10 +59,8 @@ def test_a_camera_without_noise_demosaics_bilinearly(tmp_path):
     light = srgb_to_linear(image / 65535)
     masks = np.zeros((3, 40, 30))
     masks[0, ::2, ::2] = masks[2, 1::2, 1::2] = masks[1, ::2, 1::2] = masks[1, 1::2, ::2] = 1
-    corner, cross = (
-        np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4,
-        np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4,
-    )
+    corner = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
+    cross = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
     expected = [convolve(light[..., k] * masks[k], cross if k == 1 else corner) for k in range(3)]
     inner = np.s_[1:-1, 1:-1]
     made = light_of_file(tmp_path / "b.png")[inner]
@@ -95,11 +93,8 @@ def test_grain_has_its_deviation_everywhere_and_reaches_as_far_as_its_size(tmp_p
 @pytest.mark.parametrize("kind", ["gaussian", "grain"])
 def test_around_a_chart_is_the_noise_that_lies_there_across_the_seam(kind, tmp_path):
     image = np.full((48, 48, 3), 30000, np.uint16)
-    board, settings = (
-        write_board(tmp_path / "b.obj", image),
-        NoiseSettings(0.1, kind, size=6 if kind == "grain" else 2),
-    )
-    noise_file(board, tmp_path / "n.obj", settings)
+    settings = NoiseSettings(0.1, kind, size=6 if kind == "grain" else 2)
+    noise_file(write_board(tmp_path / "b.obj", image), tmp_path / "n.obj", settings)
     change = (stored(tmp_path / "n.png").astype(int) - 30000) / 6553.5
     inside = slice(FIRST, FIRST + CHART)
     left, right = change[inside, :STRIDE], change[inside, STRIDE:]

@@ -101,6 +101,10 @@ def sample_as_text(name, folder):
     return before
 
 
+def accessors_of_colours(tree):
+    return {each["attributes"].get("COLOR_0") for mesh in tree["meshes"] for each in mesh["primitives"]}
+
+
 def another(value):
     """Return another value of the same kind, if it is text or a number."""
     if isinstance(value, str):
@@ -132,9 +136,7 @@ def test_every_member_of_a_gltf_counts(name, tmp_path):
         except (InputError, UsageError):
             continue
     # How buffers are called and how long they are counts by their content; as does where colours are.
-    colours = {
-        primitive["attributes"].get("COLOR_0") for mesh in tree["meshes"] for primitive in mesh["primitives"]
-    }
+    colours = accessors_of_colours(tree)
     views = {tree["accessors"][index].get("bufferView") for index in colours - {None}}
     assert [
         place
@@ -157,10 +159,7 @@ def test_bytes_behind_accessors_count(tmp_path):
         at = 28 + json_length + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         after.write_bytes(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
         report = check_files(source, after)
-        is_colour = any(
-            p["attributes"].get("COLOR_0") == index for m in tree["meshes"] for p in m["primitives"]
-        )
-        assert report.faithful == is_colour
+        assert report.faithful == (index in accessors_of_colours(tree))
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])

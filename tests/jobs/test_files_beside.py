@@ -64,9 +64,8 @@ def test_a_name_in_other_capitals_or_accents_is_pointed_out(kind, named, there, 
         pytest.skip("this file system takes them for one name")
     with pytest.raises(InputError, match="is missing") as caught:
         smooth_file(path, tmp_path / f"o.{kind}")
-    assert f"(there is '{there}', but capitals and accents count); keep the model's files" in str(
-        caught.value
-    )
+    said = f"(there is '{there}', but capitals and accents count); keep the model's files"
+    assert said in str(caught.value)
 
 
 def test_names_beyond_a_link_are_not_given_away(tmp_path):
@@ -92,11 +91,10 @@ def test_tiles_are_not_called_missing(kind, tmp_path):
         smooth_file(write_model(tmp_path, kind, "skin.<UDIM>.png"), tmp_path / f"o.{kind}")
 
 
-@pytest.mark.parametrize(
-    "targets",
-    [*([f"one.{kind}", f"other.{kind}"] for kind in KINDS), [f"model.{kind}" for kind in KINDS]],
-    ids=" ".join,
-)
+PAIRS = ([f"one.{kind}", f"other.{kind}"] for kind in KINDS)
+
+
+@pytest.mark.parametrize("targets", [*PAIRS, [f"model.{kind}" for kind in KINDS]], ids=" ".join)
 def test_models_whose_files_have_one_name_go_to_one_folder(targets, tmp_path):
     out = tmp_path / "out"
     sources = {
@@ -162,11 +160,8 @@ def test_new_textures_do_not_replace_those_of_another_file(tmp_path):
     reports = [bake_file(ply, tmp_path / name, "texture", job=job) for name in ("scan.obj", "scan.ply")]
     reports.append(smooth_file(ply, tmp_path / "scan.gltf", job=job, unwrap=BakeSettings()))
     assert ["another model" in " ".join(report.warnings) for report in reports] == [False, True, True]
-    assert [texture(tmp_path / f"scan.{kind}").name for kind in KINDS] == [
-        "scan.png",
-        "scan-2.png",
-        "scan-3.png",
-    ]
+    names = [texture(tmp_path / f"scan.{kind}").name for kind in KINDS]
+    assert names == ["scan.png", "scan-2.png", "scan-3.png"]
 
 
 @pytest.mark.parametrize("kind", KINDS)

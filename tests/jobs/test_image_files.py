@@ -9,7 +9,6 @@ from beltrami_cli import (
     ImageSettings,
     KernelParameters,
     SmoothSettings,
-    TextureSettings,
     UsageError,
     smooth_file,
     smooth_image,
@@ -43,9 +42,8 @@ def pixels_of(kind, channels, seed=0):
 
 def save(path, pixels, known=None, kind=None, **attributes):
     known = known or next(k for k, suffix in (SUFFIXES | RARER_SUFFIXES).items() if suffix == path.suffix)
-    path.write_bytes(
-        encode(pixels, known, kind or str(pixels.dtype).replace("float32", "float"), **attributes)
-    )
+    kind = kind or str(pixels.dtype).replace("float32", "float")
+    path.write_bytes(encode(pixels, known, kind, **attributes))
     return path
 
 
@@ -96,14 +94,12 @@ def test_floats_are_linear_light_that_is_smoothed_as_the_eye_sees_it(tmp_path):
 @pytest.mark.slow
 def test_another_extension_converts_and_says_what_is_lost(tmp_path):
     source = save(tmp_path / "a.png", pixels_of("uint16", 4))
-    report = smooth_file(
-        source, tmp_path / "b.jpg", SmoothSettings(textures=TextureSettings(jpeg_quality=90))
-    )
+    report = smooth_file(source, tmp_path / "b.jpg", jpeg_quality=90)
     assert load(tmp_path / "b.jpg").stored == "uint8"
     assert report.format == "jpg"
     assert any("no alpha" in warning for warning in report.warnings)
     small = tmp_path / "c.jpg"
-    smooth_file(source, small, SmoothSettings(textures=TextureSettings(jpeg_quality=20)))
+    smooth_file(source, small, jpeg_quality=20)
     assert small.stat().st_size < (tmp_path / "b.jpg").stat().st_size
     smooth_file(source, tmp_path / "d.exr", SmoothSettings(KernelParameters(iterations=0)))
     assert load(tmp_path / "d.exr").encoding == "linear"
@@ -204,8 +200,7 @@ def test_a_height_may_be_one_channel_of_many_or_grey_in_three(tmp_path):
         results.append(load(tmp_path / f"{name}.png").pixels)
     np.testing.assert_array_equal(results[1], results[2])
     seen = render[..., 3] > 0
-    border = np.s_[
-        :, :9
-    ]  # from column 19 on pixels are hidden, and two kernels with their metrics reach 10 columns
+    # From column 19 on pixels are hidden, and two kernels with their metrics reach 10 columns.
+    border = np.s_[:, :9]
     assert seen[border].all()
     np.testing.assert_array_equal(results[0][border], results[1][border])

@@ -32,10 +32,7 @@ KERNELS = {
     "paper": SmoothSettings(KernelParameters(**PRESETS["paper"])),
     "gauss": SmoothSettings(KernelParameters(iterations=1, beta=0.0)),
 }
-OF_VERTICES = {
-    **KERNELS,
-    "area": SmoothSettings(KernelParameters(iterations=1, weights="area", clipping="keep")),
-}
+AREA = SmoothSettings(KernelParameters(iterations=1, weights="area", clipping="keep"))
 
 
 RANGE = b"obj_info num_cols 14\nobj_info num_rows 11\n"
@@ -111,7 +108,7 @@ def pixel_colour(path, facts):
 @pytest.mark.parametrize(
     ("name", "at", "settings", "colour", "tolerance"),
     [
-        *(("mesh.ply", "64", as_data(each), vertex_colour, 1e-6) for each in OF_VERTICES.values()),
+        *(("mesh.ply", "64", as_data(each), vertex_colour, 1e-6) for each in (*KERNELS.values(), AREA)),
         *(("range.ply", "64", as_data(each), vertex_colour, 1e-6) for each in KERNELS.values()),
         *(("image.exr", "18,11", as_data(each), pixel_colour, 1e-6) for each in KERNELS.values()),
         *(("image.exr", "39,0", as_data(each), pixel_colour, 1e-6) for each in KERNELS.values()),  # window is cut
@@ -150,11 +147,7 @@ def test_a_kernel_that_is_cut_short_says_so(tmp_path):
     assert not kernel_of(HEAD, "1234", tmp_path).cut_short
 
 
-@pytest.mark.parametrize(
-    ("source", "at"),
-    [(HEAD, "1234"), (TEXTURED, "0.3,0.3"), (PICTURE, "100,300")],
-    ids=["vertex", "texel", "pixel"],
-)
+@pytest.mark.parametrize(("source", "at"), [(HEAD, "1234"), (TEXTURED, "0.3,0.3"), (PICTURE, "100,300")])
 def test_weights_are_the_kernel_of_the_distances(source, at, tmp_path):
     settings = SmoothSettings(KernelParameters(t=1.7, threshold=0.05))
     facts = kernel_of(source, at, tmp_path, settings)

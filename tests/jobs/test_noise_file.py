@@ -21,10 +21,8 @@ ERRORS = 4
 
 
 def noisy(level, kind, sigma=SIGMA, count=40_000):
-    colours = np.full((count, 3), level, np.float32)
-    return add_noise(NoiseTargets(colours, np.arange(count)), NoiseSettings(sigma, kind, seed=5)).astype(
-        float
-    )
+    targets = NoiseTargets(np.full((count, 3), level, np.float32), np.arange(count))
+    return add_noise(targets, NoiseSettings(sigma, kind, seed=5)).astype(float)
 
 
 @pytest.mark.parametrize(
@@ -172,10 +170,8 @@ def test_that_jpeg_takes_noise_away_is_said(tmp_path):
     for target, reported in (("a.jpg", 1), ("a.png", 0)):
         warnings = noise_file(jpeg, tmp_path / target, NoiseSettings(SIGMA)).warnings
         assert sum("takes some of the noise away" in warning for warning in warnings) == reported
-    assert any(
-        "--texture-format" in w
-        for w in noise_file(SAMPLES / "scan-clean.glb", tmp_path / "a.glb", NoiseSettings(SIGMA)).warnings
-    )
+    of_texture = noise_file(SAMPLES / "scan-clean.glb", tmp_path / "a.glb", NoiseSettings(SIGMA))
+    assert any("--texture-format" in warning for warning in of_texture.warnings)
 
 
 def test_warnings_name_the_file(tmp_path):

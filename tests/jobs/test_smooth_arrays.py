@@ -64,9 +64,8 @@ def test_integer_colours_are_taken_by_the_full_scale_of_their_type(kind):
     floats = beltrami_cli.smooth(POSITIONS, FACES, COLOURS / 255, beta=3, iterations=2)
     assert result.colours.dtype == kind
     # Half a step from rounding, and a few units in the last place of float32.
-    assert (
-        np.abs(result.colours / np.iinfo(kind).max - floats.colours).max() <= 0.5 / np.iinfo(kind).max + 1e-6
-    )
+    most = np.iinfo(kind).max
+    assert np.abs(result.colours / most - floats.colours).max() <= 0.5 / most + 1e-6
     assert not np.allclose(floats.colours, COLOURS / 255, atol=1e-6)
 
 
@@ -115,9 +114,8 @@ def as_open3d(faces, colours):
 def as_pyvista(faces, colours):
     padded = [] if faces is None else np.insert(faces, 0, 3, axis=1).ravel()
     tables = {"Normals": SPHERE, "other": 255 - colours, "RGBA": colours}
-    return SimpleNamespace(
-        points=SPHERE, faces=padded, n_strips=0, active_scalars_name="RGBA", point_data=tables
-    )
+    named = {"active_scalars_name": "RGBA", "point_data": tables}
+    return SimpleNamespace(points=SPHERE, faces=padded, n_strips=0, **named)
 
 
 @pytest.mark.parametrize("convert", [as_trimesh, as_open3d, as_pyvista])

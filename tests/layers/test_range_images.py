@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
-from beltrami_cli import (
-    InputError,
-    KernelParameters,
-    SmoothSettings,
-    UsageError,
-    inspect_file,
-    smooth_file,
-    smooth_image,
-)
+from beltrami_cli import InputError, UsageError, inspect_file, smooth_file, smooth_image
 from beltrami_cli.formats.ply.document import PlyDocument
 from beltrami_cli.formats.registry import open_document
 from beltrami_cli.jobs.job import Job
@@ -77,6 +71,7 @@ CAMERA = (
     "element camera 1\nproperty float view_px\nproperty int viewportx\nproperty int viewporty\n",
     np.float32(0).tobytes() + np.array([COLUMNS, ROWS], "<i4").tobytes(),
 )
+ONE_FACE = b"element face 1\nproperty list uchar int vertex_indices\n"
 FILES = {
     "range_grid": stanford(),
     "camera": organised(CAMERA),
@@ -97,14 +92,12 @@ def test_a_range_image_is_smoothed_like_the_image_at_its_positions(data, tmp_pat
     source, target = tmp_path / "a.ply", tmp_path / "b.ply"
     source.write_bytes(data)
     kernel = {"iterations": 5, "t": 2.4, "beta": 9, "beta_growth": 2.0, "metric_steps": 2}
-    report = smooth_file(source, target, SmoothSettings(KernelParameters(**kernel)))
+    report = smooth_file(source, target, **kernel)
     places, colours, measured = scene()
     expected = smooth_image(colours, surface=ImageSurface(positions=places, valid=measured), **kernel).colours
-    rounded = expected / 255
-    assert (
-        np.abs(colours_on_grid(target) - rounded)[measured].max() < 1.5 / 255
-    )  # halves may round either way
-    assert np.abs(colours_on_grid(target) - rounded)[measured].mean() < 1e-4
+    apart = np.abs(colours_on_grid(target) - expected / 255)[measured]
+    assert apart.max() < 1.5 / 255  # halves may round either way
+    assert apart.mean() < 1e-4
     assert report.vertices.counts["samples"] == np.count_nonzero(measured)
     assert report.vertices.spacing > 0
 
@@ -122,7 +115,7 @@ def test_only_colours_of_what_was_measured_change(tmp_path):
         assert (changed % 15 >= 12).all()  # of 15 bytes of a vertex the last three
         if number == 1:
             assert scene()[2].ravel()[changed // 15].all()
-        smooth_file(source, target, SmoothSettings(KernelParameters(iterations=0)), job=Job(overwrite=True))
+        smooth_file(source, target, iterations=0, job=Job(overwrite=True))
         assert target.read_bytes() == data
 
 
@@ -133,11 +126,8 @@ def test_only_colours_of_what_was_measured_change(tmp_path):
         organised(f"comment width {COLUMNS}\ncomment height {ROWS + 1}\n"),
         organised("comment width 9\n"),
         b"ply\nformat ascii 1.0\nelement range_grid 1\nproperty list uchar int vertex_indices\nend_header\n0\n",
-        FILES["obj_info"].replace(
-            b"end_header\n", b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        )
-        + b"\3"
-        + np.array([0, 1, 2], "<i4").tobytes(),
+        FILES["obj_info"].replace(b"end_header\n", ONE_FACE + b"end_header\n")
+        + struct.pack("<B3i", 3, 0, 1, 2),
     ],
     ids=["no size", "too high", "no height", "no vertices", "faces count more"],
 )
@@ -148,10 +138,7 @@ def test_without_a_grid_of_the_right_size_vertices_are_no_image(data):
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (
-            stanford(rows=ROWS + 1),
-            "range_grid has 520 places, but obj_info num_cols and num_rows say 26 and 21",
-        ),
+        (stanford(rows=ROWS + 1), "520 places, but obj_info num_cols and num_rows say 26 and 21"),
         (stanford(listed=np.full(ROWS * COLUMNS, 3)), "a vertex at several places"),
         (stanford(listed=np.full(ROWS * COLUMNS, 9999)), "vertices that are not there"),
     ],
@@ -165,7 +152,7 @@ def test_damaged_grids_are_refused(data, said, tmp_path):
 def test_what_is_not_done_on_grids_is_refused_and_info_describes_them(tmp_path):
     (tmp_path / "a.ply").write_bytes(FILES["camera"])
     with pytest.raises(UsageError, match="--weights: not on range images"):
-        smooth_file(tmp_path / "a.ply", tmp_path / "b.ply", SmoothSettings(KernelParameters(weights="area")))
+        smooth_file(tmp_path / "a.ply", tmp_path / "b.ply", weights="area")
     facts = inspect_file(tmp_path / "a.ply")
     assert facts["surface"]["range_image"] == [COLUMNS, ROWS]
     assert facts["surface"]["holes"] == np.count_nonzero(~scene()[2])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import OpenImageIO
 import pytest
 
 import beltrami_cli
@@ -14,7 +13,7 @@ from beltrami_cli.jobs.job import Job
 from beltrami_cli.jobs.kernel import kernel_file
 from beltrami_cli.jobs.smooth import smooth_file
 from beltrami_cli.layers.settings import ImageSettings, SmoothSettings
-from formats.image_files import encode
+from formats.image_files import encode, stored
 from hostile.textured_models import PICTURE
 from oracles import surfaces
 
@@ -61,14 +60,10 @@ def test_positions_rounded_as_coarsely_as_vertices_lie_are_told(kind, tmp_path):
     (said,) = (text for text in report.warnings if "rounded to steps" in text)
     assert said.startswith("Positions are rounded to steps of 0.5 in single precision, ")
     assert said in inspect_file(coarse, SETTINGS)["notices"]
-    for placed in (
-        lambda x: northing + x,
-        lambda x: float(np.float32(x)),
-        lambda x: float(np.float32(1000 + x)),
-    ):
-        report = smooth_file(
-            obj(tmp_path, 0.02, kind, placed), tmp_path / "out.obj", SETTINGS, job=Job(overwrite=True)
-        )
+    job = Job(overwrite=True)
+    for offset, precision in ((northing, np.float64), (0, np.float32), (1000, np.float32)):
+        fine = obj(tmp_path, 0.02, kind, lambda x: float(precision(offset + x)))  # noqa: B023
+        report = smooth_file(fine, tmp_path / "out.obj", SETTINGS, job=job)
         assert not [text for text in report.warnings if "rounded" in text]
 
 
@@ -85,24 +80,18 @@ def test_arrays_and_clouds_that_cannot_be_measured_are_refused(scale):
 
 def test_a_map_of_positions_is_judged_by_what_most_of_it_is_like(tmp_path):
     y, x = np.mgrid[:20, :24].astype(np.float32)
-    (tmp_path / "photo.png").write_bytes(
-        encode(np.random.default_rng(5).integers(0, 256, (20, 24, 3), np.uint8), "png")
-    )
+    photo = np.random.default_rng(5).integers(0, 256, (20, 24, 3), np.uint8)
+    (tmp_path / "photo.png").write_bytes(encode(photo, "png"))
     settings = SmoothSettings(kernel=KERNEL, image=ImageSettings(positions=str(tmp_path / "xyz.exr")))
     results = []
     for background in (np.nan, 1e30):  # a hole, or far away, as renderers have it
         places = np.dstack([x, y, 0 * x])
         places[:3] = background
-        write_map(tmp_path / "xyz.exr", places)
+        (tmp_path / "xyz.exr").write_bytes(encode(places, "openexr", "float"))
         smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, job=Job(overwrite=True))
-        results.append(
-            OpenImageIO.ImageBuf(str(tmp_path / "out.png")).get_pixels()[10:]
-        )  # beyond its windows
+        results.append(stored(tmp_path / "out.png")[10:])  # beyond its windows
     np.testing.assert_array_equal(*results)
-    write_map(tmp_path / "xyz.exr", np.dstack([x, y, 0 * x]) * np.float32(1e-30))
+    tiny = np.dstack([x, y, 0 * x]) * np.float32(1e-30)
+    (tmp_path / "xyz.exr").write_bytes(encode(tiny, "openexr", "float"))
     with pytest.raises(InputError, match=r"xyz\.exr: its edges are"):
         smooth_file(tmp_path / "photo.png", tmp_path / "out.png", settings, job=Job(overwrite=True))
-
-
-def write_map(path, places):
-    path.write_bytes(encode(places, "openexr", "float"))

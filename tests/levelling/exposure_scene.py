@@ -91,11 +91,8 @@ class ExposureScene:
             gain = np.exp(random.uniform(*np.log(LIGHT_GAINS), shape))[self.charts]
             return 0.8 * truth, lambda colours: from_light(gain * to_light(colours))
         gain, offset = random.uniform(*GAINS, shape), random.uniform(-OFFSET, OFFSET, shape)
-        slope = (
-            random.uniform(-FALL_OFF, FALL_OFF, (atlas.charts, 2))
-            if fall_off
-            else np.zeros((atlas.charts, 2))
-        )
+        steepest = FALL_OFF if fall_off else 0
+        slope = random.uniform(-steepest, steepest, (atlas.charts, 2))
         own = ChartPlaces.of(atlas).at(positions_of(atlas, atlas.owned_cells), self.charts)
 
         def expose(colours, charts=self.charts, places=own):

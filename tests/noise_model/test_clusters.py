@@ -8,23 +8,17 @@ from beltrami_cli.flow.noise.features import SCALES, describe, describe_even_cel
 from beltrami_cli.flow.noise.reading import read_noise
 from beltrami_cli.flow.vertex_graph import Graph
 from observations import covariance_of
+from oracles import surfaces
 
 WHITE = 0.04
 
 
 def lattice(rows, columns, seed=0):
     """Return the graph of a triangle lattice."""
-    y, x = np.mgrid[:rows, :columns]
-    number = np.arange(rows * columns).reshape(rows, columns)
-    pairs = [
-        (number[:, :-1], number[:, 1:]),
-        (number[:-1], number[1:]),
-        (number[:-1, :-1], number[1:, 1:]),
-    ]
-    edges = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in pairs]).astype(np.int32)
+    positions, faces = surfaces.lattice(rows, columns)
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     priorities = np.random.default_rng(seed).integers(0, 2**63, rows * columns, dtype=np.uint64)
-    positions = np.stack([x + y / 2, y * np.sqrt(0.75), 0 * x], axis=-1).reshape(-1, 3)
-    return Graph(positions, edges, priorities)
+    return Graph(positions, edges.astype(np.int32), priorities)
 
 
 def white(size, seed=0):
@@ -33,7 +27,8 @@ def white(size, seed=0):
 
 def painted(graph):
     """Return a slope and edges, shape (3, S)."""
-    x, y = graph.positions[:, :2].T / graph.positions.max()
+    away = graph.positions - graph.positions.min(axis=0)
+    x, y = away[:, :2].T / away.max()
     return np.stack([0.3 + 0.4 * x, 0.7 - 0.4 * y, np.where(x + y > 0.9, 0.6, 0.4)])
 
 
@@ -82,11 +77,8 @@ def test_small_surfaces_have_finite_features(rows):
     tiles = clusters.cut(white(rows**2))
     cells = tiles.cells()
     assert len(describe(tiles.described(), cells)) == clusters.count
-    for features in (
-        describe(tiles.described(), cells),
-        describe_even_cells(cells),
-        describe_levels(tiles.blocks()),
-    ):
+    even, levels = describe_even_cells(cells), describe_levels(tiles.blocks())
+    for features in (describe(tiles.described(), cells), even, levels):
         assert np.isfinite(features).all()
 
 

@@ -162,9 +162,8 @@ def test_a_given_strength_keeps_the_structure():
     model = estimate(painting(12, covariance=[[1, 0.9, 0.9], [0.9, 1, 0.9], [0.9, 0.9, 1]]))
     scaled = model.scaled_to(20 / 255)
     assert scaled.overall == pytest.approx(20 / 255)
-    np.testing.assert_allclose(
-        scaled.covariances / scaled.overall**2, model.covariances / model.overall**2, rtol=1e-9
-    )
+    shares, expected = (each.covariances / each.overall**2 for each in (scaled, model))
+    np.testing.assert_allclose(shares, expected, rtol=1e-9)
     none = estimate(ramp()).scaled_to(0.1)
     np.testing.assert_allclose(none.sigma, 0.1)
     assert none.is_independent

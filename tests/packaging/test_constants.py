@@ -20,20 +20,14 @@ def constants_of(source):
             if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
                 pairs = zip(target.elts, node.value.elts, strict=True)
             for name, value in pairs:
-                if (
-                    isinstance(name, ast.Name)
-                    and name.id.isupper()
-                    and value is not None
-                    and has_number(value)
-                ):
+                if isinstance(name, ast.Name) and name.id.isupper() and has_number(value):
                     found[name.id] = ast.unparse(value)
     return found
 
 
 def has_number(value):
-    return any(
-        isinstance(node, ast.Constant) and type(node.value) in (int, float) for node in ast.walk(value)
-    )
+    parts = ast.walk(value) if value is not None else ()
+    return any(isinstance(each, ast.Constant) and type(each.value) in (int, float) for each in parts)
 
 
 def constants_in_code():

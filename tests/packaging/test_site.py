@@ -31,9 +31,7 @@ def test_links_lead_to_files(page):
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
-@pytest.mark.parametrize(
-    "page", [ROOT / "README.md", ROOT / "CHANGELOG.md", *PAGES], ids=lambda page: page.name
-)
+@pytest.mark.parametrize("page", [*ROOT.glob("*.md"), *PAGES], ids=lambda page: page.name)
 def test_files_of_the_project_that_pages_name_exist(page):
     text = page.read_text(encoding="utf-8")
     named = re.findall(r"(?<![\w/.-])(?:beltrami_cli|tests|docs|sample_data)/[\w./*-]*\w", text)
@@ -48,20 +46,17 @@ def quoted(page):
 
 @pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
 def test_paths_that_developers_read_of_exist(page):
-    paths = {
-        word for word in quoted(page) if re.fullmatch(r"[\w./-]+(/|\.(py|pyi|cpp|hpp|md|toml|cff|yml))", word)
-    }
+    path = r"[\w./-]+(/|\.(py|pyi|cpp|hpp|md|toml|cff|yml))"
+    paths = {word for word in quoted(page) if re.fullmatch(path, word)}
     assert paths
     assert [path for path in sorted(paths) if not any((folder / path).exists() for folder in FOLDERS)] == []
 
 
 @pytest.mark.parametrize("page", DEVELOPERS, ids=lambda page: page.name)
 def test_names_that_developers_read_of_exist(page):
-    sources = [
-        ROOT / "Makefile",
-        *(each for kind in ("py", "cpp", "hpp") for each in PACKAGE.rglob(f"*.{kind}")),
-    ]
-    known = set(re.findall(r"\w+", " ".join(path.read_text(encoding="utf-8") for path in sources)))
+    sources = [path for kind in ("py", "cpp", "hpp") for path in PACKAGE.rglob(f"*.{kind}")]
+    texts = (path.read_text(encoding="utf-8") for path in (ROOT / "Makefile", *sources))
+    known = set(re.findall(r"\w+", " ".join(texts)))
     assert {word for word in quoted(page) if re.fullmatch(r"[A-Za-z_]\w*", word)} - known == set()
 
 
@@ -99,10 +94,8 @@ def test_the_road_is_that_of_the_imports():
         if kind == "-->":
             assert paths[target] in imported_by(paths[source]), (source, target)
         else:
-            modules = {
-                PACKAGE / "formats" / line.module / (line.reader.split(".")[0] + ".py") for line in FORMATS
-            }
-            assert paths[target] in modules
+            readers = (Path(line.module) / line.reader.split(".")[0] for line in FORMATS)
+            assert paths[target] in {PACKAGE / "formats" / f"{reader}.py" for reader in readers}
 
 
 def test_the_floors_are_those_of_the_contract():
@@ -110,6 +103,5 @@ def test_the_floors_are_those_of_the_contract():
     layers = contracts["contracts"][0]["layers"]
     shown = figures(DEVELOPERS[0])[1].strip().splitlines()[1]
     floors = [re.findall(r"\w+", floor) for floor in shown.split("-->")]
-    assert [set(floor) for floor in floors] == [
-        set(re.findall(r"\w+", layer)) for layer in layers if layer != "__main__"
-    ]
+    declared = [re.findall(r"\w+", layer) for layer in layers if layer != "__main__"]
+    assert [*map(set, floors)] == [*map(set, declared)]

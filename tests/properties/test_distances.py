@@ -120,12 +120,9 @@ def test_kernels_side_by_side_are_those_of_single_marches_on_any_mesh(painted, t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("t", "most"),
-    [(1.0, 12), (60.0, 10**6), (60.0, 500)],
-    ids=["small", "beyond what sources share", "cut short"],
-)
+@pytest.mark.parametrize(("t", "most"), [(1.0, 12), (60.0, 10**6), (60.0, 500)])
 def test_kernels_of_any_size_are_those_of_single_marches(t, most):
+    """Small, beyond what sources share, and cut short."""
     positions, faces = surfaces.terrain(36, 36, 0.3, 1)
     require_single_marches(positions, faces, t, most)
 

@@ -63,13 +63,12 @@ def test_parametric_and_triangulated_agree_to_first_order_on_a_height_map(scheme
         positions = np.dstack([pixels * x, pixels * y, height]).reshape(-1, 3)
         # The same surface, colours and flow, in smaller and smaller pixels.
         settings = {**LINEAR, "t": 0.5 * (pixels / 16) ** 2, "beta": beta * pixels, "units": "world"}
-        mapped = smooth_image(
-            image,
-            surface=ImageSurface(heights=height),
-            window=window_of(settings["t"]),
-            scheme=scheme,
-            **settings,
-        )
+        on_grid = {
+            "window": window_of(settings["t"]),
+            "scheme": scheme,
+            "surface": ImageSurface(heights=height),
+        }
+        mapped = smooth_image(image, **on_grid, **settings)
         mesh = smooth(positions, grid_faces(pixels, pixels), image.reshape(-1, 1), **settings, **CONVERGING)
         difference = mapped.colours[..., 0] - mesh.colours.reshape(image.shape)
         differences.append(np.sqrt(np.mean(difference**2) / np.mean((mapped.colours[..., 0] - image) ** 2)))
@@ -94,9 +93,7 @@ def test_nothing_crosses_a_wall_of_holes_one_pixel_thick(parameters, wall):
     height = hills(24, 24)
     # What both sides have in common is the estimated noise, which beta and restored averages depend on.
     fixed = {"beta": 8, "clipping": "keep", **parameters}
-    one, two = (
-        smooth_image(i, surface=ImageSurface(heights=height, valid=valid), **fixed).colours
-        for i in (image, other)
-    )
+    surface = ImageSurface(heights=height, valid=valid)
+    one, two = (smooth_image(each, surface=surface, **fixed).colours for each in (image, other))
     np.testing.assert_array_equal(one[~side & ~line], two[~side & ~line])
     assert not np.array_equal(one[side], two[side])

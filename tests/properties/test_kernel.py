@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from math import log
 
 import numpy as np
@@ -142,8 +143,7 @@ def test_many_iterations_of_a_growing_beta_do_not_overflow():
     positions, faces = surfaces.terrain(12, 12, 0.3, 1)
     colours = np.random.default_rng(8).random((len(positions), 3))
     parameters = {"beta": 8.0, "beta_growth": 3.0, "t": 1.0, "metric_steps": 0}
-    many, more = (
-        beltrami_cli.smooth(positions, faces, colours, iterations=n, **parameters) for n in (60, 1500)
-    )
+    smooth = functools.partial(beltrami_cli.smooth, positions, faces, colours, **parameters)
+    many, more = smooth(iterations=60), smooth(iterations=1500)
     assert np.isfinite(more.colours).all()
     assert np.array_equal(more.colours, many.colours)  # by then no neighbour is near

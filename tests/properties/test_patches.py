@@ -23,11 +23,9 @@ RANDOM = np.random.default_rng(5)
 
 def on_board(board, painting, **parameters):
     """Smooth a painting on a plane that is cut into charts; return it as it lies on the plane."""
-    result, _ = textured_planes.smooth_image(
-        board.surface(), board.image_of(painting), **{**FIXED, **parameters}
-    )
-    y, x = board.texel_places()
-    return result[y, x]
+    image = board.image_of(painting)
+    result, _ = textured_planes.smooth_image(board.surface(), image, **{**FIXED, **parameters})
+    return result[board.texel_places()]
 
 
 def test_charts_cost_nothing():
@@ -64,9 +62,8 @@ def test_the_other_side_of_a_thin_sheet_is_no_neighbour():
     clean = clean - 0.2
     both = np.vstack([positions, positions + np.array([0, 0, 0.01])])
     truth = np.vstack([clean * 0.5, clean * 0.5 + 0.5])
-    result = result_on(
-        both, np.vstack([faces, faces[:, ::-1] + len(positions)]), with_noise(truth, SIGMA / 2)
-    )
+    sides = np.vstack([faces, faces[:, ::-1] + len(positions)])
+    result = result_on(both, sides, with_noise(truth, SIGMA / 2))
     for side in (slice(len(positions)), slice(len(positions), None)):
         assert abs((result - truth)[side].mean()) < 0.005
         assert np.abs((result - truth)[side]).max() < 0.2

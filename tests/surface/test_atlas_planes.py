@@ -90,19 +90,21 @@ def test_beyond_a_seam_texels_are_interpolated_where_the_plane_goes_on(angle, sc
     place = np.full((atlas.kind.size, 2), np.nan)
     place[atlas.owned_cells] = np.where(atlas.chart_of[:, None] == 0, centres - 4, turned)
     shown = (place[atlas.halo_taps] * atlas.halo_weights[..., None]).sum(axis=1)
-    # The cells of the first chart lie on the grid of the plane: count them from an owned cell.
     first = np.flatnonzero(atlas.chart_of == 0)[0]
-    origin = (
-        np.array(np.divmod(atlas.owned_cells[first], atlas.kind.shape[1])[::-1])
-        - place[atlas.owned_cells[first]]
-    )
-    wanted = np.stack(np.divmod(atlas.halo_cells, atlas.kind.shape[1])[::-1], axis=1) - origin
+    wanted = places_on_grid(atlas, place, atlas.owned_cells[first])
     of_first = np.isin(atlas.halo_taps[:, 0], atlas.owned_cells[atlas.chart_of == 1])
     whole = of_first & ((atlas.halo_weights > 0).sum(axis=1) == 4)
     assert of_first.sum() == 16 * MARGIN
     assert np.allclose(shown[whole], wanted[whole], atol=1e-4)
     # Where texels around the place are missing at the border, the colour is off by less than two of them.
     assert np.abs(shown[of_first] - wanted[of_first]).max() < 2 / scale
+
+
+def places_on_grid(atlas, place, owned):
+    """Return the places of halo cells on the grid of the plane, on which a chart lies, counted from an owned cell."""
+    columns = atlas.kind.shape[1]
+    down, right = atlas.halo_cells // columns - owned // columns, atlas.halo_cells % columns - owned % columns
+    return place[owned] + np.stack([right, down], axis=1)
 
 
 def place_of_cell(atlas, place_of):
@@ -119,9 +121,8 @@ def neighbours(atlas):
     rows, columns = atlas.kind.shape
     chart = np.full(atlas.kind.size, -1, np.int32)
     chart[atlas.owned_cells] = atlas.chart_of
-    chart = maximum_filter(
-        chart.reshape(atlas.kind.shape), 2 * MARGIN + 1
-    )  # the chart whose margin a cell is in
+    # The chart whose margin a cell is in.
+    chart = maximum_filter(chart.reshape(atlas.kind.shape), 2 * MARGIN + 1)
     for lengths, (down, right) in zip(atlas.squared_lengths, STEPS, strict=True):
         row, column = np.mgrid[: rows - down, max(0, -right) : columns - max(0, right)].reshape(2, -1)
         both = (atlas.kind[row, column] != EMPTY) & (atlas.kind[row + down, column + right] != EMPTY)
@@ -136,11 +137,8 @@ def crosses(one, other, start, end):
     sides = [(places + 0.5 - start) @ [-along[1], along[0]] for places in (one, other)]
     across = other - one
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (
-            (one + 0.5 + (sides[0] / (sides[0] - sides[1]))[:, None] * across - start)
-            @ along
-            / (along @ along)
-        )
+        crossing = one + 0.5 + (sides[0] / (sides[0] - sides[1]))[:, None] * across
+        share = (crossing - start) @ along / (along @ along)
     opposite = sides[0] * sides[1] < 0
     at_end = opposite & ((np.abs(share) < 1e-6) | (np.abs(share - 1) < 1e-6))
     return opposite & (share > 0) & (share < 1) & ~at_end, at_end
@@ -201,10 +199,8 @@ def test_colours_beyond_a_seam_come_from_this_side_of_a_slit(angle):
     turned = (centres - [64, 24]) @ matrix + [24, 8]
     place = np.full((atlas.kind.size, 2), np.nan)
     place[atlas.owned_cells] = np.where((centres[:, :1] < 24), centres - 4, turned)
-    # The cells of the first half lie on the grid of the plane: count them from an owned cell.
     first = atlas.owned_cells[centres[:, 0] < 24][0]
-    origin = np.array(np.divmod(first, atlas.kind.shape[1])[::-1]) - place[first]
-    wanted = np.stack(np.divmod(atlas.halo_cells, atlas.kind.shape[1])[::-1], axis=1) - origin
+    wanted = places_on_grid(atlas, place, first)
     of_first = (place[atlas.halo_taps[:, 0], 0] > 15.9) & (np.abs(wanted - [16, 8]).max(axis=1) < 8)
     assert np.count_nonzero(of_first) > 30
     mixed = np.zeros(len(wanted), bool)
@@ -236,13 +232,10 @@ def test_parts_of_a_chart_that_only_touch_in_the_image_are_not_joined():
     row[atlas.owned_cells], column[atlas.owned_cells] = np.divmod(atlas.owned_texels, 64)
     row[atlas.owned_cells[atlas.chart_of > 0]] = 99
     row, column = row.reshape(atlas.kind.shape) - 4, column.reshape(atlas.kind.shape) - 4
+    is_inside = (atlas.kind == OWNED) & (row < 16)
     for one, other, joined in neighbours(atlas):
-        inside = (
-            (atlas.kind[one] == OWNED) & (atlas.kind[other] == OWNED) & (row[one] < 16) & (row[other] < 16)
-        )
-        between = (np.minimum(column[one], column[other]) == 7) & (
-            np.maximum(column[one], column[other]) == 8
-        )
+        inside = is_inside[one] & is_inside[other]
+        between = (np.sort([column[one], column[other]], axis=0).T == [7, 8]).all(axis=1)
         apart = between & (row[one] + row[other] < 15)
         assert np.array_equal(joined[inside], ~apart[inside])
 
@@ -254,15 +247,16 @@ def test_holes_of_a_depth_map_part_the_texels_at_its_vertices_only_where_they_li
     random = np.random.default_rng(seed)
     present = random.random((7, 9)) < share
     corners = sliding_window_view(present, (2, 2), writeable=True)
-    while (
-        pinched := (corners == corners[..., ::-1, ::-1]).all(axis=(2, 3)) & (corners.sum(axis=(2, 3)) == 2)
-    ).any():
-        corners[pinched] = True  # no squares meet at a corner only
+
+    def pinched():
+        return (corners == corners[..., ::-1, ::-1]).all(axis=(2, 3)) & (corners.sum(axis=(2, 3)) == 2)
+
+    while pinched().any():
+        corners[pinched()] = True  # no squares meet at a corner only
     positions, faces = quads(9, 7, 1, random.integers(0, 2, (7, 9)))
     faces = faces.reshape(7, 9, 2, 3)[present].reshape(-1, 3)
-    atlas = build_atlas(
-        textured(positions, faces, positions[faces][..., :2] + 2.5, [(16, 16)]), [(16, 16)], MARGIN
-    )
+    surface = textured(positions, faces, positions[faces][..., :2] + 2.5, [(16, 16)])
+    atlas = build_atlas(surface, [(16, 16)], MARGIN)
     place = np.full((atlas.kind.size, 2), -9)
     place[atlas.owned_cells] = np.stack(np.divmod(atlas.owned_texels, 16), axis=1) - 2
     place = place.reshape(*atlas.kind.shape, 2)

@@ -31,18 +31,16 @@ def shown(atlas, place_of_column):
     origin = first[0] % columns - column[first[0]]
     box = atlas.halo_cells % columns - origin, atlas.halo_cells // columns
     rows = np.unique(first // columns)
-    mine = (
-        np.isin(box[1], rows) & (box[0] > column[first].max()) & (box[0] < column[first].max() + MARGIN + 1)
-    )
+    beyond = box[0] - column[first].max()
+    mine = np.isin(box[1], rows) & (beyond > 0) & (beyond < MARGIN + 1)
     x = place_of_column(column[atlas.halo_taps])
     return box[0][mine] + 0.5, (x * atlas.halo_weights).sum(axis=1)[mine]
 
 
 def test_a_sliver_at_the_border_does_not_throw_the_halo_far_away():
     """The last fifth of a texel holds three texels' width of the surface; beyond it texels are as before."""
-    atlas = build_atlas(
-        strips([((0, 13), (0, 13)), ((13, 16), (13, 13.2)), ((16, 40), (20, 44))], SIZE), [SIZE], MARGIN
-    )
+    spans = [((0, 13), (0, 13)), ((13, 16), (13, 13.2)), ((16, 40), (20, 44))]
+    atlas = build_atlas(strips(spans, SIZE), [SIZE], MARGIN)
     assert (atlas.charts, atlas.seams) == (2, 1)
     u, x = shown(atlas, lambda column: column + 0.5 - 4)
     assert len(u) == MARGIN * HEIGHT
@@ -128,10 +126,8 @@ def with_face(places, corners):
     """Make a square of 16 texels, and a triangle next to it: its places, some of them the square's, and its corners."""
     faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
     texels = np.concatenate([SQUARE[[0, 1, 2]], SQUARE[[0, 2, 3]], corners]).reshape(-1, 3, 2)
-    positions = np.concatenate([PLACES, places])
-    return build_atlas(
-        textured(positions, faces, texels, [(IMAGE_SIDE, IMAGE_SIDE)]), [(IMAGE_SIDE, IMAGE_SIDE)], 3
-    )
+    sizes = [(IMAGE_SIDE, IMAGE_SIDE)]
+    return build_atlas(textured(np.concatenate([PLACES, places]), faces, texels, sizes), sizes, 3)
 
 
 def ring(first, last):

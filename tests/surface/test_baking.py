@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,17 +31,14 @@ CLAMP = ("clamp", "clamp")
 
 def spread(uv, size, corners):
     """Bake values at corners as floats."""
-    return bake(
-        uv, size, lambda faces, weights: interpolated(corners, faces, weights), corners.shape[2], np.float32
-    )
+    return bake(uv, size, partial(interpolated, corners), corners.shape[2], np.float32)
 
 
 def random_triangles(seed, count=40):
     """Triangles of many sizes, some flat, some far over the border of the texture."""
     random = np.random.default_rng(seed)
-    uv = random.uniform(-0.3, 1.3, (count, 1, 2)) + random.normal(
-        size=(count, 3, 2)
-    ) * 10.0 ** random.uniform(-3, 0, (count, 1, 1))
+    middle, size = random.uniform(-0.3, 1.3, (count, 1, 2)), 10.0 ** random.uniform(-3, 0, (count, 1, 1))
+    uv = middle + size * random.normal(size=(count, 3, 2))
     uv[0, 2] = uv[0, 0]
     return uv
 
@@ -93,9 +92,8 @@ def test_a_constant_stays_exactly_what_it_is_everywhere():
 def test_linear_colours_of_a_flat_chart_come_back_exactly_also_on_its_border():
     positions, faces = surfaces.plane(6, 6)
     uv = positions[faces][:, :, :2] / 5 * 0.5 + 0.25
-    colours = (positions @ np.array([[0.02, 0.1, -0.1], [0.1, 0.0, 0.05], [0, 0, 0]]) + 0.5).astype(
-        np.float32
-    )
+    slopes = np.array([[0.02, 0.1, -0.1], [0.1, 0.0, 0.05], [0, 0, 0]])
+    colours = (positions @ slopes + 0.5).astype(np.float32)
     image = spread(uv, (41, 33), colours[faces])
     seen = look_up(image, uv.reshape(-1, 2), CLAMP).reshape(-1, 3, 3)
     assert np.abs(seen - colours[faces]).max() < 1e-6

@@ -54,9 +54,7 @@ def nearest(value, most):
     st.integers(1, 3),
 )
 @settings(max_examples=200, deadline=None)
-def test_each_number_is_rounded_once_and_nothing_else_changes(
-    kind, index, channels, numbers, in_runs, threads
-):
+def test_each_number_is_rounded_once_and_no_other_changes(kind, index, channels, numbers, in_runs, threads):
     most, width = int(np.iinfo(kind).max), len(channels)
     values = np.array(numbers[: len(numbers) // width * width], np.float32).reshape(-1, width)
     random = np.random.default_rng(len(numbers))
@@ -72,19 +70,16 @@ def test_each_number_is_rounded_once_and_nothing_else_changes(
     assert np.array_equal(table, expected)
     # Sums of integers are exact, so only their quotients are rounded.
     scale = np.array([most, most**2, most])
-    assert found == pytest.approx(
-        np.array([step.sum(), np.square(step).sum(), step.max()]) / scale, rel=1e-15
-    )
+    sums = np.array([step.sum(), np.square(step).sum(), step.max()])
+    assert found == pytest.approx(sums / scale, rel=1e-15)
 
 
 def test_the_largest_changes_of_many_numbers_in_one_run_are_summed_exactly():
     for kind in (np.uint8, np.uint16):
         most = int(np.iinfo(kind).max)
-        table, pixels = np.full((100_000, 3), most, kind), np.arange(100_000)
-        total, squares, largest = store_integers(
-            table, pixels, np.zeros((100_000, 3), np.float32), [0, 1, 2], 2
-        )
-        assert (total, squares, largest) == (300_000, 300_000, 1)
+        table, black = np.full((100_000, 3), most, kind), np.zeros((100_000, 3), np.float32)
+        found = store_integers(table, np.arange(100_000), black, [0, 1, 2], 2)
+        assert tuple(found) == (300_000, 300_000, 1)
 
 
 def test_what_is_no_number_becomes_0():
@@ -95,7 +90,6 @@ def test_what_is_no_number_becomes_0():
 
 @pytest.mark.parametrize(("pixels", "channels"), [([2], [0]), ([-1], [0]), ([0], [3]), ([0], [-1])])
 def test_what_is_not_there_is_refused(pixels, channels):
+    table, colour = np.zeros((2, 3), np.uint8), np.zeros((1, 1), np.float32)
     with pytest.raises(IndexError):
-        store_integers(
-            np.zeros((2, 3), np.uint8), np.array(pixels), np.zeros((1, 1), np.float32), channels, 1
-        )
+        store_integers(table, np.array(pixels), colour, channels, 1)

@@ -47,13 +47,11 @@ STORED = {
 }
 
 
+CASES = [(stored, 0.0, scale) for stored in STORED for scale in (1.0, 1e4)]
+
+
 @pytest.mark.parametrize(
-    ("stored", "offset", "scale"),
-    [
-        *((stored, 0.0, scale) for stored in STORED for scale in (1.0, 1e4)),
-        ("single", 30.0, 1.0),
-        ("single", 0.0, 1e-6),
-    ],
+    ("stored", "offset", "scale"), [*CASES, ("single", 30.0, 1.0), ("single", 0.0, 1e-6)]
 )
 def test_copies_that_differ_by_rounding_are_one(stored, offset, scale):
     places, faces, number = fallen_apart(*sheet(offset, scale), units=2)
@@ -69,9 +67,7 @@ def test_without_triangles_and_in_other_spaces_they_are_not():
     places, faces, number = fallen_apart(*sheet())
     exact = len(np.unique(places, axis=0))
     assert len(group_places(places.astype(np.float64), None)[1]) == exact
-    spaces = np.repeat(
-        np.arange(2, dtype=np.int32), [len(places) // 6 * 3, len(places) - len(places) // 6 * 3]
-    )
+    spaces = (np.arange(len(places)) >= len(places) // 6 * 3).astype(np.int32)
     place_of, _ = group_places(places.astype(np.float64), spaces, faces)
     assert is_same_partition(place_of, 2 * number + spaces)
 
@@ -104,18 +100,15 @@ def test_borders_that_are_further_apart_than_rounding_are_two():
 
 
 def painted(positions, faces, colours, space_of=None):
-    colours = np.asarray(colours, np.float32)
+    colours, faces = np.asarray(colours, np.float32), np.asarray(faces, np.int32)
     names = tuple("rgb"[: colours.shape[1]])
-    return PaintedVertices(
-        positions, np.asarray(faces, np.int32), colours, names, "srgb", "float32", space_of
-    )
+    return PaintedVertices(positions, faces, colours, names, "srgb", "float32", space_of)
 
 
-@given(
-    st.lists(
-        st.tuples(st.integers(-2, 2), st.sampled_from((0.0, -0.0, 1.5, 1e-300))), min_size=1, max_size=40
-    )
-)
+ROWS = st.tuples(st.integers(-2, 2), st.sampled_from((0.0, -0.0, 1.5, 1e-300)))
+
+
+@given(st.lists(ROWS, min_size=1, max_size=40))
 def test_equal_rows_are_numbered_in_the_order_of_their_first(rows):
     group_of, first = group_equal_rows(np.array([a for a, _ in rows]), np.array([b for _, b in rows]))
     seen = {}
@@ -184,10 +177,8 @@ def test_three_copies_of_an_edge_form_one_chain_and_walls_have_no_area():
     record = painted(positions, faces, colours)
     surface = sampled_surface(record)
     assert len(surface.bridges) == 8
-    joined = {
-        frozenset(pair) for wall in surface.colours[surface.bridges][:, :, 0].tolist() for pair in [set(wall)]
-    }
-    assert {tuple(round(v, 1) for v in sorted(pair)) for pair in joined} == {(0.1, 0.5), (0.5, 0.9)}
+    walls = surface.colours[surface.bridges][:, :, 0].tolist()
+    assert {tuple(round(v, 1) for v in sorted(set(wall))) for wall in walls} == {(0.1, 0.5), (0.5, 0.9)}
 
 
 def test_copies_that_share_one_end_are_joined_by_a_single_triangle():

@@ -23,9 +23,8 @@ def as_set(faces):
 
 def grid(rows, columns, jitter=0.0, seed=0):
     y, x = np.mgrid[:rows, :columns].astype(float)
-    return np.column_stack([x.ravel(), y.ravel()]) + np.random.default_rng(seed).uniform(
-        -jitter, jitter, (rows * columns, 2)
-    )
+    moves = np.random.default_rng(seed).uniform(-jitter, jitter, (rows * columns, 2))
+    return np.column_stack([x.ravel(), y.ravel()]) + moves
 
 
 def lifted(flat, height=0.0):
@@ -50,9 +49,8 @@ def test_in_a_plane_the_triangles_are_those_of_the_delaunay_triangulation():
     middle = np.flatnonzero(inside(flat, 3))
     expected = Delaunay(flat).simplices
     found = triangulate_points(lifted(flat))
-    assert as_set(found[np.isin(found, middle).all(axis=1)]) == as_set(
-        expected[np.isin(expected, middle).all(axis=1)]
-    )
+    ours, theirs = (as_set(faces[np.isin(faces, middle).all(axis=1)]) for faces in (found, expected))
+    assert ours == theirs
 
 
 def test_vertices_of_a_sphere_get_the_faces_of_the_sphere_back():
@@ -98,10 +96,8 @@ def test_sheets_close_to_each_other_are_not_joined(gap):
 
 
 def box():
-    sides = [
-        np.insert(grid(20, 20, 0.3, axis), axis, 19 * end, axis=1) for axis in range(3) for end in (0, 1)
-    ]
-    return np.concatenate(sides)
+    sides = [grid(20, 20, 0.3, axis) for axis in range(3)]
+    return np.concatenate([np.insert(sides[k], k, end, axis=1) for k in range(3) for end in (0, 19)])
 
 
 def two_densities():
@@ -138,9 +134,8 @@ def test_points_strewn_around_a_surface_are_outliers():
     strewn = rng.uniform(-200, 200, (400, 3))
     strewn = strewn[np.abs(strewn[:, 2]) > 10]
     found = triangulate_points(np.concatenate([surface, strewn, surface[[820]] + [0, 0, 8]]))
-    assert outliers(len(surface) + len(strewn) + 1, found).tolist() == list(
-        range(len(surface), len(surface) + len(strewn) + 1)
-    )
+    count = len(surface) + len(strewn) + 1
+    assert outliers(count, found).tolist() == list(range(len(surface), count))
 
 
 def test_points_in_one_line_have_no_triangles():
@@ -165,10 +160,8 @@ def test_large_clouds_are_handled_in_blocks(monkeypatch):
 
 
 def painted(positions, colours, space_of=None):
-    none = np.empty((0, 3), np.int32)
-    return PaintedVertices(
-        positions, none, np.asarray(colours, np.float32), ("grey",), "srgb", "float32", space_of
-    )
+    none, colours = np.empty((0, 3), np.int32), np.asarray(colours, np.float32)
+    return PaintedVertices(positions, none, colours, ("grey",), "srgb", "float32", space_of)
 
 
 def test_coincident_points_take_part_each_with_its_colour():

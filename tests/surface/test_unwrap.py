@@ -180,8 +180,6 @@ def test_a_process_that_hangs_is_given_up(monkeypatch, tmp_path):
 
 def test_what_the_process_dies_of_is_reported_in_one_line(monkeypatch):
     monkeypatch.setattr(unwrapping, "WORKER", "beltrami_cli.no_such_module")
-    with pytest.raises(
-        ProcessingError, match=r"^xatlas could not unwrap the mesh \(.*no_such_module.*\)"
-    ) as caught:
+    with pytest.raises(ProcessingError, match=r"^xatlas could not unwrap .*no_such_module") as caught:
         unwrapped(np.eye(3), [[0, 1, 2]])
     assert "\n" not in str(caught.value)
