@@ -155,22 +155,20 @@ def reset_at_once(connection):
 
 # What may listen at an address that is no scheduler.
 LISTENERS = {
-    "silent": lambda connection: None,
-    "drops connections": lambda connection: connection.close(),
+    "silent": b"",
+    "drops connections": socket.socket.close,
     "resets connections": reset_at_once,
-    "a web server": lambda connection: connection.sendall(
-        b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n"
-    ),
-    "zeros": lambda connection: connection.sendall(bytes(4096)),
-    "ones": lambda connection: connection.sendall(b"\xff" * 4096),
-    "half a message": lambda connection: connection.sendall(struct.pack("<QQQ", 100, 1, 50)),
+    "a web server": b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n",
+    "zeros": bytes(4096),
+    "ones": b"\xff" * 4096,
+    "half a message": struct.pack("<QQQ", 100, 1, 50),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LISTENERS)
 def test_what_listens_and_is_no_scheduler_is_refused_in_one_line_and_soon(name, scans, tmp_path, monkeypatch):
-    patience = 1.0
+    patience, answer = 1.0, LISTENERS[name]
     monkeypatch.setattr(cluster_module, "_PATIENCE", patience)
     accepted = []
 
@@ -179,7 +177,7 @@ def test_what_listens_and_is_no_scheduler_is_refused_in_one_line_and_soon(name, 
             while True:
                 accepted.append(listener.accept()[0])
                 with contextlib.suppress(OSError):
-                    LISTENERS[name](accepted[-1])
+                    accepted[-1].sendall(answer) if isinstance(answer, bytes) else answer(accepted[-1])
 
     with socket.create_server(("127.0.0.1", 0)) as listener:
         threading.Thread(target=serve, daemon=True).start()

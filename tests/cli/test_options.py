@@ -38,9 +38,8 @@ def values_of(name, *arguments):
 def test_of_a_list_in_parts_none_is_dropped(option):
     with pytest.raises(UsageError, match=f"{option} is given 2 times; give one list, with commas"):
         values_of("smooth", option, "normal", f"{option}=emissive")
-    values_of(
-        "smooth", option, "normal,emissive", *["--beta", "2", "--beta", "3", "--guide", "a", "--guide", "b"]
-    )
+    others = ("--beta", "2", "--beta", "3", "--guide", "a", "--guide", "b")
+    values_of("smooth", option, "normal,emissive", *others)
 
 
 def option_for(name, declared):

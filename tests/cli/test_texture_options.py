@@ -193,14 +193,11 @@ def test_another_image_format_is_written_without_iterations(target, tmp_path):
     assert np.array_equal(pixels(out), pixels(MIRRORED))
 
 
-PAINTED = [
-    *(f"nonmanifold-noisy.{each}" for each in ("ply", "obj", "glb")),
-    "scan-noisy.jpg",
-    "mirrored-noisy.png",
-]
+PAINTED = [f"nonmanifold-noisy.{each}" for each in ("ply", "obj", "glb")]
+IMAGES = ["scan-noisy.jpg", "mirrored-noisy.png"]
 
 
-@pytest.mark.parametrize("name", [*TEXTURED, *PAINTED])
+@pytest.mark.parametrize("name", [*TEXTURED, *PAINTED, *IMAGES])
 def test_no_iterations_carry_every_file_byte_by_byte_to_another_folder(name, tmp_path):
     smooth(SAMPLES / name, tmp_path / name, "-n", "0")
     written = files(tmp_path)

@@ -65,9 +65,8 @@ def ply(*lines, body=b""):
 
 def png(width, height, data, *chunks, colour=2):
     header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, colour, 0, 0, 0))
-    return (
-        b"\x89PNG\r\n\x1a\n" + header + b"".join(chunks) + png_chunk(b"IDAT", data) + png_chunk(b"IEND", b"")
-    )
+    pixels = png_chunk(b"IDAT", data) + png_chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + header + b"".join(chunks) + pixels
 
 
 Data = bytes | Callable[[], bytes]
@@ -201,15 +200,16 @@ CROWD = {"nodes": [{"children": [i + 1]} if i < 19_999 else {} for i in range(20
 NESTED = b'{"asset":' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 REPEATED = b"{" + b",".join(b'"%d":0' % i for i in range(200_000)) + b',"199999":1}'
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n"
-LONG_LIST = ("element face 1", "property list int int vertex_indices")
+LONG_LIST, MOST_ENTRIES = (
+    ("element face 1", "property list int int vertex_indices"),
+    struct.pack("<i", 2**31 - 1),
+)
 BOMBS = {
     "rows": file("a.ply", ply("element vertex 100000000000000000", VERTICES)),
     "rows of nothing": file("a.ply", ply("element ghost 100000000000000000", "element vertex 3", VERTICES)),
     "properties": file("a.ply", ply("element vertex 1", *(f"property char p{i}" for i in range(200_000)))),
     "elements": file("a.ply", ply(*(f"element e{i} 0" for i in range(200_000)))),
-    "list": file(
-        "a.ply", ply("element vertex 1", VERTICES, *LONG_LIST, body=bytes(15) + struct.pack("<i", 2**31 - 1))
-    ),
+    "list": file("a.ply", ply("element vertex 1", VERTICES, *LONG_LIST, body=bytes(15) + MOST_ENTRIES)),
     "sparse file": sparse_file,
     "elements without bytes": painted(accessor(2**31 - 1), accessor(2**31 - 1, 5121, normalized=True)),
     "packed elements": packed_elements(1 << 27),
@@ -354,11 +354,11 @@ _JOBS = tuple(f"{name} large" for name in ("noise", "kernel", "compare", "report
 IN_MEMORY = [each for each in COMMANDS if each.startswith(_JOBS)]
 
 
-@pytest.mark.parametrize(
-    ("command", "limit"),
-    [*((each, IMAGE_LIMIT) for each in COMMANDS), *((each, LIMIT_IN_MEMORY) for each in IN_MEMORY)],
-)
-def test_what_does_not_fit_is_refused_before_it_is_decoded(command, limit, folder):
+LIMITED = [(IMAGE_LIMIT, each) for each in COMMANDS] + [(LIMIT_IN_MEMORY, each) for each in IN_MEMORY]
+
+
+@pytest.mark.parametrize(("limit", "command"), LIMITED)
+def test_what_does_not_fit_is_refused_before_it_is_decoded(limit, command, folder):
     said = refused(folder, *command.split(), "--max-memory", limit, code=3)
     assert "fit into memory" in said, said
     assert "raise --max-memory" in said

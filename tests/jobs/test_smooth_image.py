@@ -79,11 +79,8 @@ def test_an_image_of_holes_only_comes_back():
 
 
 def test_the_space_is_where_averages_are_taken():
-    for encoding, there, back in (
-        ("srgb", srgb_to_linear, linear_to_srgb),
-        ("linear", linear_to_srgb, srgb_to_linear),
-    ):
-        space = "linear" if encoding == "srgb" else "srgb"
+    to_linear, to_srgb = ("linear", srgb_to_linear), ("srgb", linear_to_srgb)
+    for (space, there), (encoding, back) in ((to_linear, to_srgb), (to_srgb, to_linear)):
         expected = back(smooth_image(there(IMAGE), beta=4, space="data").colours)
         found = smooth_image(IMAGE, beta=4, space=space, encoding=encoding).colours
         assert np.abs(found - expected).max() < 1e-5

@@ -63,12 +63,8 @@ def test_parametric_and_triangulated_agree_to_first_order_on_a_height_map(scheme
         positions = np.dstack([pixels * x, pixels * y, height]).reshape(-1, 3)
         # The same surface, colours and flow, in smaller and smaller pixels.
         settings = {**LINEAR, "t": 0.5 * (pixels / 16) ** 2, "beta": beta * pixels, "units": "world"}
-        on_grid = {
-            "window": window_of(settings["t"]),
-            "scheme": scheme,
-            "surface": ImageSurface(heights=height),
-        }
-        mapped = smooth_image(image, **on_grid, **settings)
+        surface, window = ImageSurface(heights=height), window_of(settings["t"])
+        mapped = smooth_image(image, surface=surface, window=window, scheme=scheme, **settings)
         mesh = smooth(positions, grid_faces(pixels, pixels), image.reshape(-1, 1), **settings, **CONVERGING)
         difference = mapped.colours[..., 0] - mesh.colours.reshape(image.shape)
         differences.append(np.sqrt(np.mean(difference**2) / np.mean((mapped.colours[..., 0] - image) ** 2)))

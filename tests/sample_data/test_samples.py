@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 import sys
 
 import numpy as np
@@ -52,7 +50,7 @@ def test_check_looks_at_pixels_not_at_how_they_are_packed(make):
 def test_check_sees_what_changes_in_a_glb_besides_the_packing_of_its_images(make):
     same = sys.modules["comparison"].same
     data = (SAMPLES / "scan-clean.glb").read_bytes()
-    start = 28 + len(chunk(SAMPLES / "scan-clean.glb"))
+    start = 28 + int.from_bytes(data[12:16], "little")  # behind the heads and the JSON text
     assert same(data, data, ".glb")
     moved = bytearray(data)
     moved[start] ^= 1
@@ -125,15 +123,3 @@ def test_glb_files_hold_the_same_images_as_the_files_beside_them(kind):
     for name, suffix in (("head-tex", ".png"), ("scan", ".jpg")):
         image = (SAMPLES / f"{name}-{kind}{suffix}").read_bytes()
         assert image in (SAMPLES / f"{name}-{kind}.glb").read_bytes()
-    document = json.loads(chunk(SAMPLES / f"tiled-{kind}.glb"))
-    assert document["samplers"] == [{"wrapS": 10497, "wrapT": 10497}]
-    view = document["bufferViews"][document["images"][0]["bufferView"]]
-    data = (SAMPLES / f"tiled-{kind}.glb").read_bytes()[-document["buffers"][0]["byteLength"] :]
-    header = data[view["byteOffset"] : view["byteOffset"] + 25]
-    assert struct.unpack_from(">II", header, 16) == (256, 256)
-    assert header[24] == 16
-
-
-def chunk(path):
-    data = path.read_bytes()
-    return data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]
