@@ -31,14 +31,6 @@ def test_distances_equal_those_of_a_textbook_march_on_any_mesh(painted):
         np.testing.assert_allclose(ours, truth, rtol=1e-3, atol=1e-5)
 
 
-def test_all_obtuse_corners_of_a_closed_surface_find_a_support():
-    positions, faces = surfaces.icosphere(3)
-    colours = np.random.default_rng(0).random((len(positions), 3))
-    manifold = image_manifold(20 * positions, faces, colours, 20.0)
-    assert manifold.obtuse_corners > 0.1 * len(faces)
-    assert manifold.split_corners >= 0.99 * manifold.obtuse_corners
-
-
 def test_the_march_stops_at_the_radius_and_loses_nothing_within():
     positions, faces = surfaces.icosphere(3)
     colours = np.random.default_rng(2).random((len(positions), 2))

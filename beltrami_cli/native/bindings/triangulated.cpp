@@ -52,15 +52,9 @@ class TriangulatedManifold {
 
   Index vertex_count() const { return topology_.vertex_count; }
 
-  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta, const Numbers& scales,
-                     unsigned threads, bool unfold) {
-    require_rows(positions.shape(0), vertex_count());
-    require_rows(colours.shape(0), vertex_count());
-    require_rows(scales, vertex_count());
-    const nb::gil_scoped_release unlock;
-    const auto squared =
-        squared_edge_lengths(topology_, rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
-    update_stencils(stencils_, topology_, squared, unfold ? ObtuseCorners::unfold : ObtuseCorners::edges_only, threads);
+  void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads) {
+    const auto squared = squared_edge_lengths(topology_, positions, colours, beta, scales, threads);
+    update_stencils(stencils_, topology_, squared, threads);
   }
 
   KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
@@ -75,8 +69,6 @@ class TriangulatedManifold {
   }
 
   const std::vector<std::array<Index, 2>>& edges() const { return topology_.edges; }
-  std::int64_t obtuse_corners() const { return stencils_.obtuse_corners; }
-  std::size_t split_corners() const { return stencils_.splits.size(); }
 
  private:
   Topology topology_;
@@ -93,13 +85,8 @@ class SegmentManifold {
 
   Index vertex_count() const { return kernel_->vertex_count(); }
 
-  void update_metric(const Matrix<double>& positions, const Matrix<float>& colours, double beta, const Numbers& scales,
-                     unsigned threads) {
-    require_rows(positions.shape(0), vertex_count());
-    require_rows(colours.shape(0), vertex_count());
-    require_rows(scales, vertex_count());
-    const nb::gil_scoped_release unlock;
-    kernel_->update_metric(rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
+  void update_metric(Rows<double> positions, Rows<float> colours, double beta, const float* scales, unsigned threads) {
+    kernel_->update_metric(positions, colours, beta, scales, threads);
   }
 
   KernelStatistics smooth(Rows<float> colours, const float* weights, const KernelParameters& parameters, float* smoothed,
@@ -116,6 +103,16 @@ class SegmentManifold {
  private:
   std::optional<SegmentKernel> kernel_;
 };
+
+template <class Manifold>
+void update_metric(Manifold& manifold, const Matrix<double>& positions, const Matrix<float>& colours, double beta,
+                   const Numbers& scales, unsigned threads) {
+  require_rows(positions.shape(0), manifold.vertex_count());
+  require_rows(colours.shape(0), manifold.vertex_count());
+  require_rows(scales, manifold.vertex_count());
+  const nb::gil_scoped_release unlock;
+  manifold.update_metric(rows_of(positions), rows_of(colours), beta, data_of(scales), threads);
+}
 
 // The rows of smoothed colours, the samples that all kernels held, and the kernels cut short; without a meaning the rows
 // of vertices that are not in [first, last).
@@ -178,9 +175,11 @@ auto neighbour_means_of(const Matrix<float>& values, const Matrix<Index>& edges,
 
 // What both solvers have in common.
 template <class Manifold>
-void bind_manifold(nb::class_<Manifold>& bound) {
+void bind_manifold(nb::class_<Manifold> bound) {
   using namespace nb::literals;
   bound.def(nb::init<const Matrix<Index>&, Index>(), "faces"_a, "vertex_count"_a)
+      .def("update_metric", &update_metric<Manifold>, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),
+           "threads"_a)
       .def("smooth", &smooth_manifold<Manifold>, "colours"_a, "weights"_a.none(), "time_step"_a, "radius"_a,
            "max_samples"_a, "threads"_a, "progress"_a.none(), "first"_a = 0, "last"_a = nb::none())
       .def("distances", &manifold_distances<Manifold>, "source"_a, "radius"_a, "max_samples"_a)
@@ -194,17 +193,8 @@ void bind_triangulated(nb::module_& module) {
   module.def("morton_order", &morton_order_of, "positions"_a);
   module.def("neighbour_means", &neighbour_means_of, "values"_a, "edges"_a, "weights"_a, "totals"_a);
   module.def("vertex_order", &vertex_order_of, "positions"_a, "faces"_a);
-  nb::class_<TriangulatedManifold> marched(module, "TriangulatedManifold");
-  bind_manifold(marched);
-  marched
-      .def("update_metric", &TriangulatedManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),
-           "threads"_a, "unfold"_a = true)
-      .def_prop_ro("obtuse_corners", &TriangulatedManifold::obtuse_corners)
-      .def_prop_ro("split_corners", &TriangulatedManifold::split_corners);
-  nb::class_<SegmentManifold> segments(module, "SegmentManifold");
-  bind_manifold(segments);
-  segments.def("update_metric", &SegmentManifold::update_metric, "positions"_a, "colours"_a, "beta"_a, "scales"_a.none(),
-               "threads"_a);
+  bind_manifold(nb::class_<TriangulatedManifold>(module, "TriangulatedManifold"));
+  bind_manifold(nb::class_<SegmentManifold>(module, "SegmentManifold"));
 }
 
 }  // namespace beltrami::bindings

@@ -22,11 +22,11 @@ using namespace beltrami::triangulated;
 namespace {
 
 struct Image {
-  Image(const Mesh& mesh, double beta, ObtuseCorners obtuse, unsigned threads)
+  Image(const Mesh& mesh, double beta, unsigned threads)
       : topology(make_topology(mesh.faces, mesh.vertex_count())), stencils(make_stencils(topology)) {
     const auto squared =
         squared_edge_lengths(topology, mesh.position_rows(), mesh.colour_rows(), beta, nullptr, threads);
-    update_stencils(stencils, topology, squared, obtuse, threads);
+    update_stencils(stencils, topology, squared, threads);
   }
   Topology topology;
   Stencils stencils;
@@ -48,7 +48,7 @@ void topology_of_a_grid_is_counted_right() {
 
 void distances_along_grid_lines_are_exact() {
   const Mesh mesh = make_grid(9);
-  const Image image(mesh, 1, ObtuseCorners::unfold, 1);
+  const Image image(mesh, 1, 1);
   FastMarching marching(image.stencils);
   float last = 0;
   for (const auto& [vertex, distance] : marching.march(40, 100, 1000)) {
@@ -65,12 +65,11 @@ void random_soups_keep_the_range_for_any_number_of_threads() {
   for (int trial = 0; trial < 2000; ++trial) {
     const Mesh mesh = make_soup(random);
     const double beta = trial % 3 == 0 ? 0 : 5;
-    const auto obtuse = trial % 4 == 0 ? ObtuseCorners::edges_only : ObtuseCorners::unfold;
-    const Image image(mesh, beta, obtuse, 1);
+    const Image image(mesh, beta, 1);
     const auto result = smoothed(mesh, image, 1, trial % 5 == 0 ? 3 : 1000);
     const auto [low, high] = std::minmax_element(mesh.colours.begin(), mesh.colours.end());
     for (const float value : result) CHECK(value >= *low - 1e-6F && value <= *high + 1e-6F);
-    CHECK(result == smoothed(mesh, Image(mesh, beta, obtuse, 3), 3, trial % 5 == 0 ? 3 : 1000));
+    CHECK(result == smoothed(mesh, Image(mesh, beta, 3), 3, trial % 5 == 0 ? 3 : 1000));
     const auto order = morton_order(mesh.position_rows(), mesh.vertex_count());
     auto sorted = order;
     std::sort(sorted.begin(), sorted.end());
@@ -80,11 +79,11 @@ void random_soups_keep_the_range_for_any_number_of_threads() {
 
 void constants_are_fixed_points_and_threads_do_not_matter() {
   Mesh mesh = make_grid(80);
-  const Image flat(mesh, 10, ObtuseCorners::unfold, 2);
+  const Image flat(mesh, 10, 2);
   CHECK(smoothed(mesh, flat, 2, 1000) == mesh.colours);
   std::mt19937 random(3);
   for (float& value : mesh.colours) value = random_colour(random);
-  const Image noisy(mesh, 10, ObtuseCorners::unfold, 2);
+  const Image noisy(mesh, 10, 2);
   const auto one = smoothed(mesh, noisy, 1, 1000);
   CHECK(one != mesh.colours);
   CHECK(one == smoothed(mesh, noisy, 2, 1000) && one == smoothed(mesh, noisy, 5, 1000));

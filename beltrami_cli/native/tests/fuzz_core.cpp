@@ -80,13 +80,13 @@ void fuzz_triangulated(Bytes& bytes) {
   for (float& weight : weights) weight = std::abs(bytes.colour());
   for (float& scale : scales) scale = bytes.parameter(1e-3F, 1e3F);
   const double beta = static_cast<double>(bytes.parameter(0, 200));
-  const bool scaled = bytes.below(2), weighted = bytes.below(2), unfold = bytes.below(2);
+  const bool scaled = bytes.below(2), weighted = bytes.below(2);
   const KernelParameters parameters{bytes.parameter(0.01F, 9), bytes.parameter(0, 20), 1 + bytes.below(200)};
   Topology topology = make_topology(faces, static_cast<Index>(vertices));
   Stencils stencils = make_stencils(topology);
   const auto squared = squared_edge_lengths(topology, {positions.data(), 3}, {colours.data(), width}, beta,
                                             scaled ? scales.data() : nullptr, 1);
-  update_stencils(stencils, topology, squared, unfold ? ObtuseCorners::unfold : ObtuseCorners::edges_only, 1);
+  update_stencils(stencils, topology, squared, 1);
   smooth(stencils, {colours.data(), width}, weighted ? weights.data() : nullptr, parameters, result.data(), 1);
   require_range(colours, result.data());
 }

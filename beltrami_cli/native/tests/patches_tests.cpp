@@ -329,12 +329,15 @@ struct Grid {
     }
   }
 
+  Canvas canvas(const std::vector<float>& back, const float* of_places = nullptr) const {
+    return {rows,     columns,       kind.data(), noisy.data(),     pilot.data(),
+            channels, mixing.data(), back.data(), variances.data(), shrinkage.data(),
+            0,        1,             of_places};
+  }
+
   std::vector<float> result(bool has_pilot, unsigned threads, bool varies = false) const {
     std::vector<float> found(noisy.size());
-    const Canvas canvas{rows,     columns,       kind.data(),   noisy.data(),     pilot.data(),
-                        channels, mixing.data(), mixing.data(), variances.data(), shrinkage.data(),
-                        0,        1,             varies ? relative.data() : nullptr};
-    collaborate(canvas, has_pilot, found.data(), threads);
+    collaborate(canvas(mixing, varies ? relative.data() : nullptr), has_pilot, found.data(), threads);
     return found;
   }
 };
@@ -367,10 +370,7 @@ void estimates_may_replace_the_pilot() {
   Random random(27);
   Grid own(300, 70, random);
   const std::vector<float> found = own.result(true, 1);
-  const Canvas canvas{own.rows,     own.columns,       own.kind.data(),   own.noisy.data(),     own.pilot.data(),
-                      own.channels, own.mixing.data(), own.mixing.data(), own.variances.data(), own.shrinkage.data(),
-                      0,            1,                 nullptr};
-  collaborate(canvas, true, own.pilot.data(), 1);
+  collaborate(own.canvas(own.mixing), true, own.pilot.data(), 1);
   CHECK(same_bits(found, own.pilot));
 }
 
@@ -390,20 +390,16 @@ void grids_do_not_depend_on_threads() {
 void colours_are_mixed_and_mixed_back() {
   Random random(25);
   Grid own(40, 50, random);
-  std::vector<float> constant(own.noisy.size());
-  for (std::size_t i = 0; i < constant.size(); ++i) constant[i] = 0.1F + 0.2F * static_cast<float>(i / own.kind.size());
+  for (std::size_t i = 0; i < own.noisy.size(); ++i) own.noisy[i] = 0.1F + 0.2F * static_cast<float>(i / own.kind.size());
   std::vector<float> back = own.mixing;
   for (std::size_t c = 1; c < own.channels; ++c) {
     own.mixing[c] = 0.5F;  // the first channel becomes a sum
     back[c] = -0.5F;
   }
   std::vector<float> found(own.noisy.size());
-  const Canvas canvas{own.rows,     own.columns,       own.kind.data(), constant.data(),      own.pilot.data(),
-                      own.channels, own.mixing.data(), back.data(),     own.variances.data(), own.shrinkage.data(),
-                      0,            1,                 nullptr};
-  collaborate(canvas, true, found.data(), 2);
-  for (std::size_t i = 0; i < constant.size(); ++i)
-    if (own.kind[i % own.kind.size()] == grid::owned) CHECK(std::abs(found[i] - constant[i]) < 1e-5F);
+  collaborate(own.canvas(back), true, found.data(), 2);
+  for (std::size_t i = 0; i < found.size(); ++i)
+    if (own.kind[i % own.kind.size()] == grid::owned) CHECK(std::abs(found[i] - own.noisy[i]) < 1e-5F);
 }
 
 void no_owned_cell_and_a_stop_are_handled() {
@@ -411,11 +407,8 @@ void no_owned_cell_and_a_stop_are_handled() {
   Grid own(130, 70, random);
   bool stopped = false;
   std::vector<float> found(own.noisy.size());
-  const Canvas canvas{own.rows,     own.columns,       own.kind.data(),   own.noisy.data(),     own.pilot.data(),
-                      own.channels, own.mixing.data(), own.mixing.data(), own.variances.data(), own.shrinkage.data(),
-                      0,            1,                 nullptr};
   try {
-    collaborate(canvas, true, found.data(), 2, [](std::size_t) { return false; });
+    collaborate(own.canvas(own.mixing), true, found.data(), 2, [](std::size_t) { return false; });
   } catch (const beltrami::Cancelled&) {
     stopped = true;
   }

@@ -112,12 +112,10 @@ Partner make_partner(Index vertex, double squared_a, double squared_b, double sq
 
 class FaceUpdate {
  public:
-  FaceUpdate(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths,
-             ObtuseCorners obtuse)
-      : stencils_(stencils), topology_(topology), squared_lengths_(squared_lengths), obtuse_(obtuse) {}
+  FaceUpdate(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths)
+      : stencils_(stencils), topology_(topology), squared_lengths_(squared_lengths) {}
 
-  // Returns whether the corner is obtuse.
-  bool corner(Corner corner, std::vector<FoundSplit>& found) const {
+  void corner(Corner corner, std::vector<FoundSplit>& found) const {
     const auto face_index = static_cast<std::size_t>(corner / 3);
     const auto& face = topology_.faces[face_index];
     const auto& edges = topology_.face_edges[face_index];
@@ -132,13 +130,13 @@ class FaceUpdate {
     if (a + b >= c) {
       partner_of_a = make_partner(face[kb], a, b, c);
       partner_of_b = make_partner(face[ka], b, a, c);
-      return false;
+      return;
     }
-    const auto support = obtuse_ == ObtuseCorners::unfold ? unfold(topology_, squared_lengths_, corner) : std::nullopt;
+    const auto support = unfold(topology_, squared_lengths_, corner);
     if (!support) {
       partner_of_a = {face[kb], 0, 0, 0};
       partner_of_b = {face[ka], 0, 0, 0};
-      return true;
+      return;
     }
     const double d = support->squared_target;
     partner_of_a = make_partner(support->vertex, d, b, support->squared_first);
@@ -147,14 +145,12 @@ class FaceUpdate {
                      {face[k], static_cast<float>(std::sqrt(d)),
                       {make_partner(face[ka], b, d, support->squared_first),
                        make_partner(face[kb], a, d, support->squared_second)}}});
-    return true;
   }
 
  private:
   Stencils& stencils_;
   const Topology& topology_;
   const std::vector<double>& squared_lengths_;
-  ObtuseCorners obtuse_;
 };
 
 }  // namespace
@@ -187,7 +183,7 @@ void group_splits(Stencils& stencils, const std::vector<std::vector<FoundSplit>>
 }
 
 void update_stencils(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths,
-                     ObtuseCorners obtuse, unsigned threads) {
+                     unsigned threads) {
   parallel_chunks(topology.edges.size(), links_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
     for (std::size_t edge = begin; edge < end; ++edge) {
       const auto length = static_cast<float>(std::sqrt(squared_lengths[edge]));
@@ -195,16 +191,11 @@ void update_stencils(Stencils& stencils, const Topology& topology, const std::ve
     }
   });
   std::vector<std::vector<FoundSplit>> chunks((topology.faces.size() + faces_per_chunk - 1) / faces_per_chunk);
-  std::vector<std::int64_t> obtuse_corners(chunks.size(), 0);
-  const FaceUpdate update(stencils, topology, squared_lengths, obtuse);
+  const FaceUpdate update(stencils, topology, squared_lengths);
   parallel_chunks(topology.faces.size(), faces_per_chunk, threads, [&](std::size_t begin, std::size_t end, unsigned) {
-    const std::size_t chunk = begin / faces_per_chunk;
-    std::int64_t count = 0;
     for (std::size_t corner = 3 * begin; corner < 3 * end; ++corner)
-      count += update.corner(static_cast<Corner>(corner), chunks[chunk]) ? 1 : 0;
-    obtuse_corners[chunk] = count;
+      update.corner(static_cast<Corner>(corner), chunks[begin / faces_per_chunk]);
   });
-  stencils.obtuse_corners = std::accumulate(obtuse_corners.begin(), obtuse_corners.end(), std::int64_t{0});
   group_splits(stencils, chunks);
 }
 

@@ -45,10 +45,7 @@ struct Stencils {
   std::vector<Partner> partners;
   std::vector<Index> split_offsets;  // [vertex that supports], one more at the end
   std::vector<SplitLink> splits;
-  std::int64_t obtuse_corners = 0;   // how many corners were obtuse; all but splits.size() fell back on edges
 };
-
-enum class ObtuseCorners { unfold, edges_only };
 
 // A split as it is found, before the splits are grouped by their support.
 struct FoundSplit {
@@ -65,6 +62,6 @@ Stencils make_stencils(Topology& topology);
 
 // Fills lengths, coefficients and splits for a metric given by its squared edge lengths.
 void update_stencils(Stencils& stencils, const Topology& topology, const std::vector<double>& squared_lengths,
-                     ObtuseCorners obtuse, unsigned threads);
+                     unsigned threads);
 
 }  // namespace beltrami::triangulated
