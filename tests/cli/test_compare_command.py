@@ -167,10 +167,8 @@ def test_the_makefile_of_the_page_passes_good_results_and_fails_on_bad_ones(tmp_
         shutil.copy(SAMPLES / f"knot-{kind}.ply", tmp_path / folder / "knot.ply")
 
     def make(limits):
-        variables = [f"BELTRAMI={shlex.join(COMMAND)}", f"LIMITS={limits}"]
-        return subprocess.run(
-            ["make", *variables, "check"], cwd=tmp_path, capture_output=True, timeout=120, check=False
-        )
+        words = ["make", f"BELTRAMI={shlex.join(COMMAND)}", f"LIMITS={limits}", "check"]
+        return subprocess.run(words, cwd=tmp_path, capture_output=True, timeout=120, check=False)
 
     run = make("--min-psnr 60")
     assert run.returncode == 2, run.stderr

@@ -65,9 +65,8 @@ LIBRARIES = {"jinja2", "scipy", "OpenImageIO", "rich", "trimesh", "xatlas"}
 def test_no_command_loads_what_it_does_not_need(words, needless, tmp_path):
     run = f"import sys; from beltrami_cli.cli.main import group; group.main({words!r}, standalone_mode=False)"
     check = f"{run}; found = {needless!r} & set(sys.modules); assert not found, found"
-    ended = subprocess.run(
-        [sys.executable, "-P", "-c", check], cwd=tmp_path, capture_output=True, check=False
-    )
+    program = [sys.executable, "-P", "-c", check]
+    ended = subprocess.run(program, cwd=tmp_path, capture_output=True, check=False)
     assert ended.returncode == 0, ended.stderr
     assert words[-1] == "--help" or (tmp_path / words[-1]).exists()
 

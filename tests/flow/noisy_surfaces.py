@@ -1,4 +1,4 @@
-"""Noise on images and meshes, and what is read of it."""
+"""Images and meshes with noise, and readings of it."""
 
 from __future__ import annotations
 

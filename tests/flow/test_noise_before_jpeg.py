@@ -56,10 +56,10 @@ def test_noise_that_jpeg_left_as_it_was_is_told_from_other(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sigma", "quality", "subsampling"), [(5, 95, "4:2:0"), (10, 90, "4:2:0"), (20, 75, "4:4:4")]
+    ("sigma", "quality", "colour"), [(5, 95, "4:2:0"), (10, 90, "4:2:0"), (20, 75, "4:4:4")]
 )
-def test_white_noise_is_read_as_it_was_before(sigma, quality, subsampling, tmp_path):
-    own = picture(stored(CLEAN, sigma), quality, subsampling, tmp_path)
+def test_white_noise_is_read_as_it_was_before(sigma, quality, colour, tmp_path):
+    own = picture(stored(CLEAN, sigma), quality, colour, tmp_path)
     found = sigma_before([own], noise_of_image(own.pixels / 255))
     assert found is not None
     assert 255 * found == pytest.approx(sigma, rel=0.3)

@@ -48,11 +48,10 @@ STORED = {
 
 
 CASES = [(stored, 0.0, scale) for stored in STORED for scale in (1.0, 1e4)]
+CASES += [("single", 30.0, 1.0), ("single", 0.0, 1e-6)]
 
 
-@pytest.mark.parametrize(
-    ("stored", "offset", "scale"), [*CASES, ("single", 30.0, 1.0), ("single", 0.0, 1e-6)]
-)
+@pytest.mark.parametrize(("stored", "offset", "scale"), CASES)
 def test_copies_that_differ_by_rounding_are_one(stored, offset, scale):
     places, faces, number = fallen_apart(*sheet(offset, scale), units=2)
     kept = STORED[stored](places.astype(np.float64))
