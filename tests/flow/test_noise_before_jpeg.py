@@ -84,6 +84,14 @@ def test_the_mean_between_limits_is_that_of_a_truncated_normal_distribution():
     np.testing.assert_allclose(far, [995, -995], atol=0.01)
 
 
+def test_decoding_with_the_noise_known_comes_closer_to_the_truth(tmp_path):
+    own = picture(stored(CLEAN, 10), 80, "4:2:0", tmp_path)
+    result = gaussian_filter(own.pixels / 255, (1, 1, 0)).astype(np.float32)
+    decode(own, result, 10 / 255)
+    # With coefficients of noise that are 0 or a whole step, the nearer end of the interval is half as far off.
+    assert psnr(result, CLEAN) > psnr(own.pixels / 255, CLEAN) + 1.5
+
+
 @pytest.mark.parametrize("limit", [0.0, 1.0])
 def test_decoding_keeps_colours_near_limits_where_the_pilot_has_them(limit, tmp_path):
     # Noise can only make white darker: its stored mean is 0.4 standard deviations below.
